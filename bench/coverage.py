@@ -29,21 +29,20 @@ from scipy.interpolate import CubicSpline
 from spread import add_options, spread
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import free_rows
+from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.reports.budget_tables import budget_lines, expanded
+from otf_core.reports.calibration_facts import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
-from otf_core.solving.basis import linear
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear
 
 Array = NDArray[np.float64]
 

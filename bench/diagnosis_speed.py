@@ -28,7 +28,7 @@ from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.files.writing import write_text
 from otf_core.model.machine import load_machine
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 MACHINE = Path(__file__).parent.parent / 'src/otf_bringup/config/machine.yaml'

@@ -29,14 +29,13 @@ from scipy.stats import beta
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
-from otf_core.history.interim_check import interim_check
-from otf_core.history.interim_path import interim_path
-from otf_core.history.judged import history_of, uncertainty
+from otf_core.history.control_chart import history_of, uncertainty
+from otf_core.history.interim_check import interim_check, interim_path
 from otf_core.history.store import add_run, read_store
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.reports.calibration import result_to_dict
 from otf_core.sim.cell import random_tables, simulate
 

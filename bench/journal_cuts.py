@@ -15,10 +15,8 @@ import numpy as np
 
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path, encode_points
-from otf_core.bags.journal import PERIOD
-from otf_core.bags.journal_file import JournalFile, Rows, one_message
-from otf_core.bags.journal_run import Definitions
-from otf_core.bags.topics import PATH, POINT
+from otf_core.bags.journal import PERIOD, Definitions, JournalFile, Rows, one_message
+from otf_core.bags.rosbag2_metadata import PATH, POINT
 
 RATE, DURATION, CUTS = 1000, 60, 200
 BAG = Path(__file__).resolve().parents[1] / 'bags' / 'y-carries-the-table' / 'bag'

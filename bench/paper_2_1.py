@@ -27,17 +27,22 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import grid_uncertainty
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import random_tables, simulate
-from otf_core.validation.laboratory import paper_machine
-from otf_core.validation.simulative import ERROR_SIZE, GRID, Replication, replication
+from otf_core.validation.paper import (
+    GRID,
+    REPLICATED_SIZE,
+    Replication,
+    paper_machine,
+    replication,
+)
 
 Array = NDArray[np.float64]
 
@@ -48,7 +53,7 @@ PAPER = Replication(117e-6, 0.95e-6, 103e-6, 0.87e-6)
 
 def truth_of(machine: Machine, seed: int, smooth: bool) -> ErrorTables:
     """Draw the true errors; smooth: splines through them, sampled densely."""
-    drawn = random_tables(machine, ERROR_SIZE, np.random.default_rng(seed))
+    drawn = random_tables(machine, REPLICATED_SIZE, np.random.default_rng(seed))
     if not smooth:
         return drawn
     motions = {}

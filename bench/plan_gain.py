@@ -23,9 +23,8 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, plan_for_path
-from otf_core.planning.creator import plan_path
-from otf_core.planning.drive_time import drive_times
-from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
+from otf_core.planning.forecast import Setup, drive_times, forecast, grid_uncertainty
+from otf_core.planning.path_creation import plan_path
 from otf_core.planning.path_optimiser import PathOptimiser
 from otf_core.sim.cell import simulate
 

@@ -21,7 +21,7 @@ from otf_core.files.writing import write_text
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import load_machine
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from markdown import heading, row
 
 import otf_core
 from otf_core.reports.calibration import calibration_html, calibration_sections, facts_of
-from otf_core.reports.section import sections_to_text
+from otf_core.reports.page import sections_to_text
 
 SEED = 20_260_012
 

@@ -11,10 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from otf_core.files.json_file import read_json
-from otf_core.fleet.call import call_job
-from otf_core.fleet.fleet import run_fleet
-from otf_core.fleet.workers import done_by_dask, done_here
+from otf_core.files.strict_yaml import read_json
+from otf_core.fleet.fleet import call_job, done_by_dask, done_here, run_fleet
 
 PLACES = [str(p) for p in (Path(__file__).resolve().parent,
                            Path(__file__).resolve().parents[1] / 'src/otf_core/test')]  # fmt: skip

@@ -28,7 +28,7 @@ from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.observation import Samples
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig

@@ -19,7 +19,7 @@ from rcl_interfaces.srv import DescribeParameters
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.model.machine import load_machine
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 from otf_tracker_driver import backends

@@ -21,7 +21,7 @@ from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag, read_parts
 from otf_core.bags.cdr import encode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.topics import OTHER_POINT
+from otf_core.bags.rosbag2_metadata import OTHER_POINT
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError

@@ -14,7 +14,7 @@ from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled
 from otf_core.model.machine import load_machine
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 from otf_core.tracking.path_watch import PathWatcher
 

@@ -9,7 +9,7 @@ from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path as PathMessage
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.topics import OTHER_POINT
+from otf_core.bags.rosbag2_metadata import OTHER_POINT
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_ros import convert, qos
@@ -55,8 +55,13 @@ def test_stray_paths_and_a_second_publisher_cost_nothing(graph, tmp_path):
 
     own.path(points)
     graph.wait_for_state('BUFFERING')
-    stray.path(1000 * points)
-    heard('planner/path of own_planner or stray_planner ignored', 'the path seems to be in mm')
+
+    def both_named():  # from when both nodes are discovered, which may come after publishers
+        stray.path(1000 * points)
+        return 'planner/path of own_planner or stray_planner ignored' in calibrator.log.read_text()
+
+    graph.wait(both_named, 'both names')
+    heard('the path seems to be in mm')
     stray.path(points * [1.0, 1.3, 1.0])
     heard('leaves the range of axis Y by')
     part = count // 2

@@ -12,8 +12,7 @@ from ament_index_python.packages import get_package_share_directory
 from std_msgs.msg import Float64
 
 from otf_calibrator.state import NAMES
-from otf_core.live.layers import moving, scene
-from otf_core.live.track import Track
+from otf_core.live.layers import Track, moving, scene
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.live.run import LiveRun, Progress, Solved
-from otf_core.live.snapshot import now, scene
+from otf_core.live.live_run import LiveRun, RunProgress, Solved, now, scene
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
@@ -51,7 +50,9 @@ def a_run():
     """A run with everything in it, and words that are no HTML."""
     run = LiveRun()
     run.set_path(NominalPath(CORNERS))
-    run.set_progress(Progress('BUFFERING', 'driving', 0.42, 75.0, 1234, 7, 0.3, '<b>go</b>'), 1.0)
+    run.set_progress(
+        RunProgress('BUFFERING', 'driving', 0.42, 75.0, 1234, 7, 0.3, '<b>go</b>'), 1.0
+    )
     solved = {'EXX': (12.34e-6, 0.5e-6), 'EAZ': (0.0, float('nan'))}
     square = {'C0Y': (-20e-6, 1e-6)}
     words = ('<script>document.title = "broken"</script>',)

@@ -5,6 +5,7 @@ import json
 import os
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -16,13 +17,13 @@ from otf_calibrator.job import Calibrated, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
-from otf_core.errors import ConfigError
+from otf_core.files.writing import DiskFull
 from otf_core.history.store import read_store
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 
@@ -57,9 +58,10 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
 
 
 def test_all_that_could_not_be_saved_is_named(tmp_path):
-    def no_report(folder):
-        raise ConfigError(f'{folder}: cannot be written (No space left on device)')
+    def full(folder):
+        raise DiskFull(f'{folder}: cannot be written (No space left on device)')
 
+    later = {'report.html': full, 'residuals.npz': lambda folder: None}
     (tmp_path / 'samples').write_text('in the way')
     samples = Samples(np.array([1, 2]), np.eye(3)[:2])
     files, path = CalibratorConfig(machine_file='none.yaml'), NominalPath(np.eye(3))
@@ -67,11 +69,14 @@ def test_all_that_could_not_be_saved_is_named(tmp_path):
     recording = Recording(samples, path, None, 'samples')
     before, said = 'not added to the history: no', []
     worker = Worker(said.append)
-    outcome = Calibrated(request, recording, None, tmp_path, no_report, before)
-    problem = worker.save(outcome).result().problem
+    first = {'summary.txt': 'the disk is full'}
+    outcome = Calibrated(request, recording, None, tmp_path, later, before, first)
+    saved = worker.save(outcome).result()
     worker.close()
-    assert problem == '; '.join([before, *said]) and len(said) == 2
-    assert 'the samples were not saved' in said[0] and 'the report was not written' in said[1]
+    assert saved.problem == '; '.join([before, *said]) and len(said) == 2
+    assert 'report.html not written: ' in said[0] and 'samples not written: ' in said[1]
+    missing = json.loads((tmp_path / 'manifest.json').read_text())['missing']
+    assert missing == saved.missing == {**first, 'report.html': 'the disk is full', 'samples': ANY}
 
 
 def test_name_that_is_taken_gets_a_number(tmp_path):

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which samples a run has that ends at standstill: never a matter of when somebody looks."""
+"""Which samples a run has, whenever somebody looks, and what is lost of it, whoever is killed."""
 
 from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
-from otf_calibrator.intake import Batch
+from otf_calibrator.intake import Batch, Status
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path
 from otf_core.bags.journal import Journal
+from otf_core.bags.rosbag2_metadata import GAP, STATUS
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
+from otf_ros.definitions import message_text
 
 SETTINGS = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
 PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
@@ -109,10 +111,47 @@ def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_
     samples, end = driven(0, 160), 201 + AT_REST
     found, _ = ended(tmp_path, samples, 10, 0, [end])
     session, asked = begun(tmp_path)
-    assert f'goes on with {end} samples' in session.intake.take_up(None)
+    assert f'goes on with {end} samples' in session.intake.take_up(None, None)
     assert not session.complete()
     ((verdict, count),) = asked
     verdict.set_result(True)
     assert session.complete() == 'standstill at the end point' and count == end
     assert session.request().samples.stamp_ns.tolist() == found.stamp_ns.tolist()
     session.close()
+
+
+TEXTS = {
+    STATUS.type: message_text('otf_msgs', 'TrackerStatus'),
+    GAP.type: message_text('otf_msgs', 'TrackerGap'),
+}
+PUBLISHED = {b'a': 130, b'b': 100, b'c': 100}
+"""Samples of streams of the driver, of which 100 arrive."""
+
+
+def life(folder, stream, before, start):
+    """A calibrator that takes a run up, hears 100 samples of a stream, and is killed."""
+    session = Session(lambda: SETTINGS, lambda text: None)
+    session.intake.journal = Journal(folder, TEXTS)
+
+    def status(message):
+        return Status(message.decode(), 0, streaming=True, finished=False)
+
+    def gap(message):
+        return message.decode(), PUBLISHED[message]
+
+    session.intake.take_up(status, gap)
+    session.intake.status(status(stream), stream)
+    if before:
+        session.intake.gap(*gap(before), before)
+    stamps = STEP * np.arange(start, start + 100)
+    session.intake.samples(Batch({'tracker': (stamps, np.full((100, 3), 0.5))}))
+    restarts = session.collector.restarts
+    found = session.collector.lost, restarts.uncounted, restarts.samples
+    session.close()
+    return found
+
+
+def test_what_was_lost_at_a_restart_is_known_after_the_next_one(tmp_path):
+    assert life(tmp_path, b'a', None, 0) == (0, False, 0)
+    assert life(tmp_path, b'b', b'a', 150) == (30, False, 50)
+    assert life(tmp_path, b'c', b'b', 270) == (30, False, 70)

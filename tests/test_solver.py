@@ -18,7 +18,7 @@ from otf_core.errors import Cancelled, InputError, OtfError
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 CONFIG = CalibrationConfig()

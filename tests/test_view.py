@@ -18,7 +18,7 @@ from nav_msgs.msg import Path
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
-from otf_core.live.run import NUMBERS
+from otf_core.live.live_run import NUMBERS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors

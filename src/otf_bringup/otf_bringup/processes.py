@@ -40,7 +40,6 @@ class NodeProcess:
         Run with ``python -m``.
     parameters : mapping
         ROS parameters.
-    log_folder : Path
     environment : mapping of str to str
         Added to the present variables, such as ROS_DOMAIN_ID.
     arguments : list of str

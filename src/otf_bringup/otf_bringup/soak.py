@@ -76,9 +76,6 @@ class Soak:
     ----------
     folder : Path
         For logs and results.
-    machine : Path
-    planning : PlannerConfig
-    seed, domain : int
     """
 
     def __init__(

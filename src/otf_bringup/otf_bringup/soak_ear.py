@@ -27,7 +27,6 @@ class Heard:
 
     Attributes
     ----------
-    samples : int
     backwards : int
         Stamps that do not increase.
     longest : float, s

@@ -23,10 +23,8 @@ class SoakTracker:
 
     Parameters
     ----------
-    machine : Machine
     planning : PlannerConfig
         Of the path that it drives.
-    seed : int
 
     Attributes
     ----------

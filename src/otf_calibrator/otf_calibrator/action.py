@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from otf_calibrator.session import Session
 from otf_core.errors import Cancelled
-from otf_core.live.time_left import TimeLeft
+from otf_core.live.stages import TimeLeft
 from otf_msgs.action import Calibrate
 from otf_msgs.msg import CalibrationResult
 
@@ -33,7 +33,6 @@ class CalibrateAction:
     Parameters
     ----------
     node : rclpy.node.Node
-    session : Session
     latest : callable
         Returns the result that was published last, None before the first.
     """

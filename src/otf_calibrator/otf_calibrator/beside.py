@@ -20,12 +20,7 @@ its temperature with a lag."""
 
 
 class Beside:
-    """Values of declared signals, as they arrive.
-
-    Parameters
-    ----------
-    specs : sequence of SignalSpec
-    """
+    """Values of declared signals, as they arrive."""
 
     def __init__(self, specs: Sequence[SignalSpec] = ()) -> None:
         self.specs = tuple(specs)

@@ -22,9 +22,8 @@ import numpy as np
 from otf_calibrator.losses import Restarts
 from otf_calibrator.other_path import OtherPath
 from otf_calibrator.stream import LATE, Stream
-from otf_core.bags.clock import Clock
-from otf_core.bags.screening import Screening
-from otf_core.calibration.other_path import TwoPaths
+from otf_core.bags.sample_order import Clock, Screening
+from otf_core.calibration.first_sight import TwoPaths
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
@@ -72,7 +71,6 @@ class Collector:
 
     Attributes
     ----------
-    path : NominalPath or None
     path_message : bytes
         In which it came.
     other : OtherPath or None

@@ -32,7 +32,6 @@ class DiagnosisJob:
 
     Attributes
     ----------
-    outcome : Calibrated
     stage, fraction : str and float
         What is being done, and the share of the whole that is done.
 

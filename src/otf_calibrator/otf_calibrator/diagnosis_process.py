@@ -30,7 +30,6 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
 
     Parameters
     ----------
-    task : Task
     progress : callable
         Takes what is being done, and the share of the whole that is done.
 

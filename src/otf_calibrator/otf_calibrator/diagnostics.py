@@ -22,7 +22,6 @@ def tell(
     Parameters
     ----------
     node : rclpy.node.Node
-    session : Session
     folder : callable
         Returns where results go.
     machine : callable

@@ -20,10 +20,9 @@ from otf_calibrator.publishers import Choice
 from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.screening import judged
-from otf_core.bags.signal_messages import topic_of
-from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.sample_order import judged
+from otf_core.bags.signals import read_signals, topic_of
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
@@ -66,7 +65,6 @@ class Intake:
 
     Parameters
     ----------
-    collector : Collector
     warn : callable
         Takes messages for the user.
     publishers : callable
@@ -123,7 +121,6 @@ class Intake:
             Of a driver that was killed before this one; empty where none was.
         published : int
             Samples that it had published.
-        message : bytes
         """
         if message in self._gaps:
             return
@@ -193,7 +190,6 @@ class Intake:
 
         Parameters
         ----------
-        batch : Batch
         may_end : bool
             A standstill is looked at soon: what comes after it is not of the run until then.
         """
@@ -283,13 +279,15 @@ class Intake:
         if self.journal:
             self.journal.close()
 
-    def take_up(self, status: Callable[[bytes], Status]) -> str:
+    def take_up(
+        self, status: Callable[[bytes], Status], gap: Callable[[bytes], tuple[str, int]]
+    ) -> str:
         """Go on with the run of a calibrator that ended without finishing it; say what was found.
 
         Parameters
         ----------
-        status : callable
-            Reads a message of the driver's status.
+        status, gap : callable
+            Read a message of the driver's status; of a gap, the stream before it and its samples.
         """
         if self.journal is None:
             return ''
@@ -300,20 +298,23 @@ class Intake:
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in left]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
-            for topic, content in recorded.arrived:
-                if isinstance(content, DecodedPoints):
-                    if content.foreign:
-                        self._collector.screening.foreign(content.foreign)
-                    self._take(content.stamp_ns, content.xyz)
-                    self._write_known()
-                elif topic == PATH:
-                    path = NominalPath(decode_path(content, PATH.frame))
-                    self._collector.set_path(path, content)
-                    journal.message(PATH, content)
-                else:
-                    self.status(status(content), content)
+            for part in recorded.parts:
+                for topic, content in part:
+                    if isinstance(content, DecodedPoints):
+                        if content.foreign:
+                            self._collector.screening.foreign(content.foreign)
+                        self._take(content.stamp_ns, content.xyz)
+                        self._write_known()
+                    elif topic == PATH:
+                        path = NominalPath(decode_path(content, PATH.frame))
+                        self._collector.set_path(path, content)
+                        journal.message(PATH, content)
+                    elif topic == GAP:
+                        self.gap(*gap(content), content)
+                    else:
+                        self.status(status(content), content)
+                self._collector.taken_up()
             self.journal = journal
-            self._collector.taken_up()
             watcher, count = self._collector.watcher, len(self._collector.buffer)
             if watcher is not None and watcher.end == count:
                 watcher.stays()  # the journal of a run that was over holds no more

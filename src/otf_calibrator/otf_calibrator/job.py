@@ -9,9 +9,10 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
@@ -19,24 +20,30 @@ from typing import TypeVar
 from otf_calibrator.early import Early
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
-from otf_calibrator.solver import Progress, Solver
+from otf_calibrator.solver import Solver
 from otf_calibrator.solver_task import Solved, Task
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
-from otf_core.calibration.result import CalibrationResult
-from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
-from otf_core.files.output import OutputFolder
+from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest, written_files
+from otf_core.files.writing import DISK_FULL, DiskFull
 from otf_core.history.store import add_run
+from otf_core.live.stages import Progress
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import (
+    REPORT_FILE,
+    RESIDUALS_FILE,
     facts_of,
     write_calibration,
     write_report,
     write_reports,
+    write_residuals,
+    write_residuals_of_both,
     write_with_effects,
 )
 from otf_core.tracking.alignment import Followed
@@ -49,6 +56,8 @@ Wake = Callable[[], None]
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
+VERB = 'calibrator'
+"""Where the files come from, in their manifest."""
 TOPIC = 'tracker/point'
 
 
@@ -56,15 +65,17 @@ TOPIC = 'tracker/point'
 class Calibrated:
     """A calibration that succeeded; ``folder`` is None if its files could not be written.
 
-    ``report`` writes the report into it, which takes a while.
+    ``later`` writes the files into it that take a while, by name. ``missing`` names those that
+    did not fit on the disk, and why.
     """
 
     request: Request
     recording: Recording
     result: CalibrationResult
     folder: Path | None
-    report: Writer
+    later: Mapping[str, Writer]
     problem: str = ''
+    missing: Mapping[str, str] = field(default_factory=dict)
 
 
 class Worker:
@@ -114,8 +125,8 @@ class Worker:
         return self._begin(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
-        """Add path and samples as a bag, and the report, to the results as far as wanted."""
-        self.stage, self.fraction = 'saving samples and report', 0.0
+        """Add the report, residuals, and path and samples as a bag, as far as wanted."""
+        self.stage, self.fraction = 'saving report and samples', 0.0
         return self._begin(self._save, outcome)
 
     def _save(self, outcome: Calibrated) -> Calibrated:
@@ -123,21 +134,23 @@ class Worker:
         if not folder:
             return outcome
         problems = [outcome.problem] if outcome.problem else []
-        for wanted, write, what in (
-            (
-                files.save_bag,
-                lambda: _write_samples(outcome, folder),
-                'the samples were not saved',
-            ),
-            (files.report, lambda: outcome.report(folder), 'the report was not written'),
+        missing = dict(outcome.missing)
+        writers = {**outcome.later, BAG: functools.partial(_write_samples, outcome)}
+        for name, wanted in (
+            (REPORT_FILE, files.report),
+            (RESIDUALS_FILE, True),
+            (BAG, files.save_bag),
         ):
             try:
                 if wanted:
-                    write()
+                    writers[name](folder)
             except OtfError as error:
-                problems.append(f'{what}: {error}')
+                missing[name] = DISK_FULL if isinstance(error, DiskFull) else str(error)
+                problems.append(f'{name} not written: {error}')
                 self._warn(problems[-1])
-        return replace(outcome, problem='; '.join(problems))
+        with suppress(OtfError):  # no room for it: the state says the same
+            write_manifest(folder / MANIFEST, written_files(folder), VERB, missing)
+        return replace(outcome, problem='; '.join(problems), missing=missing)
 
     def follow(self, look: Look, request: Request) -> Future[bool]:
         """Find out whether samples follow the path to its end; go on to calibrate them if so.
@@ -223,19 +236,19 @@ class Worker:
         recording = replace(recording_of(request), seen=self._seen)
         if solved is None:
             solved = self._solve(recording, request, self._progress)
-        result, write, report = _written(solved)
+        result, write, later = _written(solved)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
             out = OutputFolder(folder)
-            with out.filled('calibrator') as partial:
+            with out.filled(VERB) as partial:
                 write(partial, out.missing)
         except OtfError as error:
             problem = f'files not written: {error}'
-            return Calibrated(request, recording, result, None, report, problem)
+            return Calibrated(request, recording, result, None, later, problem)
         problems = [out.missing_words, _latest(base, folder), _kept(request.files, folder)]
         problem = '; '.join(text for text in problems if text)
-        return Calibrated(request, recording, result, folder, report, problem)
+        return Calibrated(request, recording, result, folder, later, problem, out.missing)
 
     def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
         files = request.files
@@ -243,25 +256,31 @@ class Worker:
         return self._solver.solve(task, progress)
 
 
-def _written(found: Solved) -> tuple[CalibrationResult, FilesWriter, Writer]:
-    """The result, what writes its files as far as they fit, and what adds the report to them."""
+def _written(found: Solved) -> tuple[CalibrationResult, FilesWriter, dict[str, Writer]]:
+    """The result, what writes its files as far as they fit, and what adds the larger ones."""
     if isinstance(found, CalibrationResult):
-        return (
-            found,
-            lambda folder, missing: write_calibration(
-                found, folder, report=False, missing=missing
-            ),
-            lambda folder: write_report(folder, facts_of(found)),
-        )
+        result, write_first = found, functools.partial(write_calibration, found)
+        later: dict[str, Writer] = {
+            REPORT_FILE: lambda folder: write_report(folder, facts_of(found)),
+            RESIDUALS_FILE: functools.partial(write_residuals, found.runs),
+        }
+    else:
+        result, write_first = found.result, functools.partial(write_with_effects, found)
+        later = {
+            REPORT_FILE: functools.partial(write_reports, found),
+            RESIDUALS_FILE: functools.partial(write_residuals_of_both, found),
+        }
     return (
-        found.result,
-        lambda folder, missing: write_with_effects(found, folder, report=False, missing=missing),
-        functools.partial(write_reports, found),
+        result,
+        lambda folder, missing: write_first(
+            folder, report=False, residuals=False, missing=missing
+        ),
+        later,
     )
 
 
 def _write_samples(outcome: Calibrated, folder: Path) -> None:
-    """Write path and samples of a run as a bag beside its results."""
+    """Write path and samples of a run as a bag."""
     recording, signals = outcome.recording, outcome.request.signals
     write_bag(folder / BAG, BagContent(recording.samples, recording.path, signals=signals))
 
@@ -282,7 +301,6 @@ def check_files(files: CalibratorConfig, changed: Collection[str] | None = None)
 
     Parameters
     ----------
-    files : CalibratorConfig
     changed : collection of str, optional
         Only what these parameters name.
     """

@@ -15,11 +15,11 @@ from otf_calibrator.beside import Beside
 from otf_calibrator.intake import Intake, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.journal import Journal
-from otf_core.bags.signal_messages import topic_of
-from otf_core.bags.topics import GAP, STATUS
+from otf_core.bags.rosbag2_metadata import GAP, STATUS
+from otf_core.bags.signals import topic_of
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
-from otf_msgs.msg import TrackerStatus
+from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
 from otf_ros.definitions import message_text
 
@@ -32,6 +32,11 @@ def status_of(message: TrackerStatus) -> Status:
         message.state not in (TrackerStatus.IDLE, TrackerStatus.FINISHED),
         message.state == TrackerStatus.FINISHED,
     )
+
+
+def stream_before(message: TrackerGap) -> tuple[str, int]:
+    """Return the stream of a driver that was killed, empty if none was, and its samples."""
+    return message.stream_before, message.published_before
 
 
 def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
@@ -74,7 +79,10 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
         GAP.type: message_text('otf_msgs', 'TrackerGap'),
     }
     intake.journal = Journal(place, texts, [topic_of(s) for s in intake.beside.specs])
-    said = intake.take_up(lambda data: status_of(deserialize_message(data, TrackerStatus)))
+    said = intake.take_up(
+        lambda data: status_of(deserialize_message(data, TrackerStatus)),
+        lambda data: stream_before(deserialize_message(data, TrackerGap)),
+    )
     if said:
         logger.warning(said)
     logger.info(f'journal: {place}')

@@ -37,7 +37,6 @@ class SequenceWatch:
     ----------
     present : callable
         Returns how many publishers the graph knows at this moment.
-
     """
 
     def __init__(self, present: Callable[[], int] = lambda: 1) -> None:

@@ -13,7 +13,7 @@ from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import check_files
-from otf_calibrator.listening import listen, status_of
+from otf_calibrator.listening import listen, status_of, stream_before
 from otf_calibrator.outcomes import OutcomePublisher
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.path_receiver import PathReceiver
@@ -101,9 +101,7 @@ class Calibrator(Node):
         self._session.intake.status(status_of(message), serialize_message(message))
 
     def _on_gap(self, message: TrackerGap) -> None:
-        self._session.intake.gap(
-            message.stream_before, message.published_before, serialize_message(message)
-        )
+        self._session.intake.gap(*stream_before(message), serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         intake = self._session.intake

@@ -20,8 +20,6 @@ class OtherPath:
 
     Parameters
     ----------
-    path : NominalPath
-    config : CalibrationConfig
     newer : bool
         It was published after that of the run: it is the one of the next run.
     since : int

@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from otf_calibrator.collector import PathTaken
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
-from otf_core.contradictions.units import check_path
+from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import OtfError
 from otf_core.model.machine import load_machine
 from otf_ros import convert, qos
@@ -25,8 +25,6 @@ class PathReceiver:
     Parameters
     ----------
     node : rclpy.node.Node
-    topic : str
-    session : Session
     files : callable
         The files that the parameters name now.
     """

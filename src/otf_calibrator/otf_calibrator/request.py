@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from otf_calibrator.params import CalibratorConfig
-from otf_core.bags.screening import Screening
+from otf_core.bags.sample_order import Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples

@@ -16,9 +16,8 @@ from otf_calibrator.job import Calibrated
 from otf_calibrator.losses import lost_words
 from otf_calibrator.session import Ahead
 from otf_calibrator.shared_tracker import SharedTracker
+from otf_core.calibration.calibration_result import CalibrationResult, volume_errors
 from otf_core.calibration.first_sight import FirstSight
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.volume import volume_errors
 from otf_core.errors import Cancelled, OtfError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS

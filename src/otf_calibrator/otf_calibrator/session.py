@@ -19,9 +19,8 @@ from otf_calibrator.intake import Batch, Intake
 from otf_calibrator.job import Calibrated, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
-from otf_core.calibration.first_sight import FirstSight, first_sight
-from otf_core.calibration.other_path import TwoPaths, follows_the_other
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.calibration.first_sight import FirstSight, TwoPaths, first_sight, follows_the_other
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.tracking.path_watch import PathWatcher

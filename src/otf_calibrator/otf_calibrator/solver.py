@@ -10,18 +10,17 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 from otf_calibrator.solver_task import Solved, Task
 from otf_core.errors import OtfError
+from otf_core.live.stages import Progress
 
 MODULE = 'otf_calibrator.solver_process'
 LOOK = 0.05
 """s; so often it is asked whether the calibration is still wanted."""
-Progress = Callable[[str, float], None]
 
 
 class Solver:
@@ -61,7 +60,6 @@ class Solver:
 
         Parameters
         ----------
-        task : Task
         progress : callable(stage, fraction)
             Called again and again; what it raises ends the work.
 

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 
 from otf_calibrator.solver_task import Solved, Task
 from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.diagnosis.calibrate_with_effects import NONE, calibrate_with_effects
+from otf_core.diagnosis.diagnose import NONE, calibrate_with_effects
 from otf_core.errors import OtfError
 from otf_core.memory import give_back, seldom_look_for_cycles
 from otf_core.pieces.methods import PREPARATIONS

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.pieces.runs import Recording

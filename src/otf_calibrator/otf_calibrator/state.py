@@ -14,7 +14,7 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_calibrator.session import LAST_SAMPLES, Session
-from otf_core.live.time_left import TimeLeft
+from otf_core.live.stages import TimeLeft
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 from otf_ros.convert_result import summary

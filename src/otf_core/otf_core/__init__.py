@@ -24,17 +24,21 @@ from typing import TYPE_CHECKING, Any
 from otf_core.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from otf_core.api.files import (
+    from otf_core.api.functions import (
+        Simulation,
+        calibrate,
+        diagnose,
+        plan,
+        predict,
         read_bag,
+        simulate,
         summary,
         write_bag,
         write_calibration,
         write_diagnosis,
         write_plan,
     )
-    from otf_core.api.measuring import calibrate, diagnose, predict
-    from otf_core.api.simulating import Simulation, plan, simulate
-    from otf_core.calibration.result import CalibrationResult
+    from otf_core.calibration.calibration_result import CalibrationResult
     from otf_core.config import (
         CalibrationConfig,
         ForecastConfig,
@@ -54,17 +58,21 @@ if TYPE_CHECKING:
     from otf_core.prediction.predict import Prediction
 
 _HOMES = {
-    'api.files': (
+    'api.functions': (
+        'Simulation',
+        'calibrate',
+        'diagnose',
+        'plan',
+        'predict',
         'read_bag',
+        'simulate',
         'summary',
         'write_bag',
         'write_calibration',
         'write_diagnosis',
         'write_plan',
     ),
-    'api.measuring': ('calibrate', 'diagnose', 'predict'),
-    'api.simulating': ('Simulation', 'plan', 'simulate'),
-    'calibration.result': ('CalibrationResult',),
+    'calibration.calibration_result': ('CalibrationResult',),
     'config': ('CalibrationConfig', 'ForecastConfig', 'PlannerConfig', 'SimulationConfig'),
     'diagnosis.result': ('Diagnosis',),
     'errors': ('ConfigError', 'InputError', 'OtfError', 'ShapeError'),

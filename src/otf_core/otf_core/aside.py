@@ -132,7 +132,6 @@ def shared_out(
     ----------
     function : callable
         Its results do not depend on each other.
-    items : sequence
     known : sequence of object
         See ``Aside``.
     """

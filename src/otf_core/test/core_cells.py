@@ -19,12 +19,12 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness, tables_to_dict
-from otf_core.noise.model import NoiseModel, covariance_parts
+from otf_core.noise.noise_model import NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.drive import Drive
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import NormalEquations, normal_equations
-from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, layout

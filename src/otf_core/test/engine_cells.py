@@ -10,15 +10,14 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.effect_products import Tried
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.residual_rows import build_rows
-from otf_core.diagnosis.engine.search import Cause
+from otf_core.diagnosis.engine.search import Cause, tried_effects
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.unknowns import layout
 
 LIMIT = CalibrationConfig().unidentifiable_above

@@ -5,9 +5,9 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.groups import RunView
 from otf_core.model.frames import XYZ
-from otf_core.noise.model import path_frame
+from otf_core.noise.noise_model import path_frame
 
 TRACKER = np.array([-0.8, -0.5, 0.3])
 SIZE = np.array([0.6, 0.5, 0.4])

@@ -17,11 +17,10 @@ from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import OtfError
 from otf_core.inputs.nc_program import read_program
-from otf_core.inputs.plan_json import read_plan
-from otf_core.inputs.points_file import read_points
+from otf_core.inputs.path_file import read_plan, read_points
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import load_tables
-from otf_core.noise.fields import read_noise
+from otf_core.noise.noise_model import read_noise
 
 MACHINE = {
     'name': 'cell',

@@ -26,7 +26,7 @@ from otf_core.model.machine import machine_from_dict
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 
 LETTERS = 'XYZ'
 NAMES = tuple(f'E{d}{a}' for a in LETTERS for d in 'XYZABC')

@@ -17,7 +17,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
     shrink_percent,
 )
 from otf_core.effects import REGISTRY
-from otf_core.solving.folds import FOLDS
+from otf_core.solving.residuals import FOLDS
 
 BACKLASH, COUPLING = REGISTRY['backlash'], REGISTRY['cross_coupling']
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from otf_core.solving.basis import Basis, cubic, linear
+from otf_core.solving.unknowns import Basis, cubic, linear
 
 KNOTS = np.array([-0.2, -0.13, 0.0, 0.05, 0.21, 0.4])
 BASES = {'cubic': Basis(KNOTS, 3), 'linear': linear(KNOTS), 'even': cubic(KNOTS, 7)}

@@ -18,7 +18,7 @@ from otf_core.blind.seal import orders
 from otf_core.blind.sight import see
 from otf_core.blind.trace import make_ruler, sample_state
 from otf_core.blind.view import SENSOR, since_reversal
-from otf_core.diagnosis.engine.decoys import DECOYS
+from otf_core.diagnosis.engine.time_courses import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.kinematics import exact_position
 from otf_core.model.plan import check_inside

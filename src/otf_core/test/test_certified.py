@@ -30,8 +30,7 @@ from otf_core.prediction.predict import predict
 from otf_core.reports.calibration import write_calibration
 from otf_core.solving import roughness
 from otf_core.solving.joint import Start, solve_jointly
-from otf_core.solving.reversal_choice import Choice, ReversalSolution
-from otf_core.solving.shape_choice import linear_bases, smooth_bases
+from otf_core.solving.model_choice import Choice, ReversalSolution, linear_bases, smooth_bases
 from otf_core.solving.unknowns import layout
 
 RUN = read_run()

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from otf_core.bags.clock import FEW, of_one_clock
+from otf_core.bags.sample_order import FEW, of_one_clock
 
 S = 1_000_000_000
 STAMPS = 1_700_000_000 * S + np.arange(1000) * S // 100

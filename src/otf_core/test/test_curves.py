@@ -12,9 +12,15 @@ from programs import arc, drive, helix, record
 from otf_core.config import CalibrationConfig
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.tracking.alignment import align
-from otf_core.tracking.arcs import bulge_of, with_arcs
-from otf_core.tracking.curve_pieces import MAX_TURN, curve_boundaries
-from otf_core.tracking.curves import GROUP_LENGTH, Lines, shape_of
+from otf_core.tracking.curves import (
+    GROUP_LENGTH,
+    MAX_TURN,
+    Lines,
+    bulge_of,
+    curve_boundaries,
+    shape_of,
+    with_arcs,
+)
 from otf_core.tracking.driving_order import OFF_PATH
 
 CONFIG = CalibrationConfig()

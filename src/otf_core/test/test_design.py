@@ -20,9 +20,9 @@ from otf_core.effects.catalogue.backlash import Backlash
 from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
-from otf_core.noise.model import Misfit
+from otf_core.noise.noise_model import Misfit
+from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import sum_groups
-from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import is_reversal, layout, reversal_block
 from otf_core.solving.whitener import Whitener

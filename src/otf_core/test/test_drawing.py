@@ -8,16 +8,19 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import Panel, arrow_path
-from otf_core.reports.drawing.scale import (
+from otf_core.reports.drawing.panel import (
     LEVELS,
+    Bar,
+    Panel,
     Scale,
     around,
+    arrow_path,
+    bars,
     dates,
     decades,
     heat_classes,
     heat_step,
+    write_sheet,
 )
 from otf_core.reports.drawing.scene import (
     ELEVATION,
@@ -30,7 +33,6 @@ from otf_core.reports.drawing.scene import (
     scene,
     tracker_items,
 )
-from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.reports.drawing.style import MARKS, STYLE, text, typeset
 
 

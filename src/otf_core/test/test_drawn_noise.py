@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from otf_core.noise.model import NoiseComponent
+from otf_core.noise.noise_model import NoiseComponent
 from otf_core.sim.tracker import drawn
 
 

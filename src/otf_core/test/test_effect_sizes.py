@@ -7,10 +7,14 @@ from core_cells import some_machine
 from engine_cells import cause_of, holding, noise, solved_rows, trace_of
 
 from otf_core.diagnosis.answer import name_and_sizes
-from otf_core.diagnosis.cause_parameters import fitted_causes
-from otf_core.diagnosis.free_curves import Curve
+from otf_core.diagnosis.cause_parameters import (
+    Curve,
+    chosen_sizes,
+    fitted_causes,
+    sizes_of,
+    sizes_words,
+)
 from otf_core.diagnosis.result import NamedCause
-from otf_core.diagnosis.sizes import chosen_sizes, sizes_of, sizes_words
 from otf_core.effects import REGISTRY
 from otf_core.effects.sizes import Coefficients
 from otf_core.effects.state import probe_state

@@ -17,13 +17,12 @@ from engine_cells import (
 )
 from scipy.optimize import brentq
 
-from otf_core.diagnosis.engine.decoys import Jump
 from otf_core.diagnosis.engine.gap_sizes import plain_residuals, residuals_with
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.diagnosis.explanation import explain
-from otf_core.diagnosis.verdict import matters
+from otf_core.diagnosis.engine.time_courses import Jump
+from otf_core.diagnosis.weighing import explain, matters
 from otf_core.effects import REGISTRY
-from otf_core.solving.folds import FOLDS
+from otf_core.solving.residuals import FOLDS
 
 BACKLASH, LAG, TABLES = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'table_resolution'))
 JUMP = Jump()

@@ -15,10 +15,8 @@ from export_readers import READERS
 
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
-from otf_core.exports.base import Request
-from otf_core.exports.imported import tables_from_lattice
-from otf_core.exports.lattice import sampled_lattice
-from otf_core.exports.remaining import remaining_error
+from otf_core.exports.format import Request, remaining_error
+from otf_core.exports.lattice import sampled_lattice, tables_from_lattice
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.tables import MotionTable, TablesFile, load_tables, tables_to_dict
 from otf_core.prediction.predict import predict

@@ -11,8 +11,8 @@ from core_cells import some_machine, zero_tables
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import Squareness
-from otf_core.solving.extrapolation import USUAL, prior_of
-from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.model_choice import smooth_bases
+from otf_core.solving.tabulate import USUAL, prior_of
 from otf_core.solving.unknowns import layout
 
 LIMIT = 1e-4

@@ -4,10 +4,9 @@
 import numpy as np
 from engine_cells import cause_of, holding, noise, solved_rows, trace_of
 
-from otf_core.diagnosis.cause_parameters import fitted_causes
+from otf_core.diagnosis.cause_parameters import curves_of, fitted_causes
 from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.search import Cause, fit_jointly
-from otf_core.diagnosis.free_curves import curves_of
 from otf_core.effects import REGISTRY
 from otf_core.effects.action import vector
 from otf_core.effects.empirical import Empirical

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from otf_core.solving.folds import FOLDS, fold_of, leg_numbers
+from otf_core.solving.residuals import FOLDS, fold_of, leg_numbers
 
 
 def solved(*runs):

@@ -4,12 +4,15 @@
 import errno
 import json
 import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST
-from otf_core.files.output import OutputFolder
+from otf_core.files.output_folder import MANIFEST, OutputFolder
 from otf_core.files.writing import DiskFull, write_if_it_fits, write_text
 
 SMALL, LARGE = 'tables', 'residuals' * 100
@@ -53,3 +56,44 @@ def test_another_trouble_is_no_full_disk(tmp_path):
     with pytest.raises(ConfigError, match='cannot be written'):
         write_if_it_fits(missing, 'x', lambda: write_text(tmp_path / 'none' / 'x', SMALL))
     assert not missing
+
+
+SMALL_DISK = """
+import json, os, sys
+from otf_core.cli import main
+
+code = main(sys.argv[2:])
+disk = sys.argv[1]
+files = {name: os.path.getsize(f'{disk}/out/{name}') for name in os.listdir(f'{disk}/out')}
+print(json.dumps({'code': code, 'files': files, 'beside': os.listdir(disk)}))
+print(json.dumps(json.load(open(f'{disk}/out/manifest.json'))))
+"""
+CELL = Path(__file__).parents[3] / 'bags' / 'y-carries-the-table'
+
+
+def on_small_disk(folder, size, script, *words):
+    """Run a script that finds a file system of so many bytes at a folder, for itself alone."""
+    if not shutil.which('unshare'):
+        pytest.skip('there is no unshare here')
+    mount = f'mount -t tmpfs -o size={size} tmpfs "$0" || exit 77; exec "$@"'
+    command = ['unshare', '-rm', 'sh', '-c', mount, str(folder), sys.executable, '-c', script]
+    done = subprocess.run([*command, str(folder), *words], capture_output=True, text=True)
+    if done.returncode == 77 or 'unshare' in done.stderr:
+        pytest.skip(f'no file system can be mounted here: {done.stderr.strip()}')
+    assert done.returncode == 0 and 'Traceback' not in done.stderr, done.stderr
+    return done
+
+
+def test_calibration_on_a_disk_that_is_really_full_has_its_tables(tmp_path):
+    words = ['calibrate', str(CELL / 'bag'), '--machine', str(CELL / 'machine.yaml')]
+    words += ['--out', str(tmp_path / 'out')]
+    done = on_small_disk(tmp_path, '200k', SMALL_DISK, *words)
+    *said, found, manifest = done.stdout.splitlines()
+    found, manifest = json.loads(found), json.loads(manifest)
+    first = {'error_tables.json', 'error_tables.csv', 'summary.txt', 'reversal.csv'}
+    assert found['code'] == 0 and found['beside'] == ['out']
+    assert set(found['files']) == {*first, MANIFEST} and set(manifest['sha256']) == first
+    missing = ['report.html', 'residuals.npz']
+    assert manifest['missing'] == dict.fromkeys(missing, 'the disk is full')
+    assert 'the disk is full: report.html, residuals.npz not written' in done.stderr
+    assert f'open {tmp_path}/out/summary.txt' in '\n'.join(said)

@@ -14,11 +14,9 @@ from core_cells import error_of
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError, InputError
-from otf_core.history.interim_check import interim_check
-from otf_core.history.interim_path import interim_path
-from otf_core.history.judged import Standing, history_of
-from otf_core.history.series import series_of
-from otf_core.history.store import add_event, add_run, read_store
+from otf_core.history.control_chart import Standing, history_of
+from otf_core.history.interim_check import interim_check, interim_path
+from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
 from otf_core.model.machine import AXES

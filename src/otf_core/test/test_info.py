@@ -11,7 +11,7 @@ from core_cells import some_machine
 
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
-from otf_core.files.manifest import MANIFEST, write_manifest
+from otf_core.files.output_folder import MANIFEST, write_manifest
 from otf_core.info.explain import KINDS, explain
 from otf_core.reports.calibration import write_calibration
 

@@ -22,8 +22,7 @@ from cli_cells import run, write_points
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_moments import read_moments
-from otf_core.inputs.path_file import read_path
-from otf_core.inputs.points_file import read_points
+from otf_core.inputs.path_file import read_path, read_points
 from otf_core.inputs.recordings import Given, read_content, read_samples
 from otf_core.inputs.text_points import TextReading
 

@@ -11,7 +11,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving import joint
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.unknowns import layout
 
 

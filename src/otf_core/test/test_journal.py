@@ -11,13 +11,10 @@ from bag_cells import CONTENT, path_cdr, read_with_anyreader, some_samples
 from mcap.reader import make_reader
 
 from otf_core.bags import journal as journal_module
-from otf_core.bags import journal_file
 from otf_core.bags.bag import read_bag
-from otf_core.bags.journal import Journal
-from otf_core.bags.journal_file import JournalFile, Rows
-from otf_core.bags.journal_run import Definitions, state_of, unfinished
+from otf_core.bags.journal import Definitions, Journal, JournalFile, Rows, state_of, unfinished
 from otf_core.bags.mcap_messages import McapMessages
-from otf_core.bags.topics import PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import PATH, POINT, STATUS
 from otf_core.errors import ConfigError
 
 TEXTS = {STATUS.type: 'string stream_id\n'}
@@ -152,10 +149,11 @@ def test_run_of_a_killed_process_is_taken_up_and_goes_on(journal, torn):
     again = Journal(journal.directory, TEXTS)
     recorded, left = again.take_up(600.0)
     assert left == [] and again.folder == folder
-    found = [p for t, p in recorded.arrived if t is POINT]
+    (part,) = recorded.parts
+    found = [p for t, p in part if t is POINT]
     stamps = np.concatenate([p.stamp_ns for p in found])
     assert stamps.tobytes() == SAMPLES.stamp_ns[:kept].tobytes()
-    assert recorded.arrived[0][0] is PATH
+    assert part[0][0] is PATH
     put(again, kept, 400)
     again.end('calibrated')
     again.close()
@@ -198,7 +196,7 @@ def test_full_disk_is_said_and_nothing_is_missing_once_there_is_room(journal, mo
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return real(file, data, at)
 
-    monkeypatch.setattr(journal_file.os, 'pwrite', pwrite)
+    monkeypatch.setattr(journal_module.os, 'pwrite', pwrite)
     put(journal, 100, 250)
     wait(lambda: journal.trouble)
     assert 'No space left on device' in journal.trouble and 'in memory' in journal.trouble
@@ -255,7 +253,7 @@ def test_file_torn_at_any_byte_has_all_complete_chunks(tmp_path):
     for start in range(0, 400, 40):
         rows = slice(start, start + 40)
         data = journal_module.encode_points(SAMPLES.stamp_ns[rows], SAMPLES.xyz[rows], 'tracker')
-        path = [] if start else [journal_file.one_message(PATH, path_cdr(), 1)]
+        path = [] if start else [journal_module.one_message(PATH, path_cdr(), 1)]
         file.append([*path, Rows(POINT, data, start)])
         ends.append(file.chunk_end)
     file.release()

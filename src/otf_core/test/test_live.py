@@ -10,15 +10,14 @@ import pytest
 from core_cells import error_of
 from nature import table_rows
 
+from otf_core.calibration.calibration_result import motion_sizes, volume_errors
 from otf_core.calibration.first_sight import first_sight
-from otf_core.calibration.volume import motion_sizes, volume_errors
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
-from otf_core.live.layers import enlargement
-from otf_core.live.run import NUMBERS, LiveRun, Progress, Solved, numbers
-from otf_core.live.time_left import StepsLeft, TimeLeft, about
-from otf_core.live.track import TRACK_POINTS, PathDistance, Track
+from otf_core.live.layers import TRACK_POINTS, PathDistance, Track, enlargement
+from otf_core.live.live_run import NUMBERS, LiveRun, RunProgress, Solved, numbers
+from otf_core.live.stages import StepsLeft, TimeLeft, about
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
@@ -30,7 +29,7 @@ PATH = NominalPath(CORNERS)
 TURNED = RigidTransform(
     np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.5, -1.0, 0.25])
 )
-DRIVEN = Progress('BUFFERING', 'driving', 0.25, 30.0, 500, 2, 0.4)
+DRIVEN = RunProgress('BUFFERING', 'driving', 0.25, 30.0, 500, 2, 0.4)
 
 
 def in_tracker(points):
@@ -176,13 +175,13 @@ def test_numbers_of_a_run_and_a_new_run_forgets_the_old_one():
     assert set(numbers(run)) == set(NUMBERS)
     run.set_path(PATH)
     run.set_progress(DRIVEN, 10.0)
-    run.set_progress(Progress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
+    run.set_progress(RunProgress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
     run.set_solved(Solved(True, True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)}), TURNED)
     run.track.add(*in_tracker([[0.2, 0, 1e-5]])[0])
     now = numbers(run)
     assert now['distance_from_path'] == pytest.approx(1e-5)
     assert (now['sample_rate'], now['samples_lost'], now['residual']) == (1000.0, 2.0, 2e-6)
-    run.set_progress(Progress('BUFFERING', 'driving', 0.0, math.nan, 3, 0, 0.0), 60.0)
+    run.set_progress(RunProgress('BUFFERING', 'driving', 0.0, math.nan, 3, 0, 0.0), 60.0)
     assert run.pose is None and run.solved is None
     assert math.isnan(numbers(run)['distance_from_path']) and math.isnan(numbers(run)['residual'])
 

@@ -3,9 +3,9 @@
 
 import pytest
 
-from otf_core.diagnosis.free_curves import Curve
-from otf_core.diagnosis.moves import WORDS, qualify_moves
-from otf_core.diagnosis.unnamed_cause import Unnamed
+from otf_core.diagnosis.answer import WORDS, qualify_moves
+from otf_core.diagnosis.cause_parameters import Curve
+from otf_core.diagnosis.weighing import Unnamed
 from otf_core.pieces.finding import GATE, WARNING, Finding
 
 MOVE = Finding('moved', WARNING, 'tracker or target moved 412.2 s after the start')

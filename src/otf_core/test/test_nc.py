@@ -13,7 +13,7 @@ from core_cells import small_plan, some_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS
-from otf_core.planning.nc.base import plain
+from otf_core.planning.nc.dialect import plain
 from otf_core.planning.nc.programs import on_increment, program
 
 POINTS = np.array([[0.0, 0.0, -0.1], [0.1, 0.05, -0.1], [0.1, 0.05, 0.0125]])

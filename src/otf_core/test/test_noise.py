@@ -7,7 +7,7 @@ from core_cells import some_machine
 
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
-from otf_core.noise.model import (
+from otf_core.noise.noise_model import (
     NoiseComponent,
     NoiseModel,
     beam_shares,

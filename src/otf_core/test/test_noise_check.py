@@ -8,8 +8,8 @@ import pytest
 from engine_cells import solved_rows
 from scipy.signal import lfilter
 
-from otf_core.diagnosis.engine import noise_check
-from otf_core.diagnosis.engine.noise_check import check_noise
+from otf_core.diagnosis.engine import gap_sizes
+from otf_core.diagnosis.engine.gap_sizes import check_noise
 from otf_core.model.observation import Samples
 from otf_core.noise.departure import Departure
 
@@ -128,7 +128,7 @@ def test_words_are_said_once_for_all_runs():
 @pytest.mark.parametrize(('probability', 'named'), [(0.9, False), (0.97, True)])
 def test_slow_noise_makes_no_gap_and_is_named_only_when_sure(monkeypatch, probability, named):
     seen = Departure(np.ones(3), np.ones(3), 1.2, 100.0, np.zeros(3), probability, 0.0)
-    monkeypatch.setattr(noise_check, 'noise_departure', lambda *given: seen)
+    monkeypatch.setattr(gap_sizes, 'noise_departure', lambda *given: seen)
     for gap in (False, True):
         finding = check_noise(solved_rows(), SPEED, gap=gap)
         assert (finding is not None) == named

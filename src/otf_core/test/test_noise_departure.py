@@ -8,7 +8,7 @@ import pytest
 from core_cells import some_machine
 from rest_cells import at_rest
 
-from otf_core.diagnosis.engine.noise_check import NAMED, check_noise
+from otf_core.diagnosis.engine.gap_sizes import NAMED, check_noise
 from otf_core.noise.departure import HEAVY, LEVEL, SLOW, noise_departure, probability_beyond
 from otf_core.noise.standstill import noise_model
 

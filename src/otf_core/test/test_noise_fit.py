@@ -17,7 +17,7 @@ from core_cells import (
 from scipy.stats import multivariate_normal
 
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import (
+from otf_core.noise.noise_model import (
     INDEPENDENT,
     LASTING,
     SLOW,
@@ -30,10 +30,9 @@ from otf_core.noise.model import (
     misfit_of,
     scaled,
 )
-from otf_core.solving.basis import cubic
-from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
+from otf_core.solving.joint import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
 from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import cubic, layout
 from otf_core.solving.whitener import Whitener
 
 RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)

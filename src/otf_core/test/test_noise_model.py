@@ -13,8 +13,15 @@ from rest_cells import at_rest, spoiled
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.machine import TrackerSpec
-from otf_core.noise.fields import noise_from_fields, noise_to_fields, read_noise
-from otf_core.noise.model import NoiseComponent, NoiseModel, beam_shares, sample_variance
+from otf_core.noise.noise_model import (
+    NoiseComponent,
+    NoiseModel,
+    beam_shares,
+    noise_from_fields,
+    noise_to_fields,
+    read_noise,
+    sample_variance,
+)
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.pieces.runs import Recording, prepare_runs

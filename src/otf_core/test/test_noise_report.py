@@ -9,12 +9,12 @@ from core_cells import START_NS, some_machine
 from html_cells import Page, unloading
 
 from otf_core import cli
-from otf_core.bags.bag_writer import write_recording
+from otf_core.bags.bag import write_recording
 from otf_core.errors import InputError
 from otf_core.model.expanded import with_expanded
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.reports.drawing.style import typeset

@@ -11,8 +11,7 @@ import pytest
 
 import otf_core
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST, foreign
-from otf_core.files.output import OutputFile, OutputFolder
+from otf_core.files.output_folder import MANIFEST, OutputFile, OutputFolder, foreign
 
 
 def fill(folder, content='first', **options):
@@ -185,7 +184,7 @@ def test_folder_filled_meanwhile_is_not_mixed(out):
 
 SLOW = """
 import signal, sys, time
-from otf_core.files.output import OutputFolder
+from otf_core.files.output_folder import OutputFolder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where jobs run behind
 with OutputFolder(sys.argv[1]).filled('test') as new:
     (new / 'a.json').write_text('half')

@@ -6,8 +6,7 @@ import re
 from html_cells import Page, unloading
 
 from otf_core.reports.drawing.style import STYLE, running_head
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html
 
 SENTENCE = 'Errors within 5.0 um.'
 

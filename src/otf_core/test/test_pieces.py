@@ -14,8 +14,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import MotionTable
-from otf_core.pieces.pieces import reduce_to_pieces
-from otf_core.pieces.windows import over_windows
+from otf_core.pieces.pieces import over_windows, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.matching import OFF_PATH
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gap_cells import SIZE, along, run_view
 
-from otf_core.diagnosis.place.separation import separations
+from otf_core.diagnosis.place.placement import separations
 from otf_core.diagnosis.place.where import components, total_group, where_and_shape
 
 YZ = [[0, 1, 1], [0, 0, 0], [1, 0, 1], [0, 0, 0], [0, 1, 1], [0, 0, 0], [0, 0, 1], [0, 1, 0],

@@ -13,7 +13,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import check_inside, plan_for_path
 from otf_core.planning import follow_up
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.solving.solution import determined_by_data
 
 # A rotation can be told from a translation of the same axis only through the travel of another

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from otf_core.cli import progress
+from otf_core.cli import output
 from otf_core.cli.output import note
 from otf_core.live.stages import CALIBRATE, DIAGNOSE, PLAN, of_whole
 
@@ -20,15 +20,15 @@ class Terminal(io.StringIO):
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
-    monkeypatch.setattr(progress, 'SILENT', {True: 0.0, False: 0.0})
-    monkeypatch.setattr(progress, 'TICK', 0.01)
+    monkeypatch.setattr(output, 'SILENT', {True: 0.0, False: 0.0})
+    monkeypatch.setattr(output, 'TICK', 0.01)
 
 
 def shown(monkeypatch, stream, quiet=False):
     """What a job of three stages writes to a stream."""
     monkeypatch.setattr(sys, 'stderr', stream)
     arguments = argparse.Namespace(quiet=quiet)
-    with progress.progress_of(arguments, 'reading', CALIBRATE) as tell:
+    with output.progress_of(arguments, 'reading', CALIBRATE) as tell:
         for stage in ('aligning', 'solving', 'aligning'):
             tell(stage, 0.0)
             until = time.monotonic() + 5.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from otf_core.contradictions.quick_design import AxisTables, Design
+from otf_core.contradictions.quick_model import AxisTables, Design
 
 PIECES, NODES = 50, (7, 4, 1)
 

@@ -7,8 +7,7 @@ from bag_cells import CORNERS, PATH_MESSAGE, START, point_messages, write_mcap
 from cli_cells import run
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.reception import PERIODS
-from otf_core.bags.sample_order import in_time_order
+from otf_core.bags.sample_order import PERIODS, in_time_order
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.recordings import Given, read_content
 from otf_core.model.observation import Samples

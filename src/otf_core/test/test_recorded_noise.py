@@ -8,7 +8,7 @@ import pytest
 from core_cells import START_NS, some_machine
 
 from otf_core.model.observation import Samples
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.reports.noise_report import format_noise
 from otf_core.sim.tracker import measure

@@ -31,12 +31,12 @@ from otf_core.reports.calibration import (
     format_result,
     write_calibration,
 )
-from otf_core.reports.calibration_pictures import error_sizes
+from otf_core.reports.calibration_sections.first_screen import error_sizes
 from otf_core.reports.calibration_sections.measurement import drift
 from otf_core.reports.calibration_sections.volumetric_error import deviations, diagonals
 from otf_core.reports.drawing import scene
 from otf_core.reports.drawing.panel import HEAD, SPREAD
-from otf_core.reports.section import sections_to_dict
+from otf_core.reports.page import sections_to_dict
 from otf_core.solving.reversal import Reversal, ReversalTable
 
 STATED = {

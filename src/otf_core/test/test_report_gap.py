@@ -13,16 +13,15 @@ from gap_cells import along, run_view
 from html_cells import Page, unloading
 
 from otf_core.diagnosis.answer import sentence_of
-from otf_core.diagnosis.free_curves import Curve
+from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
-from otf_core.diagnosis.sizes import CauseSize
-from otf_core.diagnosis.unnamed_cause import Unnamed
+from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.circumstances import Circumstances
 from otf_core.model.quantities import quantity
 from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis, report_html
 from otf_core.reports.drawing.style import typeset
-from otf_core.reports.gap_sections.causes import confidence_words, next_measurements
+from otf_core.reports.gap_sections.overview import confidence_words, next_measurements
 from otf_core.solving.reversal import Backlash, Reversal
 
 HIDDEN = (

@@ -8,11 +8,9 @@ import pytest
 from engine_cells import holding, noise, solved_rows
 from scipy.stats import multivariate_normal
 
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.empirical_structure import try_structures
+from otf_core.diagnosis.engine.empirical_structure import Rival, rival_of, together, try_structures
 from otf_core.diagnosis.engine.evidence import SPREADS
-from otf_core.diagnosis.engine.rival import Rival, rival_of, together
-from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.search import search, tried_effects
 from otf_core.effects import REGISTRY
 
 

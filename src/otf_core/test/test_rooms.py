@@ -8,7 +8,17 @@ from pathlib import Path
 
 from source_trees import ROOT, parsed
 
-FACES = ('__init__', 'ahead', 'aside', 'config', 'errors', 'memory', 'threads', 'version')
+FACES = (
+    '__init__',
+    'ahead',
+    'arrays',
+    'aside',
+    'config',
+    'errors',
+    'memory',
+    'threads',
+    'version',
+)
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
     ('api', 'cli'),

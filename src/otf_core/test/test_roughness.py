@@ -12,7 +12,6 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from otf_core.model.motions import ErrorMotion, unit_of
-from otf_core.solving.basis import cubic, linear
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.roughness import (
     HIGHEST,
@@ -27,7 +26,7 @@ from otf_core.solving.roughness import (
     waves_of,
 )
 from otf_core.solving.solution import solve
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import cubic, layout, linear
 
 LIMIT = 1e-4
 BASES = {

@@ -9,13 +9,13 @@ from engine_cells import LIMIT, coloured, holding, noise, solved_rows
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag, cholesky
 
-from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.effect_products import family, shared_with, tried_shapes
+from otf_core.diagnosis.engine.time_courses import DECOYS
 from otf_core.effects import REGISTRY
 from otf_core.effects.free_form import free_forms
 from otf_core.model.motions import MOTIONS
-from otf_core.noise.model import MODEL_FLOOR
-from otf_core.solving.folds import FOLDS
+from otf_core.noise.noise_model import MODEL_FLOOR
+from otf_core.solving.residuals import FOLDS
 from otf_core.solving.unknowns import pose_block
 
 

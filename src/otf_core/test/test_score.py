@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from engine_cells import holding, noise
 
-from otf_core.diagnosis.engine.score import Scores
+from otf_core.diagnosis.engine.input_search import Scores
 
 
 @pytest.fixture(scope='module')

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from otf_core.bags.screening import Screening
+from otf_core.bags.sample_order import Screening
 from otf_core.errors import InputError
 
 STAMPS = np.arange(1, 9, dtype=np.int64) * 10_000_000

@@ -18,8 +18,6 @@ from engine_cells import (
 )
 from scipy.optimize import brentq
 
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.decoys import Jump, SlowWave
 from otf_core.diagnosis.engine.search import (
     MAX_CAUSES,
     fit_jointly,
@@ -27,7 +25,9 @@ from otf_core.diagnosis.engine.search import (
     noise_variance,
     search,
     search_beside,
+    tried_effects,
 )
+from otf_core.diagnosis.engine.time_courses import Jump, SlowWave
 from otf_core.effects import REGISTRY
 
 BACKLASH, LAG, COUPLING = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'cross_coupling'))

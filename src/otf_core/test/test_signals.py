@@ -16,8 +16,7 @@ from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.bags.signals import read_signals
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.diagnosis.cause_parameters import fitted_causes
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.search import search, tried_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free_form import signal_forms
@@ -26,7 +25,7 @@ from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import DRIVEN
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.signals import LAGS, Signal
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 START = 1_700_000_000_000_000_000

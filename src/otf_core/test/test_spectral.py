@@ -19,7 +19,7 @@ from otf_core.diagnosis.engine.spectral import (
     strongest_lines,
 )
 from otf_core.effects import REGISTRY
-from otf_core.solving.sample_states import detrend_legs
+from otf_core.solving.residuals import detrend_legs
 
 EFFECTS = list(REGISTRY.values())
 RATE, LENGTH, LEG, STOP = 200.0, 0.3, 400, 40

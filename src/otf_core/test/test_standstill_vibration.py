@@ -7,8 +7,11 @@ import numpy as np
 from engine_cells import cause_of, solved_rows
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.short_waves import straight_rows
-from otf_core.diagnosis.engine.standstill_vibration import remeasure_noise, remove_steady_vibration
+from otf_core.diagnosis.engine.diagnosed_rows import (
+    remeasure_noise,
+    remove_steady_vibration,
+    straight_rows,
+)
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.observation import Samples
 from otf_core.noise.standstill import noise_model

@@ -12,11 +12,9 @@ from effect_cells import driven_state
 from engine_cells import LIMIT
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
 from otf_core.diagnosis.engine.residual_rows import build_rows
-from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.time_courses import courses_tried
+from otf_core.diagnosis.engine.search import search, tried_effects
+from otf_core.diagnosis.engine.time_courses import DECOY_NAMES, DECOYS, courses_tried
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.action import vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
@@ -28,7 +26,7 @@ from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.unknowns import layout
 
 DRIFT = REGISTRY['thermal_structure_drift']

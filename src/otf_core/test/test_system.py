@@ -20,10 +20,10 @@ from nature import influences
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import MotionTable, Squareness
-from otf_core.noise.model import MODEL_FLOOR
+from otf_core.noise.noise_model import MODEL_FLOOR
 from otf_core.sim.cell import random_tables
+from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import normal_equations
-from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.system import build_system, model_rows, nominal_positions
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener

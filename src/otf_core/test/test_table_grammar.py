@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from otf_core.errors import OtfError
-from otf_core.inputs.points_file import read_points
+from otf_core.inputs.path_file import read_points
 from otf_core.inputs.text_points import TextReading
 
 TRIED = settings(

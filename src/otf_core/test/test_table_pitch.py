@@ -6,7 +6,7 @@ import logging
 import pytest
 from core_cells import some_machine
 
-from otf_core.contradictions.table_pitch import check_table_pitch
+from otf_core.contradictions.table_checks import check_table_pitch
 from otf_core.errors import ConfigError
 
 

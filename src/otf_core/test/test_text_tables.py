@@ -12,7 +12,7 @@ from table_texts import COUNT, HEAD, KINDS, LEFT_OUT, READ, REFUSED, ROWS, XYZ, 
 
 from otf_core.cli.parser import Parser
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.points_file import read_points
+from otf_core.inputs.path_file import read_points
 from otf_core.inputs.recordings import Given, read_recording
 from otf_core.inputs.text_points import TextReading
 from otf_core.model.provenance import origins, provenance

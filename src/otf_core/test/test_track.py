@@ -6,7 +6,7 @@ import pytest
 
 from otf_core.memory import BLOCK
 from otf_core.model.observation import Samples
-from otf_core.tracking.track import HOP, STRIDE_TIME, measured_track, reversals, simplify
+from otf_core.tracking.measured_track import HOP, STRIDE_TIME, measured_track, reversals, simplify
 
 
 def driven(corners, step=1e-3):

@@ -22,7 +22,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import MotionTable, Squareness
 from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
-from otf_core.solving.residual_check import check_residuals
+from otf_core.solving.residuals import check_residuals
 
 SEEDS = 30
 

@@ -6,7 +6,7 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.model.nodes import table_nodes
-from otf_core.solving.shape_choice import linear_bases, smooth_bases
+from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.unknowns import layout
 
 ACROSS_ZERO = ((-0.13, 0.22), (-0.08, 0.11), (-0.31, 0.02))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from otf_core.diagnosis.verdict import Case, matters, verdict_of
+from otf_core.diagnosis.weighing import Case, matters, verdict_of
 
 NAMED = Case(
     simulated_um=1.0,

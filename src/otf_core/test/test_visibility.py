@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from engine_cells import holding, noise, options_of, solved_rows, trace_of
 
-from otf_core.diagnosis.engine.catalogue import (
+from otf_core.diagnosis.engine.search import (
+    Cause,
     Visibility,
     effects_without,
     search_catalogue,
     shapes_from_lines,
     tried_effects,
 )
-from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.spectral import SpectralLine
 from otf_core.effects import REGISTRY, Effect, Terms
-from otf_core.noise.model import MODEL_FLOOR, Misfit, NoiseModel
+from otf_core.noise.noise_model import MODEL_FLOOR, Misfit, NoiseModel
 from otf_core.solving.whitener import Whitener
 
 

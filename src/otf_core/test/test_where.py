@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 from gap_cells import NOISE, SIZE, along, run_view
 
-from otf_core.diagnosis.place.bands import as_waves
-from otf_core.diagnosis.place.groupings import by_feed, by_line, by_region, by_time
-from otf_core.diagnosis.place.groups import normal_score, partition
+from otf_core.diagnosis.place.groups import (
+    as_waves,
+    by_feed,
+    by_line,
+    by_region,
+    by_time,
+    normal_score,
+    partition,
+)
 from otf_core.diagnosis.place.structure import find_structures
 from otf_core.diagnosis.place.where import Where, describe_structure, where_of
 

@@ -9,7 +9,7 @@ from otf_core.inputs.path_file import read_path
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_for_path
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_path_planner.params import PlannerFiles
 
 
@@ -18,8 +18,6 @@ def make_plan(files: PlannerFiles, config: PlannerConfig) -> tuple[Machine, Plan
 
     Returns
     -------
-    machine : Machine
-    plan : Plan
     passes : int
         How often the path is driven.
 

@@ -9,7 +9,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from otf_core.contradictions.units import check_path
+from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import ConfigError
 from otf_core.model.machine import load_machine
 from otf_path_planner.node import PathPlanner

@@ -9,10 +9,9 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
 
+from otf_core.calibration.calibration_result import CalibrationResult, motion_sizes
 from otf_core.calibration.first_sight import FirstSight
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.verdict import FAIL, NOT_STATED, OPEN, PASS, UNKNOWN
-from otf_core.calibration.volume import motion_sizes
+from otf_core.calibration.machine_verdict import FAIL, NOT_STATED, OPEN, PASS, UNKNOWN
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.volume import VolumeErrors
@@ -66,11 +65,8 @@ def all_tables_to_message(
 
     Parameters
     ----------
-    result : CalibrationResult
     tables : iterable of ErrorTable
         As of ``tables_to_messages``.
-    stamp : Time
-    method : str
     """
     machine, run = result.tables.machine, result.origin[0]
     squareness = {name: result.tables.squareness[name] for name in SQUARENESS}

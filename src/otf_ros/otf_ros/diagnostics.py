@@ -39,7 +39,6 @@ class Finding:
 
     Attributes
     ----------
-    level : Level
     text : str
         One sentence.
     values : mapping of str to anything
@@ -104,12 +103,7 @@ def memory() -> Finding:
 
 
 def disk(folder: str) -> Finding:
-    """Room left where a folder is or will be.
-
-    Parameters
-    ----------
-    folder : str
-    """
+    """Room left where a folder is or will be."""
     place = Path(folder).absolute()
     try:
         free = shutil.disk_usage(next(p for p in (place, *place.parents) if p.exists())).free

@@ -40,7 +40,6 @@ class Drain:
     node : rclpy.node.Node
     msg_type : type
         Message class.
-    topic : str
     callback : callable
         Called with a list of messages (never empty) in the order of their arrival, and with the
         numbers that their publisher gave them (None where the middleware does not tell).

@@ -17,7 +17,6 @@ def main(module: str, interrupted: int = 0) -> int:
 
     Parameters
     ----------
-    module : str
     interrupted : int
         Exit code of a process that is ended while it loads.
 

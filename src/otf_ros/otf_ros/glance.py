@@ -19,7 +19,6 @@ class Glance:
     node : rclpy.node.Node
     msg_type : type
         Message class.
-    topic : str
     """
 
     def __init__(self, node: Node, msg_type: type, topic: str) -> None:

@@ -87,7 +87,6 @@ def node_on_bench(factory: Callable[[], Node], **parameters: object) -> Iterator
 
     Parameters
     ----------
-    factory : callable
     **parameters : object
         ROS parameters by name.
     """

@@ -21,7 +21,6 @@ def create_timer(
     node : rclpy.node.Node
     period : float
         s of the computer, whatever the parameter ``use_sim_time`` says.
-    callback : callable
     autostart : bool
         False: it waits for ``reset``.
     """

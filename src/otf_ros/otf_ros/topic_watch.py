@@ -8,16 +8,24 @@ from collections.abc import Mapping
 
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 PERIOD = 1.0
 """s; the graph is looked at so often."""
 
 
+UNKNOWN = 'an unknown node'
+
+
 def senders(node: Node, topic: str) -> str:
     """Name the nodes that publish on a topic; which of them sent a message rclpy does not say."""
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    names = sorted({publisher.node_name for publisher in found})
-    return ' or '.join(names) or 'an unknown node'
+    return ' or '.join(sorted(set(map(name_of, found)))) or UNKNOWN
+
+
+def name_of(publisher: TopicEndpointInfo) -> str:
+    """Name the node of a publisher; a publisher can be discovered before its node is."""
+    return publisher.node_name if publisher.node_namespace.startswith('/') else UNKNOWN
 
 
 class TopicWatch:
@@ -57,13 +65,13 @@ class TopicWatch:
                 fits, why = qos_check_compatible(publisher.qos_profile, asked)
                 if fits == QoSCompatibility.ERROR:
                     self.troubles.append(
-                        f'nothing comes from {publisher.node_name} on {topic}: its quality of '
+                        f'nothing comes from {name_of(publisher)} on {topic}: its quality of '
                         f'service does not fit ({why.strip("; ")})'
                     )
             if topic == self._single:
                 self.publishers = len(found)
                 if len(found) > 1:
-                    names = ', '.join(sorted(publisher.node_name for publisher in found))
+                    names = ', '.join(sorted(map(name_of, found)))
                     self.troubles.append(
                         f'{len(found)} publishers on {topic} ({names}): only samples of the first '
                         f'are of the run; end the others'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversions are exact; parameters say when they act."""
+"""Conversions are exact; parameters say when they act; publishers have their node's name."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,14 @@ from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from otf_core.config import Parameters, parameter
 from otf_core.model.path import NominalPath
 from otf_ros import convert
 from otf_ros.params import NodeParameters
 from otf_ros.testing import node_on_bench
+from otf_ros.topic_watch import name_of
 
 
 @dataclass(frozen=True)
@@ -52,3 +54,9 @@ def test_parameter_that_acts_later_says_when_and_others_say_nothing():
         refused = changed(node, 'feed', 9.0)
         assert not refused.successful and 'feed' in refused.reason
         assert node.settings.read(Speed) == Speed(1.0, 3)
+
+
+def test_publisher_whose_node_is_not_discovered_has_no_name_of_the_middleware():
+    unknown = {'node_name': '_NODE_NAME_UNKNOWN_', 'node_namespace': '_NODE_NAMESPACE_UNKNOWN_'}
+    assert name_of(TopicEndpointInfo(**unknown)) == 'an unknown node'
+    assert name_of(TopicEndpointInfo(node_name='planner', node_namespace='/')) == 'planner'

@@ -98,12 +98,7 @@ def environment(health: Health) -> Finding:
 
 
 class Rate:
-    """Samples per second that the driver has published, over the last seconds.
-
-    Parameters
-    ----------
-    status : Status
-    """
+    """Samples per second that the driver has published, over the last seconds."""
 
     def __init__(self, status: Status) -> None:
         self._status = status

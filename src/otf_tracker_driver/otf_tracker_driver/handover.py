@@ -26,7 +26,6 @@ class Left(NamedTuple):
 
     Attributes
     ----------
-    stream_id : str
     samples : int
         That it had published.
     last_ns : int, ns
@@ -55,12 +54,7 @@ def place(name: str) -> Path:
 
 
 class Handover:
-    """The bytes; where they cannot be kept, nothing is left, and nothing else changes.
-
-    Parameters
-    ----------
-    file : Path
-    """
+    """The bytes; where they cannot be kept, nothing is left, and nothing else changes."""
 
     def __init__(self, file: Path) -> None:
         self._bytes: mmap.mmap | bytearray = bytearray(LAYOUT.size)

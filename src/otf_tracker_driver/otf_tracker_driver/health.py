@@ -40,7 +40,6 @@ class Hindrance(NamedTuple):
 
     Attributes
     ----------
-    kind : Flow
     text : str
         One sentence on why, and on what is done about it.
     since : float, s
@@ -67,7 +66,6 @@ class Gap(NamedTuple):
     ----------
     last_ns, first_ns : int, ns
         Stamps of the last sample before and of the first one after it.
-    reason : str
     """
 
     last_ns: int
@@ -85,12 +83,10 @@ class Health:
 
     Attributes
     ----------
-    connected : bool
     device : str
         What is connected, in words.
     hardware : str
         The same as a name that does not change while it is connected.
-    beam : Beam
     clock : ClockState or None
         None if the samples bring their stamps as they are.
     by_host : bool
@@ -105,7 +101,6 @@ class Health:
         Samples that were left out, by reason.
     unreadable : int
         Packets or lines that made no sense.
-    gaps : tuple of Gap
     """
 
     connected: bool = True

@@ -23,7 +23,6 @@ def offer_operations(
 
     Parameters
     ----------
-    node : SteadyLifecycleNode
     status : Status
         Tells how a start has ended.
     operate : callable

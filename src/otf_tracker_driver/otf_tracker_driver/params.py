@@ -33,7 +33,6 @@ def when_they_count(names: Collection[str], state: str) -> str:
 
     Parameters
     ----------
-    names : collection of str
     state : str
         Of the lifecycle.
     """

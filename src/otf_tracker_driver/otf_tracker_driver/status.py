@@ -74,7 +74,6 @@ class Status:
 
         Parameters
         ----------
-        hindrance : Hindrance
         trouble : str
             What else is wrong; instead of the text of the hindrance.
         """

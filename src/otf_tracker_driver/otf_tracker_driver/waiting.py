@@ -29,9 +29,6 @@ class Waiting:
     ----------
     node : SteadyLifecycleNode
         Calls ``refused`` when it cannot be configured.
-    status : Status
-    config : DriverConfig
-
     """
 
     def __init__(self, node: SteadyLifecycleNode, status: Status, config: DriverConfig) -> None:

@@ -5,7 +5,7 @@ from geometry_msgs.msg import PointStamped
 
 from otf_core.config import PlannerConfig
 from otf_core.model.machine import machine_from_dict
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import convert, qos
 from otf_ros.testing import node_on_bench

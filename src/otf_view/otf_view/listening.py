@@ -11,7 +11,7 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 
 from otf_core.errors import OtfError
-from otf_core.live.run import LiveRun, Progress, Solved
+from otf_core.live.live_run import LiveRun, RunProgress, Solved
 from otf_core.model.motions import SQUARENESS
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
 from otf_ros import convert, convert_result, qos
@@ -82,7 +82,7 @@ class Ears:
             'travelled': message.travelled,
             'message': message.message,
         }
-        self.run.set_progress(Progress(**fields), time.monotonic())
+        self.run.set_progress(RunProgress(**fields), time.monotonic())
 
     def _on_provisional(self, message: CalibrationResult) -> None:
         self._on_solved(message, provisional=True)

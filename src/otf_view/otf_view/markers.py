@@ -26,7 +26,6 @@ def to_markers(layers: Iterable[Layer], stamp: Time) -> MarkerArray:
 
     Parameters
     ----------
-    layers : iterable of Layer
     stamp : builtin_interfaces.msg.Time
         Zero: drawn whatever tf knows of that time.
     """

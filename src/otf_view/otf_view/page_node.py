@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from otf_core.live.snapshot import now, scene
+from otf_core.live.live_run import now, scene
 from otf_ros import app
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer

@@ -77,7 +77,6 @@ class PageServer:
 
     Parameters
     ----------
-    host : str
     port : int
         0: any that is free.
 

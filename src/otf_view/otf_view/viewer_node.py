@@ -11,7 +11,7 @@ from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 from otf_core.live.layers import moving, scene
-from otf_core.live.run import NUMBERS, numbers
+from otf_core.live.live_run import NUMBERS, numbers
 from otf_ros import app, qos
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer

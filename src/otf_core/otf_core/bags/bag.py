@@ -1,35 +1,181 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: tracker points and nominal path from and to rosbag2 recordings, without ROS.
-
-A bag is a rosbag2 folder or an .mcap file with the topics ``/tracker/point``
-(geometry_msgs/msg/PointStamped in frame ``tracker``, header.stamp is the time of measurement) and
-``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped. Poses and
-transforms do for points; topics of other names are taken where they are named, in any frame.
-"""
+"""Bags: tracker points and nominal path from and to rosbag2 recordings, without ROS."""
 
 from __future__ import annotations
 
 import logging
+import os
+import shutil
+import uuid
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+import yaml
 
-from otf_core.bags.bag_reading import BagReading, Reading, path_of
-from otf_core.bags.bag_writer import write_recording
-from otf_core.bags.publishers import advice_of, received_of
-from otf_core.bags.sample_order import in_time_order, usable_path
-from otf_core.bags.screening import MixedSamples, Screening
-from otf_core.bags.topics import PATH, POINT, Topic
-from otf_core.errors import InputError
+from otf_core.bags.bag_reading import BagReading, Reading, advice_of, path_of, received_of
+from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
+from otf_core.bags.rosbag2_metadata import (
+    AXES,
+    CREATOR,
+    PATH,
+    POINT,
+    Part,
+    Topic,
+    bag_metadata,
+    channel_metadata,
+    metadata_text,
+)
+from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order, usable_path
+from otf_core.bags.signals import signal_messages
+from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import LeftOut
+from otf_core.files.writing import unwritable
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
+
+# Write a rosbag2 folder as rosbag2 itself lays it out: metadata.yaml and one MCAP file.
+#
+# Message definitions and type hashes come from rosbags' type store, the container from mcap.
+# Offered quality of service is stored, so that ``ros2 bag play`` latches the path.
+
+FILE_NAME = 'bag_0.mcap'
+"""The same in every bag, so that equal content gives equal bytes."""
+
+
+def write_recording(
+    folder: Path,
+    samples: Samples,
+    path: NominalPath | None,
+    overwrite: bool,
+    signals: Mapping[SignalSpec, Signal] = MappingProxyType({}),
+    axis_paths: Sequence[AxisPath] = (),
+) -> None:
+    """Write points, path and signals; see ``bag.write_bag``."""
+    folder = Path(os.path.abspath(folder))
+    for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
+        if not -(2**31) <= stamp // SECOND_NS < 2**31:
+            raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')
+    try:
+        _check_target(folder, overwrite)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
+        new.mkdir()
+        try:
+            _write_files(new, samples, path, signals, axis_paths)
+            _replace(new, folder)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None
+
+
+def _check_target(folder: Path, overwrite: bool) -> None:
+    if not os.path.lexists(folder):
+        return
+    if not overwrite:
+        raise ConfigError(f'{folder}: exists already; choose another name or remove it')
+    replaceable = folder.is_dir() and not folder.is_symlink()
+    if not replaceable or not ((folder / 'metadata.yaml').is_file() or not any(folder.iterdir())):
+        raise ConfigError(f'{folder}: is no bag and is not overwritten; choose another name')
+
+
+def _replace(new: Path, folder: Path) -> None:
+    """Give the new folder its final name, moving one that is there out of the way."""
+    if not folder.exists():
+        new.rename(folder)
+        return
+    old = new.with_suffix('.old')
+    folder.rename(old)
+    try:
+        new.rename(folder)
+    except OSError:
+        old.rename(folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _write_files(
+    folder: Path,
+    samples: Samples,
+    path: NominalPath | None,
+    signals: Mapping[SignalSpec, Signal],
+    axis_paths: Sequence[AxisPath],
+) -> None:
+    from mcap.writer import CompressionType, Writer  # with rosbags: 0.2 s only writers pay
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    # a log time is unsigned; stamps may have any epoch
+    log_time = np.maximum(samples.stamp_ns, 0).tolist()
+    beside = signal_messages(signals, store)
+    driven = _driven(path, axis_paths, int(samples.stamp_ns[0]))
+    counts = Counter(topic for topic, _ in driven) + Counter({POINT: len(samples)})
+    counts += Counter(topic for _, topic, _ in beside)
+    hashes = {topic: store.hash_rihs01(topic.type) for topic in counts}
+    start, end = (
+        f([log_time[k], *(beside[k][0] for _ in beside[:1])]) for f, k in ((min, 0), (max, -1))
+    )
+    part = Part(FILE_NAME, max(start, 0), end, counts)
+    metadata = bag_metadata([part], hashes)
+    with (folder / FILE_NAME).open('wb') as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        writer.start(profile='ros2', library=CREATOR)
+        channels = {}
+        for topic in counts:
+            text, _ = store.generate_msgdef(topic.type, ros_version=2)
+            schema = writer.register_schema(topic.type, 'ros2msg', text.encode())
+            about = channel_metadata(topic)
+            channels[topic] = writer.register_channel(topic.name, 'cdr', schema, about)
+        for topic, first in driven:
+            writer.add_message(channels[topic], log_time[0], first, log_time[0])
+        for time, topic, data in _in_order(samples, log_time, beside):
+            writer.add_message(channels[topic], time, data, time)
+        inner = yaml.safe_dump(metadata, sort_keys=False)
+        writer.add_metadata('rosbag2', {'serialized_metadata': inner})
+        writer.finish()  # type: ignore[no-untyped-call]
+    (folder / 'metadata.yaml').write_text(metadata_text(metadata), encoding='utf-8')
+
+
+def _driven(
+    path: NominalPath | None, axis_paths: Sequence[AxisPath], stamp_ns: int
+) -> list[tuple[Topic, bytes]]:
+    """Messages that say what was driven."""
+    found = [(AXES, encode_axes(p.axes, p.positions, stamp_ns, p.target)) for p in axis_paths]
+    if path is not None:
+        found.insert(0, (PATH, encode_path(path.points, stamp_ns, PATH.frame)))
+    return found
+
+
+def _in_order(
+    samples: Samples, log_time: list[int], beside: list[tuple[int, Topic, bytes]]
+) -> Iterator[tuple[int, Topic, bytes]]:
+    """Points and signals as they come: log time in ns, topic, serialized message."""
+    rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
+    data, width = rows.tobytes(), rows.dtype.itemsize
+    next_beside = 0
+    for i, time in enumerate(log_time):
+        while next_beside < len(beside) and beside[next_beside][0] <= time:
+            stamp, topic, message = beside[next_beside]
+            yield max(stamp, 0), topic, message
+            next_beside += 1
+        yield time, POINT, data[i * width : (i + 1) * width]
+    yield from beside[next_beside:]
+
+
+# Bags: tracker points and nominal path from and to rosbag2 recordings, without ROS.
+#
+# A bag is a rosbag2 folder or an .mcap file with the topics ``/tracker/point``
+# (geometry_msgs/msg/PointStamped in frame ``tracker``, header.stamp is the time of measurement)
+# and ``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped.
+# Poses and transforms do for points; topics of other names are taken where they are named, in any
+# frame.
 
 _log = logging.getLogger(__name__)
 
@@ -42,8 +188,6 @@ class BagContent:
     ----------
     samples : Samples
         Stamps strictly increase.
-    path : NominalPath, optional
-        None where axis paths stand for it.
     remarks : tuple of str
         What was repaired or left out, in words.
     left_out : tuple of LeftOut
@@ -121,7 +265,6 @@ def content_of(
     ----------
     parts : sequence of Reading
         Of each of the sources. A single one has to have a path if it may have one.
-    sources : sequence of str or Path
     path : str or Path, optional
         File that the path comes from, for messages.
     """
@@ -182,7 +325,6 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     ----------
     folder : str or Path
         The new bag; missing parent folders are made.
-    content : BagContent
     overwrite : bool
         Replace the folder if it is a bag or empty; never anything else.
 

@@ -18,6 +18,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Index
 from otf_core.errors import InputError
 
 SECOND_NS = 1_000_000_000
@@ -29,7 +30,6 @@ LONGEST_NAME = 60
 """Characters of a frame_id that messages show."""
 
 Bytes = NDArray[np.uint8]
-Index = NDArray[np.int64]
 
 
 def gather(buffer: Bytes, at: Index, width: int) -> NDArray[np.void]:

@@ -1,45 +1,532 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Journal: what arrives is written to disk at once, a bag per run, by a thread of its own.
-
-A chunk is written and synchronised (fdatasync) every 0.2 s, so a killed process or a power cut
-costs what came since: 0.2 s and the time the disk takes for one chunk. While the disk refuses,
-what has come is kept and tried again; nothing here ever waits for the disk but the thread.
-"""
+"""Journal: what arrives is written to disk at once, a bag per run, by a thread of its own."""
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
+import struct
 import threading
 import time
-from collections.abc import Mapping, Sequence
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Schema,
+    Statistics,
+)
 from numpy.typing import NDArray
 
-from otf_core.bags.cdr import encode_points
-from otf_core.bags.journal_file import Rows, one_message
-from otf_core.bags.journal_run import (
-    RECORDING,
-    Definitions,
-    JournalRun,
-    Recorded,
-    set_state,
-    take_up,
-    unfinished,
+from otf_core.bags.bag_source import locate
+from otf_core.bags.cdr import DecodedPoints, decode_points, encode_points
+from otf_core.bags.mcap_messages import (
+    MAGIC,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    MessageBlock,
+    complete_records,
 )
-from otf_core.bags.topics import POINT, Topic
-from otf_core.errors import ConfigError
+from otf_core.bags.rosbag2_metadata import (
+    CREATOR,
+    GAP,
+    OTHER_POINT,
+    PATH,
+    POINT,
+    STATUS,
+    Part,
+    Topic,
+    bag_metadata,
+    channel_metadata,
+    metadata_text,
+)
+from otf_core.errors import ConfigError, InputError
+from otf_core.files.strict_yaml import read_yaml
+
+# One MCAP file that grows chunk by chunk and is a whole file after every one of them.
+#
+# Behind the last chunk stand an end of the data section and a footer without a summary, which the
+# next chunk overwrites; so any reader takes the file at any moment, and one that is torn while it
+# is written is read to the chunk before. Only when the file is closed its summary is written.
+# Source: mcap.dev/spec; records as mcap 1.6 writes them.
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Serialized messages of one topic, one length.
+
+    Attributes
+    ----------
+    data : ndarray, shape (n,)
+        Items of raw bytes, one per message.
+    log_time : int
+        ns; when they were received.
+    """
+
+    topic: Topic
+    data: NDArray[np.void]
+    log_time: int
+
+
+def one_message(topic: Topic, data: bytes, log_time: int) -> Rows:
+    """Return a single message as rows."""
+    return Rows(topic, np.frombuffer(data, f'V{len(data)}'), log_time)
+
+
+def _bytes_of(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _tail(*summary: McapRecord, end: int) -> bytes:
+    """End of the file behind ``end``: data end, summary if there is one, footer, mark."""
+    data_end = _bytes_of(DataEnd(data_section_crc=0))
+    start = end + len(data_end) if summary else 0
+    footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=0)
+    return data_end + _bytes_of(*summary, footer) + MAGIC
+
+
+def repair(path: Path) -> None:
+    """Make a file whole that a crash has torn, up to its last complete chunk.
+
+    Raises
+    ------
+    OSError, ValueError
+        If it cannot be written, or is no such file.
+    """
+    data = np.fromfile(path, np.uint8)
+    starts = complete_records(data, len(MAGIC), data.size)
+    opcodes = data[starts[:-1]]
+    ends = starts[1:][np.isin(opcodes, [Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX])]
+    ended = np.flatnonzero(opcodes == Opcode.DATA_END)
+    ends = ends[ends <= starts[ended[0]]] if ended.size else ends
+    if bytes(data[-len(MAGIC) :]) == MAGIC or not ends.size:
+        return
+    tail = _tail(end=int(ends[-1]))
+    with path.open('r+b') as file:
+        file.truncate(int(ends[-1]) + len(tail))
+        _write_all(file.fileno(), tail, int(ends[-1]))
+        os.fsync(file.fileno())
+
+
+class JournalFile:
+    """A file that is written by this process alone; every failure is an OSError.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist.
+    definitions : mapping of Topic to str
+        Message definitions of all topics that may come.
+
+    Attributes
+    ----------
+    part : Part
+        What the file holds.
+    """
+
+    def __init__(self, path: Path, definitions: Mapping[Topic, str]) -> None:
+        self._path = path
+        self._channel_of = {topic: k for k, topic in enumerate(definitions, start=1)}
+        schemas = [
+            Schema(k, text.encode(), 'ros2msg', topic.type)
+            for (topic, k), text in zip(
+                self._channel_of.items(), definitions.values(), strict=True
+            )
+        ]
+        channels = [
+            Channel(k, topic.name, 'cdr', channel_metadata(topic), k)
+            for topic, k in self._channel_of.items()
+        ]
+        self._about: list[McapRecord] = [*schemas, *channels]
+        self._index: list[ChunkIndex] = []
+        self._packer = zstandard.ZstdCompressor(level=1)
+        self.part = Part(path.name, 0, 0, {})
+        self._sequence = 0
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._end = 0
+        head = MAGIC + _bytes_of(Header('ros2', CREATOR), *self._about)
+        self._write(head, _tail(end=len(head)))
+        _sync_folder(path.parent)
+
+    @property
+    def chunk_end(self) -> int:
+        """Byte behind the last chunk."""
+        last = self._index[-1]
+        return last.chunk_start_offset + last.chunk_length
+
+    def append(self, rows: Sequence[Rows]) -> None:
+        """Write a chunk; it is on the disk when this returns, and the file is whole.
+
+        After an OSError the file is as before, or cut off behind its last chunk, and the same
+        rows may be given again.
+        """
+        if self._gone():
+            self._restore()
+        records, index, starts = self._records(rows)
+        start, end = min(r.log_time for r in rows), max(r.log_time for r in rows)
+        packed = self._packer.compress(records)
+        chunk = _bytes_of(Chunk('zstd', packed, end, start, zlib.crc32(records), len(records)))
+        at = self._end
+        offsets = {channel: at + len(chunk) + offset for channel, offset in starts.items()}
+        self._write(chunk + index, _tail(end=at + len(chunk) + len(index)))
+        self._index.append(
+            ChunkIndex(
+                len(chunk), at, 'zstd', len(packed), end, len(index), offsets, start, len(records)
+            )
+        )
+        counts = Counter(self.part.counts)
+        for r in rows:
+            counts[r.topic] += len(r.data)
+        first = self.part.start if self._sequence else start
+        self._sequence += sum(len(r.data) for r in rows)
+        self.part = Part(self._path.name, first, max(end, self.part.end), counts)
+
+    def finish(self) -> None:
+        """Write the summary; after an OSError it may be tried again."""
+        part = self.part
+        counts = {self._channel_of[t]: n for t, n in part.counts.items()}
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channel_of),
+            channel_message_counts=counts,
+            chunk_count=len(self._index),
+            message_count=sum(counts.values()),
+            message_end_time=part.end,
+            message_start_time=part.start,
+            metadata_count=0,
+            schema_count=len(self._channel_of),
+        )
+        self._write(b'', _tail(*self._about, statistics, *self._index, end=self._end))
+
+    def release(self) -> None:
+        """Let go of the file."""
+        os.close(self._file)
+
+    def _records(self, rows: Sequence[Rows]) -> tuple[bytes, bytes, dict[int, int]]:
+        """Message records of a chunk, their indexes, and where the index of a channel begins."""
+        parts: list[bytes] = []
+        entries: dict[int, list[NDArray[np.uint64]]] = {}
+        sequence, at = self._sequence, 0
+        for r in rows:
+            width = MESSAGE_HEAD.itemsize + r.data.itemsize
+            head = np.zeros(len(r.data), MESSAGE_HEAD)
+            head['opcode'], head['length'] = Opcode.MESSAGE, width - RECORD_HEAD
+            head['channel'] = self._channel_of[r.topic]
+            head['sequence'] = sequence + np.arange(len(r.data))
+            head['log_time'] = head['publish_time'] = r.log_time
+            both = np.zeros(len(r.data), [('head', MESSAGE_HEAD), ('data', r.data.dtype)])
+            both['head'], both['data'] = head, r.data
+            index = np.empty((len(r.data), 2), '<u8')
+            index[:, 0], index[:, 1] = r.log_time, at + width * np.arange(len(r.data))
+            entries.setdefault(self._channel_of[r.topic], []).append(index)
+            parts.append(both.tobytes())
+            sequence, at = sequence + len(r.data), at + len(parts[-1])
+        indexes, starts = b'', {}
+        for channel, listed in entries.items():
+            body = b''.join(i.tobytes() for i in listed)
+            starts[channel] = len(indexes)
+            head_of = struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + len(body), channel, len(body))
+            indexes += head_of + body
+        return b''.join(parts), indexes, starts
+
+    def _write(self, data: bytes, tail: bytes) -> None:
+        """Write behind the last chunk, at once if the system takes it, and wait for the disk."""
+        try:
+            _write_all(self._file, data + tail, self._end)
+            os.fdatasync(self._file)
+        except OSError:
+            with suppress(OSError):  # where the end stood before there is room for it again
+                before = _tail(end=self._end)
+                _write_all(self._file, before, self._end)
+                os.ftruncate(self._file, self._end + len(before))
+            raise
+        self._end += len(data)
+
+    def _gone(self) -> bool:
+        """Tell whether somebody has removed or replaced the file."""
+        try:
+            return not os.path.samestat(os.stat(self._path), os.fstat(self._file))
+        except FileNotFoundError:
+            return True
+
+    def _restore(self) -> None:
+        """Write the file again: what was removed can still be read by who has it open."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        new = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        try:
+            at = 0
+            while block := os.pread(self._file, 1 << 20, at):
+                at += os.write(new, block)
+        except OSError:
+            os.close(new)
+            os.unlink(self._path)
+            raise
+        os.close(self._file)
+        self._file = new
+
+
+def _write_all(file: int, data: bytes, at: int) -> None:
+    left = memoryview(data)
+    while left:
+        written = os.pwrite(file, left, at)
+        left, at = left[written:], at + written
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the name of a new file last."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+# One run of a journal: a rosbag2 folder that grows, and is taken up again after a crash.
+#
+# Its state stands in metadata.yaml (``custom_data``): ``recording`` as long as samples may be
+# added, then what became of the run. A run that is taken up goes on in a further part.
+
+TOPICS = (PATH, STATUS, POINT)
+"""Of which a run consists, and what it is taken up from."""
+ASIDE = (GAP, OTHER_POINT)
+"""Kept beside it."""
+RECORDING = 'recording'
+"""State of a run to which samples may be added."""
+STATE = 'otf_state'
+METADATA = 'metadata.yaml'
+UPDATE = 1.0
+"""s; metadata.yaml is written anew at most so often while the run is recorded."""
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """Message definitions of the topics of a journal; ``texts`` of types that rosbags lacks.
+
+    ``beside`` are further topics than ``TOPICS``.
+    """
+
+    texts: Mapping[str, str]
+    beside: tuple[Topic, ...] = ()
+
+    @property
+    def all(self) -> tuple[Topic, ...]:
+        """Topics of a journal."""
+        return (*TOPICS, *ASIDE, *self.beside)
+
+    @cached_property
+    def both(self) -> tuple[dict[Topic, str], dict[Topic, str]]:
+        """Definition and hash of every topic."""
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.ROS2_JAZZY)
+        for name, text in self.texts.items():
+            store.register(get_types_from_msg(text, name))
+        topics = [t for t in self.all if t.type in store.fielddefs]
+        texts = {t: store.generate_msgdef(t.type, ros_version=2)[0] for t in topics}
+        return texts, {t: store.hash_rihs01(t.type) for t in topics}
+
+
+class JournalRun:
+    """A run that is written; every failure is an OSError.
+
+    Parameters
+    ----------
+    folder : Path
+        Made with the first rows.
+    parts : sequence of Part
+        Parts that are there already.
+    """
+
+    def __init__(self, folder: Path, definitions: Definitions, parts: Sequence[Part] = ()) -> None:
+        self.folder = folder
+        self._definitions, self._parts = definitions, list(parts)
+        self._file: JournalFile | None = None
+        self._updated = 0.0
+
+    def append(self, rows: Sequence[Rows]) -> None:
+        """Write a chunk; it is on the disk when this returns."""
+        if self._file is None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / f'{self.folder.name}_{len(self._parts)}.mcap'
+            self._file = JournalFile(path, self._definitions.both[0])
+        self._file.append(rows)
+        if time.monotonic() - self._updated > UPDATE or not (self.folder / METADATA).exists():
+            self._update(RECORDING)
+
+    def close(self, state: str = RECORDING) -> None:
+        """End the present part, if there is one, and say what became of the run."""
+        if self._file is not None:
+            self._file.finish()
+            self._file.release()
+            self._parts.append(self._file.part)
+            self._file = None
+        if self._parts:
+            self._update(state)
+
+    def _update(self, state: str) -> None:
+        present = [self._file.part] if self._file else []
+        hashes = self._definitions.both[1]
+        data = bag_metadata([*self._parts, *present], hashes, {STATE: state})
+        _replace_text(self.folder / METADATA, metadata_text(data))
+        self._updated = time.monotonic()
+
+
+def _replace_text(path: Path, text: str) -> None:
+    partial = path.with_name(f'.{path.name}.new')
+    with partial.open('w', encoding='utf-8') as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
+def state_of(folder: Path) -> str:
+    """Return the state of a run; empty if the folder is no run of a journal."""
+    try:
+        data = read_yaml(folder / METADATA)
+        return str(data['rosbag2_bagfile_information']['custom_data'][STATE])
+    except (ConfigError, TypeError, KeyError):
+        return ''
+
+
+def set_state(folder: Path, state: str) -> None:
+    """Say what became of a run that is not written any more; OSError if that fails."""
+    path = folder / METADATA
+    try:
+        data = read_yaml(path)
+        data['rosbag2_bagfile_information']['custom_data'] = {STATE: state}
+    except (ConfigError, TypeError, KeyError) as error:
+        raise OSError(f'{path}: {error}') from None
+    _replace_text(path, metadata_text(data['rosbag2_bagfile_information']))
+
+
+def unfinished(directory: Path) -> list[Path]:
+    """Runs that are still to be calibrated, the newest last."""
+    found = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
+    return [p for p in found if state_of(p) == RECORDING or not (p / METADATA).exists()]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a run holds, and the run to go on with.
+
+    Attributes
+    ----------
+    end_ns : int
+        When the last message was received.
+    parts : tuple of tuple
+        Points, and messages of ``TOPICS`` and of gaps as they were received, in their order; each
+        part by another process than the one before.
+    """
+
+    run: JournalRun
+    end_ns: int
+    parts: tuple[tuple[tuple[Topic, DecodedPoints | bytes], ...], ...]
+
+
+def take_up(folder: Path, definitions: Definitions) -> Recorded:
+    """Read an unfinished run, so that it goes on.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    files = sorted(folder.glob('*.mcap'), key=lambda p: int(p.stem.rpartition('_')[2]))
+    try:
+        repair(files[-1])
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(f'{folder}: cannot be taken up ({error})') from None
+    parts: list[Part] = []
+    arrived = []
+    own = {t.name for t in (*TOPICS, GAP)}
+    for file in files:
+        found = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
+        arrived.append(tuple(_in_order([b for b in found if b.topic in own])))
+        if found:
+            times = np.concatenate([b.log_time for b in found])
+            counts: Counter[Topic] = Counter()
+            for block in found:
+                counts[_topic(block, definitions.all)] += block.start.size
+            parts.append(Part(file.name, int(times.min()), int(times.max()), counts))
+        else:
+            parts.append(Part(file.name, 0, 0, {}))
+    end = max((part.end for part in parts), default=0)
+    return Recorded(JournalRun(folder, definitions, parts), end, tuple(arrived))
+
+
+def _topic(block: MessageBlock, topics: Sequence[Topic] = (*TOPICS, GAP)) -> Topic:
+    return next(t for t in topics if t.name == block.topic)
+
+
+def _in_order(blocks: Sequence[MessageBlock]) -> Iterator[tuple[Topic, DecodedPoints | bytes]]:
+    """Yield points and other messages in the order in which they were received."""
+    others = sorted(
+        (int(t), k, i)
+        for k, block in enumerate(blocks)
+        if block.topic != POINT.name
+        for i, t in enumerate(block.log_time)
+    )
+    points = [b for b in blocks if b.topic == POINT.name]
+    for block in points:
+        while others and others[0][0] <= block.log_time[0]:
+            yield _message(blocks, others.pop(0))
+        cuts = [int(np.searchsorted(block.log_time, t)) for t, _, _ in others]
+        at = 0
+        for cut in (c for c in cuts if c < block.start.size):
+            yield from _points(block, at, cut)
+            yield _message(blocks, others.pop(0))
+            at = cut
+        yield from _points(block, at, block.start.size)
+    for other in others:
+        yield _message(blocks, other)
+
+
+def _message(blocks: Sequence[MessageBlock], at: tuple[int, int, int]) -> tuple[Topic, bytes]:
+    block = blocks[at[1]]
+    start, size = int(block.start[at[2]]), int(block.size[at[2]])
+    return _topic(block), bytes(block.buffer[start : start + size])
+
+
+def _points(block: MessageBlock, start: int, stop: int) -> Iterator[tuple[Topic, DecodedPoints]]:
+    if stop > start:
+        rows = slice(start, stop)
+        yield POINT, decode_points(block.buffer, block.start[rows], block.size[rows], POINT.frame)
+
+
+# Journal: what arrives is written to disk at once, a bag per run, by a thread of its own.
+#
+# A chunk is written and synchronised (fdatasync) every 0.2 s, so a killed process or a power cut
+# costs what came since: 0.2 s and the time the disk takes for one chunk. While the disk refuses,
+# what has come is kept and tried again; nothing here ever waits for the disk but the thread.
 
 PERIOD = 0.2
 """s; a chunk is written so often."""
 MOST = 1 << 26
 """Bytes kept while the disk refuses; what comes beyond is not journalled, and counted."""
 LOCK = '.lock'
+KEPT_FREE = 1 << 22
+"""Bytes of the disk that the journal leaves free for the results, but no more than half of it."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +552,6 @@ class Journal:
 
     Attributes
     ----------
-    directory : Path
     trouble : str
         Why what arrives is not on the disk at present; empty if it is.
 
@@ -109,8 +595,6 @@ class Journal:
         ----------
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
-        frame : str
-        topic : Topic
         """
         run = self._run or self._begin()
         self._put(run, Rows(topic, encode_points(stamp_ns, xyz, frame), self._now()))
@@ -151,7 +635,6 @@ class Journal:
 
         Returns
         -------
-        recorded : Recorded or None
         left : list of Path
             Other unfinished runs.
 
@@ -240,10 +723,23 @@ class Journal:
                 if isinstance(item, _End) or item[0] is not run:
                     break
                 rows.append(item[1])
+            self._check_room(sum(r.data.nbytes for r in rows))
             run.append(rows)
             del waiting[: len(rows)]
             with self._wake:
                 self._pending -= sum(r.data.nbytes for r in rows)
+
+    def _check_room(self, size: int) -> None:
+        """OSError if so many bytes more would leave too little of the disk for the results."""
+        try:
+            disk = os.statvfs(self.directory)
+        except FileNotFoundError:  # removed by somebody; made again with the run
+            return
+        kept = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
+        if disk.f_bavail * disk.f_frsize - size < kept:
+            raise OSError(
+                errno.ENOSPC, f'disk full but for {kept / 1e6:.1f} MB, kept for the results'
+            )
 
 
 def _locked(directory: Path) -> int:

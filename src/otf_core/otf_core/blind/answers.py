@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.files.json_file import read_json
-from otf_core.fleet.fleet import Workers, run_fleet
-from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
+from otf_core.files.strict_yaml import read_json
+from otf_core.fleet.fleet import VERBS, Job, JobResult, Workers, hash_of, run_fleet
 from otf_core.sim.cell import EPOCH_NS
 
 Answer = dict[str, Any]
@@ -26,7 +25,6 @@ class Question:
 
     Attributes
     ----------
-    cell : str
     bags : tuple of str
         Names of bags within the cell.
     exclude : tuple of str
@@ -82,14 +80,12 @@ def ask_all(
 
     Parameters
     ----------
-    questions : sequence of Question
     folder : Path
         Of the trial.
     sealed : str
         Hash of its key: other cells are other questions.
     workers : callable(jobs)
-        See ``fleet.workers``.
-    progress : callable(str)
+        See ``fleet.fleet``.
 
     Returns
     -------

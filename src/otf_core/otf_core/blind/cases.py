@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.depends import Depends, catalogue_depends
 from otf_core.blind.draw import Trial, draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
@@ -23,7 +23,6 @@ from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 
@@ -90,7 +89,6 @@ class Part:
 
     Attributes
     ----------
-    applied : AppliedEffect
     size : float
         m; root mean square left in the residual per piece.
     raw : float
@@ -98,7 +96,6 @@ class Part:
     snr : float
         Length of what is left once freed of the noise: a perfect observer who knew its shape
         would see so many standard deviations.
-    depends : Depends
     """
 
     applied: AppliedEffect
@@ -126,9 +123,6 @@ class Case:
 
     Attributes
     ----------
-    trial : Trial
-    kind : str
-    parts : tuple of Part
     measured, simulated : float
         m; residual per piece with and without the effects, for the same noise.
     bends : float

@@ -25,7 +25,6 @@ class Row(NamedTuple):
     ----------
     name : str
         Begins with a comma if it is about the cells of a row before.
-    hits, of : int
     """
 
     name: str

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.blind.view import Array, View
+from otf_core.arrays import Array
+from otf_core.blind.view import View
 
 _UNIT = np.eye(3)
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.view import SENSOR
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
@@ -20,10 +20,9 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import SimulatedRun, random_tables, simulate
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
@@ -41,9 +40,6 @@ class Trial:
 
     Attributes
     ----------
-    name : str
-    machine : Machine
-    plan : Plan
     configs : tuple of SimulationConfig
         One per tracker place; their seeds draw place and noise.
     tables : ErrorTables
@@ -148,7 +144,6 @@ def draw_trial(name: str, rng: Rng, places: int = 1, *, signals: bool = False) -
 
     Parameters
     ----------
-    name : str
     rng : numpy.random.Generator
     places : int
         Tracker places it is measured from.

@@ -67,7 +67,6 @@ class Draw:
     Attributes
     ----------
     rng : numpy.random.Generator
-    machine : Machine
     duration : float, s
     """
 
@@ -145,7 +144,6 @@ def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> Appli
     ----------
     name : str
         Of the registry or of ``OUTSIDE``.
-    machine : Machine
     duration : float, s
         Of the run.
     rng : numpy.random.Generator

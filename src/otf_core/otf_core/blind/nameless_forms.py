@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
-from otf_core.blind.view import Array, View
+from otf_core.blind.view import View
 
 _UNIT = np.eye(3)
 

@@ -8,11 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.blind.departed_forms import DEPARTED_FORMS, FOLLOWING_FORMS
 from otf_core.blind.depends import Depends, on
 from otf_core.blind.nameless_forms import NAMELESS_FORMS, Nameless
 from otf_core.blind.unknown_effects import WRITTEN_OUT, UnknownEffect
-from otf_core.blind.view import SENSOR, Array, View, view_of
+from otf_core.blind.view import SENSOR, View, view_of
 from otf_core.effects import Shape, State, Terms
 from otf_core.effects.drawing import Drawn, Number, Trial, Uniform
 
@@ -28,7 +29,6 @@ class Nature(UnknownEffect):
     ----------
     form : callable(View)
         Displacement (n, 3), m, or that and what it depends on.
-    stands_for : frozenset of str
     depends : Depends
         Where the form does not say it.
     """

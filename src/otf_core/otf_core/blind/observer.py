@@ -17,17 +17,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from otf_core.arrays import Array
 from otf_core.blind.sight import Sight, stretches
 from otf_core.model.kinematics import exact_position
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.tables import ErrorTables
 from otf_core.threads import in_one_thread
-
-Array = NDArray[np.float64]
 
 WIDE = 1e-3
 """m and rad; ten times the largest errors that are drawn."""
@@ -137,7 +135,6 @@ def observe(sights: Sequence[Sight], tables: ErrorTables) -> Observer:
 
     Parameters
     ----------
-    sights : sequence of Sight
     tables : ErrorTables
         Of the truth machine.
     """

@@ -41,15 +41,12 @@ class Outcome:
 
     Attributes
     ----------
-    cell, kind : str
     truth : tuple of str
         Names of the hidden effects.
     size_um : tuple of float
         What each leaves in the residual.
-    visible : tuple of bool
     named : tuple of str
         Causes of the answer that could be wrong, first the first.
-    verdict : str
     result : str
         right, listed (in the short list of the first cause), second (named, but not first),
         wrong (another is named), unseen (none named), called_unknown; quiet or false_alarm

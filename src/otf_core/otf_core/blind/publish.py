@@ -11,7 +11,7 @@ from typing import Any
 
 from otf_core.blind.seal import sealed
 from otf_core.blind.table import Table, as_markdown
-from otf_core.files.json_file import read_json
+from otf_core.files.strict_yaml import read_json
 from otf_core.fleet.fleet import STATE
 
 TABLE, PARTICULARS, DIAGRAM = 'table.md', 'particulars.md', 'reliability.svg'
@@ -23,13 +23,10 @@ class Measured:
 
     Attributes
     ----------
-    cells, seed : int
-    date : str
     key : str
         SHA-256 of the sealed key.
     seconds : tuple of float
         Of every diagnosis.
-    leave_one_out : bool
     """
 
     cells: int
@@ -56,13 +53,7 @@ class Measured:
 
 
 def fragment(measured: Measured, tables: Sequence[Table]) -> str:
-    """Command, conditions and tables.
-
-    Parameters
-    ----------
-    measured : Measured
-    tables : sequence of Table
-    """
+    """Command, conditions and tables."""
     times = measured.seconds
     lasted = (
         f'; a diagnosis took {median(times):.0f} s, at most {max(times):.0f} s' if times else ''

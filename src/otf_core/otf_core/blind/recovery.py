@@ -17,7 +17,7 @@ from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
+from otf_core.files.strict_yaml import read_json
 from otf_core.model.machine import Machine
 from otf_core.sim.effects import displaced
 
@@ -35,10 +35,8 @@ class Recovery:
 
     Attributes
     ----------
-    cell : str
     deviations : tuple of float
         (Fitted less true) parameters over their standard uncertainties.
-    gap_um, true_gap_um : float
     shrink_percent : float
         Predicted by the answer.
     interval_percent : tuple of two floats

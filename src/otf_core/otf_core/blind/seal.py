@@ -21,12 +21,10 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.blind.cases import Case, Part, draw_case, kinds_of
 from otf_core.blind.depends import WITHOUT
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.json_file import read_json
-from otf_core.files.manifest import MANIFEST
+from otf_core.files.output_folder import MANIFEST
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.fleet.call import RESULT, call_job
-from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import JobResult
+from otf_core.fleet.fleet import RESULT, STATE, JobResult, Workers, call_job, run_fleet
 from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
@@ -129,11 +127,8 @@ def seal(
 
     Parameters
     ----------
-    wanted : sequence of Order
-    folder : Path
     workers : callable(jobs)
-        See ``fleet.workers``.
-    progress : callable(str)
+        See ``fleet.fleet``.
 
     Returns
     -------

@@ -13,14 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular, toeplitz
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import State
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ class Table(NamedTuple):
 
     Attributes
     ----------
-    head : tuple of str
     rows : sequence of tuple of str
         As many cells each.
     """

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.draw import Trial, nodal
 from otf_core.blind.observer import Observer, observe
 from otf_core.blind.sight import see
@@ -20,8 +20,6 @@ from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
 from otf_core.sim.signals import signal_courses
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Ruler:
@@ -29,11 +27,8 @@ class Ruler:
 
     Attributes
     ----------
-    trial : Trial
-    runs : tuple of SimulatedRun
     states : tuple of State
         Of all samples of each run.
-    observer : Observer
     """
 
     trial: Trial

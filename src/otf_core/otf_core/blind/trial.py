@@ -27,16 +27,12 @@ from otf_core.blind.table import (
     shrink_words,
     without_itself,
 )
-from otf_core.files.json_file import read_json
-from otf_core.files.manifest import MANIFEST, file_digest, write_manifest, written_files
+from otf_core.files.output_folder import MANIFEST, file_digest, write_manifest, written_files
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet import fleet
-from otf_core.fleet.call import RESULT, call_job
-from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import JobResult
+from otf_core.fleet.fleet import RESULT, STATE, JobResult, Workers, call_job, run_fleet
 from otf_core.model.provenance import provenance
-
-Progress = Callable[[str], None]
 
 WHOLE, FIRST, WITHOUT = 'answers', 'answers_first_place', 'answers_without'
 
@@ -57,7 +53,10 @@ def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
 
 
 def _recover_all(
-    asked: Iterable[tuple[Entry, Question]], folder: Path, workers: Workers, progress: Progress
+    asked: Iterable[tuple[Entry, Question]],
+    folder: Path,
+    workers: Workers,
+    progress: Callable[[str], None],
 ) -> tuple[dict[str, Recovery], dict[str, JobResult]]:
     """Compare answers with the truth, cell by cell, each in a process of its own."""
     jobs = []
@@ -143,7 +142,7 @@ def run_trial(
     seed: int,
     folder: str | Path,
     workers: Workers,
-    progress: Progress = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Trialled:
     """Run a blind trial; an interrupted one goes on where it was.
 
@@ -151,12 +150,9 @@ def run_trial(
     ----------
     trials : int
         Cells.
-    seed : int
-    folder : str or Path
     workers : callable(jobs)
-        Who draws, diagnoses and judges the cells, see ``fleet.workers``; the results do not
+        Who draws, diagnoses and judges the cells, see ``fleet.fleet``; the results do not
         depend on it.
-    progress : callable(str)
     """
     folder = ensure_folder(folder)
     ended = seal(orders(trials, seed), folder, workers, progress)
@@ -179,7 +175,7 @@ def run_leave_one_out(
     seed: int,
     folder: str | Path,
     workers: Workers,
-    progress: Progress = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Trialled:
     """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
 

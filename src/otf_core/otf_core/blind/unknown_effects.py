@@ -14,9 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
 from otf_core.effects import Effect, Shape, State, Terms
-from otf_core.effects.base import Array
 from otf_core.effects.drawing import Axes, Drawn, Number, Trial, Uniform
 from otf_core.model.frames import XYZ
 

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import State
-
-Array = NDArray[np.float64]
 
 STILL = 1e-10
 """m; travel from sample to sample below which an axis stands."""

@@ -18,11 +18,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.budget.budget import TYPICAL_SOURCE, Budget, Source
-from otf_core.budget.systematic import (
+from otf_core.arrays import Array
+from otf_core.budget.budget import (
     SYSTEMATIC,
+    TYPICAL_SOURCE,
+    Budget,
+    Source,
     Systematic,
     piece_states,
     systematic_pulls,
@@ -32,12 +34,10 @@ from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL, typical_values
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.observed import Observed
+from otf_core.pieces.runs import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution, tables_of
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,6 @@ class TypicalSystematic:
     ----------
     missing : tuple of str
         Contributions of which at least one key is not declared, as the budget calls them.
-    nothing_declared : bool
     assumed : mapping of key to float
         Typical standard uncertainty of every missing key.
     squareness : mapping of name to (float, float), rad
@@ -120,7 +119,6 @@ def typical_systematic(
 
     Parameters
     ----------
-    runs : sequence of Observed
     done : JointSolution
         Of the same runs.
     tables : ErrorTables

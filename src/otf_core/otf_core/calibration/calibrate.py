@@ -1,89 +1,73 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From samples and path to error tables: align, reduce, solve, repeat, state uncertainty."""
+"""From recordings to error tables: align, reduce, examine, solve, state uncertainty."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.budget.typical import typical_warnings, with_typical
-from otf_core.calibration.assessed import assess
-from otf_core.calibration.headline import headline_of
-from otf_core.calibration.mixtures import mixture_warnings
-from otf_core.calibration.result import CalibrationResult, Fit
-from otf_core.calibration.solved import solve_recordings
-from otf_core.calibration.verdict import judge
+from otf_core.arrays import Array
+from otf_core.budget.budget import (
+    EFFECTS,
+    Budget,
+    make_budget,
+    noise_parts,
+    whole_check,
+    with_source,
+)
+from otf_core.budget.typical import (
+    TypicalSystematic,
+    typical_pulls,
+    typical_systematic,
+    typical_warnings,
+    with_typical,
+)
+from otf_core.calibration.calibration_result import CalibrationResult, Fit, RunResult, headline_of
+from otf_core.calibration.lack_of_fit import unfollowed
+from otf_core.calibration.machine_verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.table_worth import check_worth, sample_noise
+from otf_core.contradictions.examine import examine
+from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
+from otf_core.contradictions.recording_checks import check_recordings
+from otf_core.contradictions.table_checks import check_table_pitch, check_worth, sample_noise
 from otf_core.effects.stated_effect import TakenOff
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
+from otf_core.memory import give_back, one_heap
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import origins
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, with_uncertainty
+from otf_core.noise.noise_model import NoiseModel, sample_variance
+from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.methods import Preparation
-from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.prediction.volumetric import VolumetricError
-from otf_core.solving.curve_lag import curve_remarks
-from otf_core.solving.extrapolation import prior_of
-from otf_core.solving.joint import Progress
+from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
+from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
+from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
-from otf_core.solving.reversal_choice import ReversalSolution
+from otf_core.solving.system import deviations
+from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, prior_of, tabulate
 from otf_core.threads import one_thread
 
-Array = NDArray[np.float64]
-
+COLLINEAR_WITHIN = 1e-3
+"""m; targets that are nearer than this to a line lie on it."""
+ALONG_AN_AXIS = 0.999
+"""Cosine of the angle up to which a line is along a machine axis."""
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
 MAX_OUTLIERS = 0.2
 """Share of left-out samples above which a calibration fails the quality gate."""
 MAX_ERROR = 5e-4
 """m; mean distance from the path above which the input is not plausible for a machine tool."""
-
-
-def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
-    digest = hashlib.sha256()
-    for r in recordings:
-        for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
-            digest.update(np.ascontiguousarray(part).reshape(-1).data)
-        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
-    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
-    return digest.hexdigest()[:12]
-
-
-def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
-    found = []
-    unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
-    if unsure:
-        found.append(
-            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
-            f'misfit of the model counted'
-        )
-    for name, table in tables.motions.items():
-        if table.identifiable and table.node_identifiable is not None:
-            loose = table.position[~table.node_identifiable]
-            if loose.size:
-                where = f'{loose[0]:g}' if loose.size == 1 else f'{loose[0]:g} ... {loose[-1]:g}'
-                found.append(
-                    f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
-                    f'continued smoothly'
-                )
-    if fit.coverage < 0.98:
-        found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
-    if fit.residual_ratio > 1.5:
-        found.append(
-            f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
-            f'single samples: an effect that the rigid-body model lacks, or more noise'
-        )
-    return found
 
 
 def calibrate(
@@ -110,15 +94,10 @@ def calibrate_runs(
     recordings : sequence of Recording
         Runs of one machine; no time relation between samples and path is needed. Other tracker
         places, feeds and target offsets add to what can be seen.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
     prepare : callable, optional
         One of ``methods.PREPARATIONS``.
-
-    Returns
-    -------
-    CalibrationResult
 
     Raises
     ------
@@ -135,26 +114,83 @@ def calibrate_runs(
         return assemble(solved.solution, config, solved.findings)
 
 
-def _failed_gates(fit: Fit) -> tuple[str, ...]:
-    failed = []
-    if fit.coverage < MIN_COVERAGE:
-        failed.append(
-            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
-            f'{100 * MIN_COVERAGE:.0f} % needed'
-        )
-    if fit.outliers > MAX_OUTLIERS * fit.samples:
-        failed.append(
-            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
-            f'{100 * MAX_OUTLIERS:.0f} % allowed'
-        )
-    if fit.path_mae_before > MAX_ERROR:
-        failed.append(
-            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
-            f'average; check units, scale and the machine description'
-        )
-    if fit.path_mae_after >= fit.path_mae_before:
-        failed.append('compensation: the tables do not reduce the distance from the path')
-    return tuple(failed)
+@dataclass(frozen=True)
+class Examined:
+    """Recordings that are examined: solutions, corrections and a diagnosis start here.
+
+    Attributes
+    ----------
+    runs : list of Run
+        Mended where ``contradictions`` could mend them, with all their pieces.
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    findings : tuple of Finding
+        Contradictions, and what was repaired, of all runs.
+    """
+
+    runs: list[Run]
+    nodes: dict[str, Array]
+    findings: tuple[Finding, ...]
+
+    @property
+    def source(self) -> list[int]:
+        """Recording that each run is of, or a part of where it was cut."""
+        return [int(k) for k in np.cumsum([run.late == 0.0 for run in self.runs]) - 1]
+
+
+@dataclass(frozen=True)
+class SolvedRecordings(Examined):
+    """Recordings that are examined and solved.
+
+    Attributes
+    ----------
+    left : tuple of LeftOut
+        What was left out of every run as outliers.
+    """
+
+    solution: ReversalSolution[Run]
+    left: tuple[LeftOut, ...]
+
+
+def solve_recordings(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig,
+    progress: Progress = silent,
+    prepare: Preparation = prepare_runs,
+    *,
+    mend: bool = True,
+) -> SolvedRecordings:
+    """Align, reduce to pieces, examine and solve.
+
+    Parameters
+    ----------
+    recordings, config, progress, prepare
+        As of ``calibrate_runs``.
+    mend : bool
+        Mend what can be mended, see ``contradictions.examine``.
+    """
+    one_heap()
+    progress('aligning', 0.0)
+    check_recordings(recordings)
+    pitch = check_table_pitch(recordings[0].machine, config.piece_length)
+    runs, nodes = prepare(recordings, config)
+    give_back()
+
+    progress('solving', 0.0)
+    runs, contradictions = examine(runs, nodes, config, mend=mend)
+    give_back()
+
+    solution = solve_with_reversal(runs, nodes, config, progress)
+    on_curves = move_onto_curves(runs, solution)
+    if on_curves is not None:
+        runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
+
+    outliers = tuple(left_out(run, own) for run, own in zip(runs, solution.runs, strict=True))
+    repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    if pitch:
+        repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
+    stated = (*repairs, *contradictions, *findings(outliers))
+    return SolvedRecordings(runs, nodes, stated, solution, outliers)
 
 
 def assemble(
@@ -167,8 +203,6 @@ def assemble(
 
     Parameters
     ----------
-    solved : ReversalSolution
-    config : CalibrationConfig
     findings : sequence of Finding
         Of the examination of its runs.
     taken : TakenOff, optional
@@ -234,3 +268,210 @@ def assemble(
         effects=taken.stated if taken is not None else (),
         machine_verdict=judge(tables, whole, stated, hidden, prior),
     )
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """What a result says of a solution, whatever was decided about reversal or found in runs.
+
+    Attributes
+    ----------
+    done : JointSolution
+        With the covariance of all passes.
+    budget : Budget
+        Of the rows of ``table``.
+    whole : ndarray, shape (full, full)
+        Covariance of all unknowns.
+    tables : ErrorTables
+        With their uncertainties.
+    lack_of_fit : str, optional
+        Words on what the tables leave in every pass over a line, where it matters.
+    """
+
+    done: JointSolution
+    results: list[RunResult]
+    budget: Budget
+    whole: Array
+    fit: Fit
+    table: Tabulation
+    tables: ErrorTables
+    typical: TypicalSystematic | None
+    lack_of_fit: str | None
+
+
+def assess(
+    runs: Sequence[Run],
+    done: JointSolution,
+    config: CalibrationConfig,
+    taken: TakenOff | None = None,
+) -> Assessed:
+    """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
+    pulls = typical_pulls(runs, done)
+    parts = noise_parts(runs, done)
+    give_back()
+    done = settled(done, config.unidentifiable_above, parts.normal)
+    unknowns, machine = done.unknowns, runs[0].machine
+    results = [_run_result(r, s, config) for r, s in zip(runs, done.runs, strict=True)]
+    fine = tables_of(machine, unknowns, done.solution)
+    budget = make_budget(runs, done, parts, fine, config.standstill_speed)
+    if taken is not None:
+        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
+    fit = _fit(runs, results, done, budget.inflation)
+    grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
+    table = tabulate(machine, done, grid_u, config.unidentifiable_above)
+    whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
+    tables = with_uncertainty(table.tables, budget.covariance)
+    give_back()
+    typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
+    again = unfollowed(runs, done)
+    lack = again.warning(grid_u) if again is not None else None
+    return Assessed(done, results, budget, whole, fit, table, tables, typical, lack)
+
+
+def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:
+    rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
+    specified = sample_variance(NoiseModel.from_spec(run.machine.tracker), solved.system.shares)
+    return RunResult(
+        name=Path(run.recording.name).name,
+        target_offset=run.machine.target_offset,
+        samples=len(run.recording.samples),
+        remarks=run.recording.remarks,
+        rate=1.0 / run.recording.samples.step,
+        lost=lost_samples(run.recording.samples),
+        T_machine_tracker=solved.pose,
+        noise=run.noise_and_misfit[0],
+        misfit=run.noise_and_misfit[1],
+        coverage=run.alignment.coverage,
+        pieces=run.pieces,
+        q=solved.system.q,
+        axes=solved.system.axes,
+        aligned=deviations(run.pieces, rigid),
+        deviation=solved.system.deviation,
+        residual=solved.residual,
+        normalised=solved.residual / np.sqrt(specified),
+        whitened=solved.whitener.whiten(solved.residual),
+    )
+
+
+def _lengths(components: Array) -> Array:
+    return np.asarray(np.linalg.norm(components, axis=0))
+
+
+def _fit(
+    runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution, inflation: float
+) -> Fit:
+    check = whole_check(runs, done, [s.residual for s in done.runs])
+    before = np.concatenate([_lengths(r.aligned) for r in results])
+    after = np.concatenate([_lengths(r.residual) for r in results])
+    normalised = np.concatenate([r.normalised for r in results], axis=1)
+    return Fit(
+        samples=sum(len(r.recording.samples) for r in runs),
+        used=sum(r.pieces.used for r in runs),
+        outliers=sum(r.pieces.outliers for r in runs),
+        pieces=len(after),
+        unknowns=done.solution.unknowns,
+        rank=done.solution.rank,
+        coverage=min(r.alignment.coverage for r in runs),
+        path_mae_before=float(before.mean()),
+        path_mae_after=float(after.mean()),
+        residual_rms=float(np.sqrt(np.mean(after**2))),
+        residual_ratio=float(np.sqrt(np.mean(normalised**2))),
+        variance_ratio=check.variance_ratio,
+        correlation_factor=check.correlation_factor,
+        inflation=inflation,
+        iterations=done.iterations,
+    )
+
+
+def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
+    digest = hashlib.sha256()
+    for r in recordings:
+        for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
+            digest.update(np.ascontiguousarray(part).reshape(-1).data)
+        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
+    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
+    return digest.hexdigest()[:12]
+
+
+def _failed_gates(fit: Fit) -> tuple[str, ...]:
+    failed = []
+    if fit.coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.outliers > MAX_OUTLIERS * fit.samples:
+        failed.append(
+            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
+            f'{100 * MAX_OUTLIERS:.0f} % allowed'
+        )
+    if fit.path_mae_before > MAX_ERROR:
+        failed.append(
+            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
+            f'average; check units, scale and the machine description'
+        )
+    if fit.path_mae_after >= fit.path_mae_before:
+        failed.append('compensation: the tables do not reduce the distance from the path')
+    return tuple(failed)
+
+
+def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
+    found = []
+    unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
+    if unsure:
+        found.append(
+            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
+            f'misfit of the model counted'
+        )
+    for name, table in tables.motions.items():
+        if table.identifiable and table.node_identifiable is not None:
+            loose = table.position[~table.node_identifiable]
+            if loose.size:
+                where = f'{loose[0]:g}' if loose.size == 1 else f'{loose[0]:g} ... {loose[-1]:g}'
+                found.append(
+                    f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
+                    f'continued smoothly'
+                )
+    if fit.coverage < 0.98:
+        found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
+    if fit.residual_ratio > 1.5:
+        found.append(
+            f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
+            f'single samples: an effect that the rigid-body model lacks, or more noise'
+        )
+    return found
+
+
+def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
+    """Name the motions that hold a share of a rotation that two target offsets do not show.
+
+    With the offsets T1 and T2 a rotation r of an axis whose lever arm no other axis changes is a
+    translation where r x (T2 - T1) = 0: the turn about the line between both targets is not seen.
+    If that line is along a machine axis it is one motion, which is not identifiable; if not, it is
+    a mixture of three of which one is taken for zero, and the others take its share.
+
+    Parameters
+    ----------
+    machines : sequence of Machine
+        Of the runs, with their target offsets.
+    hidden : collection of str
+        Motions that are not identifiable.
+    """
+    offsets = np.array([machine.target_offset for machine in machines])
+    size, lines = np.linalg.svd(offsets - offsets.mean(axis=0))[1:]
+    if np.count_nonzero(size > COLLINEAR_WITHIN) != 1 or np.abs(lines[0]).max() > ALONG_AN_AXIS:
+        return []
+    found = []
+    for axis in machines[0].axis_names:
+        rotations = [m for m in MOTIONS if m.axis == axis and not m.is_translation]
+        unseen = [m for m in rotations if m in hidden]
+        if len(unseen) != 1 or set(machines[0].chain.lever_axes(axis)) - {axis}:
+            continue
+        others = ' and '.join(m for m in rotations if m not in unseen)
+        found.append(
+            f'{others} hold a share of {unseen[0]}, which is taken for zero: the target offsets '
+            f'do not differ along one machine axis, and no turn of {axis} about the line between '
+            f'them is seen; the translations of {axis} hold the rest of it. Predictions at these '
+            f'offsets are right. Take offsets that differ along a machine axis, or a third one'
+        )
+    return found

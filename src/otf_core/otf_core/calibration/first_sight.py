@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A first look at a run under way: where the tracker stands, whether the path is followed."""
+"""First look at a run in progress: tracker pose, and which of two published paths it follows."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.live.layers import driven_part
-from otf_core.live.track import PathDistance
+from otf_core.live.layers import PathDistance, driven_part
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -30,8 +29,6 @@ class FirstSight:
 
     Attributes
     ----------
-    T_machine_tracker : RigidTransform
-    samples : int
     share : float
         Of the length of the path, driven so far.
     distance : float
@@ -70,10 +67,8 @@ def first_sight(
     ----------
     samples : Samples
         May be in the order of their arrival.
-    path : NominalPath
     travelled : float
         Length driven so far, m.
-    config : CalibrationConfig
 
     Raises
     ------
@@ -93,3 +88,58 @@ def first_sight(
     away = np.linalg.norm(PathDistance(path).deviation(points), axis=1)
     share = min(1.0, travelled / path.length)
     return FirstSight(found.T_machine_tracker, len(samples), share, float(away.mean()))
+
+
+NEAR = 5e-3
+"""m; a target that is nearer to a path than this follows it: far above the errors of a machine,
+and about what the rounding of corners takes off."""
+
+
+@dataclass(frozen=True)
+class TwoPaths:
+    """A run along one path, and another path that was published meanwhile.
+
+    Attributes
+    ----------
+    samples : Samples
+        Of the run, in the order of their arrival.
+    since : int
+        Samples that had come when the other path was published.
+    travelled, travelled_since : float
+        Length that the target has travelled in the run, and since the other path came, m.
+    """
+
+    samples: Samples
+    since: int
+    present: NominalPath
+    other: NominalPath
+    travelled: float
+    travelled_since: float
+
+
+def follows_the_other(run: TwoPaths, config: CalibrationConfig) -> bool:
+    """Tell whether the target has left the present path and follows the other one.
+
+    False as long as too little is driven to determine that; the present path is kept then.
+    """
+    newer = run.samples.part(run.since, len(run.samples))
+    try:
+        first_sight(newer, run.other, run.travelled_since, config)
+    except InputError:
+        return False
+    return not _on_the_present(run, newer, config)
+
+
+def _on_the_present(run: TwoPaths, newer: Samples, config: CalibrationConfig) -> bool:
+    """Tell whether what came since lies on the present path, the tracker standing still."""
+    beginning = NominalPath(driven_part(run.present, run.travelled))
+    try:
+        found = align(run.samples.in_order(), beginning, config)
+    except InputError:
+        return False
+    if found.coverage < FOLLOWED:
+        return False
+    few = np.unique(np.linspace(0, len(newer) - 1, ASKED).astype(int))
+    points = found.T_machine_tracker.apply(newer.xyz[few])
+    away = np.linalg.norm(PathDistance(run.present).deviation(points), axis=1)
+    return float(np.mean(away < NEAR)) >= FOLLOWED

@@ -1,31 +1,336 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration with effects taken off beside the one without.
+"""Calibration with effects removed: their displacement subtracted, their uncertainty propagated.
 
-Reversal is left to the calibration's own choice (``reversal_choice``) unless the configuration
-says 'none': backlash and direction-dependent tables that a diagnosis finds are not taken off
-twice. A file that names one of them switches that choice off. Nodes too far apart are nothing to
-take off: it is the tables that follow finer. Each effect says which it is (``belongs_to``).
+With c the columns of the coefficients theta of effects, jointly with tables and poses,
+
+    theta = theta_0 + M^-1 (c^T W e - P (theta_0 - theta_p)),  M = c^T W c - c^T W A C A^T W c + P
+
+e the residual of the solution of the data less c theta_0, C its covariance, theta_p and P mean and
+precision of the prior of theta. The joint estimate of the tables is the solution of the data less
+c theta; its covariance is C + S M^-1 S^T, S = C A^T W c. What an effect is not linear in (a time
+constant, a period) is linearised about its last value, in its logarithm. Noise and misfit are
+fitted to the corrected residuals: otherwise they would include the effect.
+
+Reversal is left to the calibration's own choice (``model_choice``) unless the configuration states
+'none': backlash and direction-dependent tables that a diagnosis finds are not removed twice. A
+file that names one of them switches that choice off. Nodes too far apart are not removed: the
+tables follow finer instead. Each effect states which it is (``belongs_to``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from otf_core.calibration.calibrate import assemble
-from otf_core.calibration.correction import Corrected, calibrate_without
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import solve_recordings
+import numpy as np
+from scipy import linalg
+
+from otf_core.arrays import Array
+from otf_core.calibration.calibrate import Examined, assemble, solve_recordings
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
-from otf_core.effects import AppliedEffect, BelongsTo
+from otf_core.effects import AppliedEffect, BelongsTo, Shape, State
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.removable_effect import Taken, taken
-from otf_core.effects.stated_effect import FILE
+from otf_core.effects.state import probe_state
+from otf_core.effects.stated_effect import FILE, StatedEffect, TakenOff, effects_to_list
 from otf_core.errors import ConfigError
-from otf_core.live.stages import silent
-from otf_core.pieces.runs import Recording
-from otf_core.solving.joint import Progress
+from otf_core.live.stages import Progress, silent
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run
+from otf_core.solving.joint import FINE, JointSolution, Start, solve_robustly, tables_of
+from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
+from otf_core.solving.residuals import sample_state
+from otf_core.solving.sensitivity import (
+    across,
+    column_size,
+    name_in_run,
+    piece_state,
+    projected,
+    state_at,
+)
+from otf_core.solving.solution import Positive
+from otf_core.solving.system import nominal_positions
 from otf_core.threads import in_one_thread
+
+MAX_ROUNDS = 6
+SETTLED = 2e-8
+"""m; change of the displacement by an effect below which its coefficients count as settled."""
+ROUNDING = 1e-10
+"""Share of the squares of columns below which what tables leave of them is rounding."""
+ROUGH = 1e-6
+"""m; a larger change can alter which functions and which reversal the data call for."""
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Effects with the parameters that the data give them.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (k, k)
+        Of all parameters, effect by effect: coefficients run by run, then shape in logarithms.
+    change : ndarray, shape (full, k)
+        S: what a unit of each does to the unknowns of the calibration.
+    """
+
+    effects: tuple[Taken, ...]
+    covariance: Array
+    change: Array
+
+    def taken_off(self, solved: ReversalSolution[Run]) -> TakenOff:
+        """State effects and what the unknowns of a solution are uncertain by for them."""
+        machine = solved.runs[0].machine
+        ends = np.cumsum([e.size for e in self.effects])
+        u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
+        stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
+        found = self.change @ self.covariance @ self.change.T
+        return TakenOff(stated, found + missing_in_tables(solved, self.effects))
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A calibration with effects taken off.
+
+    Attributes
+    ----------
+    parameters : tuple of tuple of mapping
+        Of the effects as they were estimated, run by run.
+    """
+
+    result: CalibrationResult
+    parameters: tuple[tuple[Shape, ...], ...]
+
+
+def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
+    units = one.effect.units(probe_state(machine), one.applied(0).parameters)
+    parameters, uncertain = dict(one.shape), {}
+    for name, relative in zip(one.widths, u[one.values.size :], strict=True):
+        uncertain[name] = float(relative * one.shape[name])
+    places = np.ndindex(*one.values.shape)
+    for (run, k), value, own in zip(places, one.values.ravel(), u, strict=False):
+        name = name_in_run(one.names[k], run)
+        parameters[name], uncertain[name] = float(value), float(own)
+        units[name] = units[one.names[k]]
+    return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
+
+
+def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -> Array:
+    """What the tables lack of effects that stay at their place, covariance, (full, full).
+
+    Such an effect displaces the target in the same way whenever it comes by, but no table holds
+    it. Its mean square along X, Y and Z is stated as uncertain positioning of that axis.
+    """
+    done, machine = solved.done, solved.runs[0].machine
+    variance = np.zeros(done.unknowns.full)
+    tables = tables_of(machine, done.unknowns, done.solution)
+    staying = [one for one in effects if one.effect.stays_in_place]
+    for one in staying:
+        parts = []
+        for number, (run, at) in enumerate(zip(solved.runs, done.runs, strict=True)):
+            state = piece_state(run, at, done.unknowns.knots, tables)
+            parts.append(one.displacement(state, number))
+        square = np.mean(np.concatenate(parts) ** 2, axis=0)
+        for k, axis in enumerate(machine.axis_names):
+            basis = done.unknowns.bases[axis]
+            share = float(np.mean(np.sum(basis.matrix(basis.finer(FINE)) ** 2, axis=1)))
+            variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
+    return np.diag(variance)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Where the pieces of one run are, for the formulas of the effects."""
+
+    run: Run
+    number: int
+    pieces: State
+    samples: State | None
+
+    def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
+        """Values over the pieces, means over their samples where the effect asks for that."""
+        if one.effect.changes_within_pieces and self.samples is not None:
+            return self.run.pieces.mean_of(function(self.samples, self.number))
+        return function(self.pieces, self.number)
+
+
+def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
+    samples = None
+    if any(e.effect.changes_within_pieces for e in effects) and len(run.pieces.samples):
+        nodes = dict(pieces.nodes)
+        samples = sample_state(run, run.pose, pieces.tables, nodes)
+    return _Scene(run, number, pieces, samples)
+
+
+def corrected(
+    runs: Sequence[Run],
+    effects: Sequence[Taken],
+    nodes: dict[str, Array],
+    tables: ErrorTables | None,
+) -> list[Run]:
+    """Runs with the displacement by effects taken off their pieces.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Their poses good to the errors sought.
+    nodes : mapping of axis to ndarray, m
+    tables : ErrorTables, optional
+        For the place along the path, as far as they are known.
+    """
+    found = []
+    for number, run in enumerate(runs):
+        q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
+        scene = _scene(run, number, state_at(run, q, run.pose, nodes, tables), effects)
+        shift = sum(
+            (scene.mean(e, e.displacement) for e in effects), start=np.zeros((len(run.pieces), 3))
+        )
+        xyz = run.pieces.xyz - shift @ run.pose.rotation
+        found.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
+    return found
+
+
+def estimates(
+    runs: Sequence[Run], done: JointSolution, effects: Sequence[Taken]
+) -> tuple[Estimates, Array, Array]:
+    """Estimate the parameters of effects anew, jointly with tables and poses.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Corrected by the effects as they are, as solved.
+    done : JointSolution
+        Of these runs.
+
+    Returns
+    -------
+    estimates : Estimates
+        With the parameters moved.
+    step : ndarray, shape (k,)
+        Change of all parameters.
+    size : ndarray, shape (k,), m
+        Displacement per unit of each where it acts.
+    """
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    columns = []
+    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        state = piece_state(run, solved, done.unknowns.knots, tables)
+        scene = _scene(replace(run, pose=solved.pose), number, state, effects)
+        whole = np.concatenate([scene.mean(e, e.columns) for e in effects], axis=2)
+        columns.append(across(solved, whole))
+    cross = projected(done, columns)
+    change = done.solution.covariance @ cross
+    size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
+    matrix, right, own = -cross.T @ change, np.zeros(len(size)), np.zeros(len(size))
+    for part, solved in zip(columns, done.runs, strict=True):
+        flat = part.reshape(-1, part.shape[2])
+        weighted = solved.whitener.weighted(part).reshape(flat.shape)
+        product = flat.T @ weighted
+        matrix += product
+        own += np.diag(product)
+        right += weighted.T @ solved.residual.ravel()
+    bounds = np.cumsum([0, *(e.size for e in effects)])
+    prior = np.concatenate([
+        e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    ])  # fmt: skip
+    right -= prior * np.concatenate([e.away() for e in effects])
+    covariance = _covariance(matrix, own, prior)
+    step = covariance @ right
+    moved = tuple(
+        e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    )
+    return Estimates(moved, covariance, change), step, size
+
+
+def _covariance(matrix: Array, own: Array, prior: Array) -> Array:
+    """Inverse of what columns are known by, with their prior, shape (k, k).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (k, k)
+        Products of what tables leave of the columns: a difference of large numbers.
+    own : ndarray, shape (k,)
+        Squares of the whole columns.
+    prior : ndarray, shape (k,)
+        Precision known before.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(own + prior, np.finfo(float).tiny))
+    unit = scale[:, None] * matrix * scale
+    value, vectors = linalg.eigh(0.5 * (unit + unit.T))
+    # none can be negative: the lowest shows how far rounding goes
+    floor = max(ROUNDING, -float(value[0]))
+    known = (vectors * np.maximum(value, 0.0)) @ vectors.T + np.diag(scale**2 * prior + floor)
+    return np.asarray(scale[:, None] * Positive(known).inverse * scale)
+
+
+def solve_with_effects(
+    runs: Sequence[Run],
+    nodes: dict[str, Array],
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> tuple[ReversalSolution[Run], Estimates]:
+    """Solve with effects taken off and their parameters estimated with the rest.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        As prepared.
+    nodes : mapping of axis to ndarray, m
+    progress : callable(stage, fraction)
+
+    Returns
+    -------
+    solved : ReversalSolution
+        Of the corrected runs.
+    """
+    now, whole = tuple(effects), list(runs)
+    solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
+    for _ in range(MAX_ROUNDS):
+        found, step, size = estimates(solved.runs, solved.done, now)
+        now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
+        if largest < SETTLED:
+            break
+        tables = tables_of(runs[0].machine, solved.done.unknowns, solved.done.solution)
+        whole = [
+            replace(r, pose=s.pose, fitted=k.fitted)
+            for r, s, k in zip(runs, solved.done.runs, solved.runs, strict=True)
+        ]
+        clean = corrected(whole, now, solved.done.unknowns.knots, tables)
+        if largest > ROUGH:
+            solved = solve_with_reversal(clean, nodes, config, progress)
+            continue
+        start = Start.after(clean[0].machine, solved.done)
+        again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
+        solved = ReversalSolution(*again, solved.choice, solved.plain)
+    return solved, found
+
+
+def calibrate_without(
+    examined: Examined,
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress = silent,
+) -> Corrected:
+    """Calibrate on the fly with effects taken off and their parameters estimated.
+
+    Parameters
+    ----------
+    effects : sequence of Taken
+        At least one.
+    progress : callable(stage, fraction), optional
+    """
+    solved, found = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
+    result = assemble(solved, config, examined.findings, found.taken_off(solved))
+    stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
+    run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
+    result = replace(result, run_id=run_id[: len(result.run_id)])
+    runs = range(len(examined.runs))
+    parameters = tuple(tuple(e.applied(k).parameters for e in found.effects) for k in runs)
+    return Corrected(result, parameters)
 
 
 @dataclass(frozen=True)
@@ -63,7 +368,6 @@ def beside_plain(
 
     Parameters
     ----------
-    plain : CalibrationResult
     corrected : Corrected, optional
         See ``calibrate_without``; None where nothing was taken off.
     taking : sequence of Taken
@@ -104,7 +408,6 @@ def calibrate_with_file(
     file : str
         An effects.yaml, whose coefficients are estimated anew where the data see them and whose
         shapes (time constant, period) are held.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
 
     Raises

@@ -3,31 +3,175 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.bags.bag_reading import Received
+from otf_core.arrays import Array
+from otf_core.bags.bag_reading import Received, advice_of, path_of, received_of
+from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order
 from otf_core.calibration.calibrate import MIN_COVERAGE
-from otf_core.checking.look import Seen, look
 from otf_core.config import CalibrationConfig
-from otf_core.inputs.recordings import AS_IT_IS, Given
+from otf_core.contradictions.examine import examine
+from otf_core.contradictions.recording_checks import check_recordings, check_samples
+from otf_core.errors import InputError
+from otf_core.inputs.recordings import AS_IT_IS, Given, open_reading
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.model.provenance import moment
-from otf_core.noise.events import lost_samples
-from otf_core.noise.standstill import MIN_TOTAL, find_standstills, standstill_noise
-from otf_core.pieces.finding import GATE, WARNING, words_of
-from otf_core.planning.forecast import Setup, forecast_of_pieces
-from otf_core.planning.planned_budget import planned_systematic, solution_of_pieces
+from otf_core.noise.standstill import MIN_TOTAL, find_standstills, lost_samples, standstill_noise
+from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
+from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.planning.forecast import (
+    Setup,
+    forecast_of_pieces,
+    planned_systematic,
+    solution_of_pieces,
+)
 from otf_core.threads import one_thread
-from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.driving_order import OFF_PATH
-from otf_core.tracking.track import HOP, broken
+from otf_core.tracking.measured_track import HOP, broken
+from otf_core.tracking.no_match import check_partial
+
+# A recording as far as it can be read, aligned and reduced: what its checks look at.
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A recording as far as it could be followed.
+
+    Attributes
+    ----------
+    topics : mapping of topic to message type
+    samples : Samples, optional
+        In the order of time, unusable ones dropped.
+    run : Run, optional
+        Reduced to pieces; needs a machine.
+    findings : tuple of Finding
+        Contradictions in it.
+    nodes : mapping of axis to ndarray, m, optional
+        Of the tables.
+    remarks : tuple of str
+        What was mended while it was read.
+    said : tuple of str
+        How it was read, where that is not as usual.
+    refused : mapping of step to str
+        Why a step failed: 'bag', 'points', 'path', 'stamps', 'following', 'run'.
+    """
+
+    name: str
+    topics: Mapping[str, str]
+    config: CalibrationConfig
+    received: Received | None = None
+    samples: Samples | None = None
+    path: NominalPath | None = None
+    machine: Machine | None = None
+    alignment: Alignment | None = None
+    run: Run | None = None
+    findings: tuple[Finding, ...] = ()
+    nodes: Mapping[str, Array] | None = None
+    remarks: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    refused: Mapping[str, str] | None = None
+
+    def why(self, step: str) -> str:
+        """Why a step failed; empty if it did not, or was not reached."""
+        return (self.refused or {}).get(step, '')
+
+
+class _Refusals(dict[str, str]):
+    """Why steps failed, by their names."""
+
+    @contextmanager
+    def of(self, step: str, name: str) -> Iterator[None]:
+        try:
+            yield
+        except InputError as error:
+            self[step] = str(error).removeprefix(f'{name}: ')
+
+
+def look(source: str, machine: Machine | None, config: CalibrationConfig, given: Given) -> Seen:
+    """See what can be seen of a recording.
+
+    Parameters
+    ----------
+    machine : Machine, optional
+        Without it the path is followed, but nothing is said of axes and uncertainties.
+    given : Given
+        How it is read.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file or folder.
+    """
+    refused = _Refusals()
+    with one_thread():
+        seen = _read(source, config, given, refused)
+        if seen.samples is not None:
+            seen = _followed(replace(seen, machine=machine), refused)
+    return replace(seen, machine=machine, refused=refused)
+
+
+def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusals) -> Seen:
+    seen = Seen(source, {}, config)
+    remarks: list[str] = []
+    with refused.of('bag', source):
+        reading = open_reading(source, given)
+        remarks += reading.remarks
+        seen = replace(seen, topics=reading.topics, said=tuple(reading.said))
+        with refused.of('path', source):
+            if reading.path is not None:
+                reading.require(reading.path)
+            seen = replace(seen, path=path_of(source, [reading]))
+        with refused.of('points', source):
+            reading.require(reading.point)
+            received = received_of(reading, source, remarks)
+            seen = replace(seen, received=received)
+            screening = Screening()
+            screening.foreign(reading.foreign)
+            raw = received.stamp_ns, received.xyz
+            try:
+                where = f'{source}: {reading.point.name}'
+                samples = in_time_order(where, *raw, remarks, screening)
+            except MixedSamples as error:
+                raise MixedSamples(f'{error}{advice_of([received])}') from None
+            seen = replace(seen, samples=samples)
+    return replace(seen, remarks=tuple(remarks))
+
+
+def _followed(seen: Seen, refused: _Refusals) -> Seen:
+    """Align and reduce what was read."""
+    name, samples, path, machine = seen.name, seen.samples, seen.path, seen.machine
+    config = seen.config
+    assert samples is not None
+    if path is None:
+        with refused.of('stamps', name):
+            check_samples(samples, None)
+        return seen
+    if machine is not None:
+        recordings = [Recording(samples, path, machine, name)]
+        with refused.of('run', name):
+            check_recordings(recordings)
+            runs, nodes = prepare_runs(recordings, config)
+            (run, *_), findings = examine(runs, nodes, config)
+            return replace(seen, run=run, findings=findings, nodes=nodes, alignment=run.alignment)
+    with refused.of('following', name):
+        check_samples(samples, path)
+        found = align(samples, path, config)
+        seen = replace(seen, alignment=found)
+        pose = found.T_machine_tracker
+        check_partial(samples, path, pose, found.coverage, config.match_tolerance)
+    return seen
+
+
+# Checks of a recording: can it be calibrated, and how well will the errors be known.
 
 ERROR = 'error'
 """A calibration would refuse the recording, or a quality gate of it would fail."""
@@ -59,7 +203,6 @@ class Checked:
         For the table; empty if there is nothing to look at.
     facts : mapping of str to plain data
         In the units that the names state.
-    problems : tuple of Problem
     """
 
     words: str = ''
@@ -404,7 +547,6 @@ class CheckReport:
 
     Attributes
     ----------
-    name : str
     checked : mapping of str to Checked
         By the names of the checks.
     """
@@ -446,14 +588,8 @@ def check(
     ----------
     source : str
         A bag, or a table of samples as text.
-    machine : Machine, optional
-    config : CalibrationConfig, optional
     given : Given
         How it is read.
-
-    Returns
-    -------
-    CheckReport
 
     Raises
     ------

@@ -17,13 +17,11 @@ from otf_core.cli.arguments import (
     add_measuring_verbs,
     add_planning_verbs,
 )
-from otf_core.cli.closing import add_closing_verbs
-from otf_core.cli.exporting import add_exporting_verbs
-from otf_core.cli.keeping import add_keeping_verbs
+from otf_core.cli.exporting import add_exporting_verbs, add_keeping_verbs
 from otf_core.cli.options import Handler
 from otf_core.cli.output import OutputFull, answer, bounded, logged, note
 from otf_core.cli.parser import Parser, asked
-from otf_core.cli.plant import add_plant_verbs
+from otf_core.cli.simulating import add_closing_verbs, add_plant_verbs
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.errors import OtfError
 from otf_core.version import __version__

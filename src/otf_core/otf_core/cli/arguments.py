@@ -5,18 +5,19 @@ from __future__ import annotations
 
 import argparse
 
-from otf_core.cli.checking import run_check, run_doctor, run_info
-from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.measuring import (
     run_calibrate,
+    run_check,
     run_compare,
     run_diagnose,
+    run_doctor,
+    run_info,
     run_noise,
     run_predict,
 )
 from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading, add_verbose
-from otf_core.cli.plant import run_blind
-from otf_core.cli.simulating import run_plan, run_simulate, run_validate
+from otf_core.cli.parser import SHELLS, run_completion
+from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
 from otf_core.config import (
     METHODS,
     OTF,

@@ -1,25 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that work on recorded bags and on tables: calibrate, diagnose, noise, predict, compare."""
+"""Verbs on recordings and tables: calibrate, diagnose, noise, predict, compare, check, info."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import given_of, output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
-from otf_core.cli.progress import progress_of
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
 from otf_core.config import CalibrationConfig
-from otf_core.errors import ConfigError, OtfError
+from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
-    from otf_core.calibration.result import CalibrationResult
-    from otf_core.files.output import OutputFolder
+    from otf_core.calibration.calibration_result import CalibrationResult
+    from otf_core.files.output_folder import OutputFolder
     from otf_core.pieces.runs import Recording
     from otf_core.reports.calibration_facts import Facts
+
+
+# Verbs that work on recorded bags and on tables: calibrate, diagnose, noise, predict, compare.
 
 TABLES = 'error_tables.json'
 
@@ -99,8 +102,8 @@ def _calibrate_axes(
     progress: Callable[[str, float], None],
 ) -> int:
     """Error tables of a machine with rotary axes."""
+    from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.reports.rotary_calibration import sections, summary, write_calibration
-    from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.rotary.calibrate import calibrate_axes
 
     for option in ('residuals_csv', 'certificate'):
@@ -135,14 +138,16 @@ def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list
     """Print a calibration."""
     from otf_core.reports.calibration import calibration_sections
     from otf_core.reports.calibration_sections.first_screen import calibration_summary
-    from otf_core.reports.section import sections_to_dict, sections_to_text
+    from otf_core.reports.page import sections_to_dict, sections_to_text
 
     sections = calibration_sections(facts)
     report = sections_to_dict(sections)
     words = calibration_summary(facts)
     if arguments.verbose:
         words += f'\n\n{sections_to_text(sections)}'
-    open_next = 'report.html' if arguments.report else 'summary.txt'
+    names = {file.name for file in files}
+    order = ('report.html', 'summary.txt', 'error_tables.csv', 'error_tables.json')
+    open_next = next(name for name in order if name in names)
     words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
     answer_from(arguments, words, files, TABLES, report=report)
 
@@ -157,7 +162,7 @@ def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
 
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
-    from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
+    from otf_core.diagnosis.diagnose import AUTO, calibrate_with_effects
     from otf_core.reports.calibration import facts_of, write_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -193,7 +198,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import gap_sections, write_diagnosis
-    from otf_core.reports.section import sections_to_dict, sections_to_text
+    from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -244,9 +249,9 @@ def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
-    from otf_core.files.csv_points import ends_head, write_csv
-    from otf_core.files.output import OutputFile
-    from otf_core.inputs.points_file import read_points, read_positions
+    from otf_core.files.output_folder import OutputFile
+    from otf_core.files.writing import ends_head, write_csv
+    from otf_core.inputs.path_file import read_points, read_positions
     from otf_core.model.tables import load_tables
     from otf_core.prediction.predict import predict
 
@@ -284,7 +289,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
     from otf_core.comparison.compare import compare, load_source
-    from otf_core.inputs.points_file import read_points
+    from otf_core.inputs.path_file import read_points
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
@@ -304,4 +309,50 @@ def run_compare(arguments: argparse.Namespace) -> int:
     with progress_of(arguments, 'drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
     answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
+    return 0
+
+
+# Verbs that answer in seconds: check, info, doctor.
+
+LOOKED_AT = ('match_tolerance', 'standstill_speed')
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Say whether a recording is usable."""
+    config = parameters(CalibrationConfig, arguments, LOOKED_AT)
+    from otf_core.checking.checks import check, format_check
+    from otf_core.model.machine import load_machine
+
+    machine = load_machine(arguments.machine) if arguments.machine else None
+    path = arguments.path[-1] if arguments.path else None
+    with progress_of(arguments, 'checking'):
+        report = check(arguments.bag, machine, config, given_of(arguments, path))
+    answer(arguments, format_check(report), report.to_dict())
+    return 0 if report.usable else InputError.exit_code
+
+
+def run_doctor(arguments: argparse.Namespace) -> int:
+    """Say what is wrong with an installation."""
+    from otf_core.installation.doctor import ERROR, OK, examine
+
+    states = examine()
+    lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
+    wrong = [s for s in states if s.severity != OK]
+    lines += ['', f'{len(wrong)} things to look at' if wrong else 'nothing is wrong']
+    healthy = all(s.severity != ERROR for s in states)
+    parts = [dataclasses.asdict(s) for s in states]
+    answer(arguments, '\n'.join(lines), {'healthy': healthy, 'parts': parts})
+    return 0 if healthy else ConfigError.exit_code
+
+
+def run_info(arguments: argparse.Namespace) -> int:
+    """Say what a file is and says."""
+    from otf_core.info.explain import explain
+
+    kind, found = explain(arguments.file)
+    width = max([len(name) for name, _ in found.rows] + [0])
+    lines = [f'{arguments.file}: {kind.name}', kind.what, '']
+    lines += [f'{name:<{width}}  {text}' for name, text in found.rows]
+    about = {'file': arguments.file, 'kind': kind.name, 'what': kind.what}
+    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(found.facts)})
     return 0

@@ -11,7 +11,7 @@ from otf_core.config import ParameterInfo, Parameters
 from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from otf_core.files.output import OutputFolder
+    from otf_core.files.output_folder import OutputFolder
     from otf_core.inputs.recordings import Given
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
@@ -110,7 +110,7 @@ def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
 
 def output_folder(arguments: argparse.Namespace, *inputs: str, **words: str) -> OutputFolder:
     """Check --out before any work; ``inputs`` are files and folders that the verb reads."""
-    from otf_core.files.output import OutputFolder
+    from otf_core.files.output_folder import OutputFolder
 
     return OutputFolder(arguments.out, overwrite=arguments.overwrite, inputs=inputs, **words)
 

@@ -1,34 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate."""
+"""Verbs that plan, simulate and judge: plan, simulate, validate, loop, fleet, blind."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
-from otf_core.cli.progress import progress_of
-from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
+from otf_core.cli.options import AddVerb, add_out, add_parameters, output_folder, parameters
+from otf_core.cli.output import (
+    LIMIT_NOT_PROVEN,
+    QUALITY_GATE_FAILED,
+    answer,
+    answer_from,
+    listed,
+    note,
+    progress_of,
+)
+from otf_core.config import ForecastConfig, LoopConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.live.stages import PLAN, SIMULATE
 
 if TYPE_CHECKING:
-    from otf_core.validation.table import Row
+    from otf_core.fleet.fleet import Workers
+    from otf_core.validation.validate import Row
+
+
+# Verbs that plan, simulate and judge: plan, simulate, validate.
 
 MOST_CELLS = 1000
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
-    from otf_core.inputs.path_file import read_path
-    from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
+    from otf_core.inputs.path_file import PlanFile, looks_like_json, read_path, read_plan
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
-    from otf_core.planning.creator import plan_path
+    from otf_core.planning.path_creation import plan_path
 
     name = arguments.path
     if name is None:
@@ -113,10 +125,10 @@ def run_plan(arguments: argparse.Namespace) -> int:
     judged = parameters(ForecastConfig, arguments)
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.noise.fields import read_noise
+    from otf_core.noise.noise_model import read_noise
     from otf_core.planning.follow_up import measured_runs, open_questions
-    from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
+    from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
     from otf_core.reports.plan_files import format_report, plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
@@ -155,9 +167,8 @@ def run_validate(arguments: argparse.Namespace) -> int:
     """The paper's comparisons on simulated cells."""
     from otf_core.reports.validation import write_validation
     from otf_core.sim.laboratory import SimulatedLaboratory
-    from otf_core.validation.laboratory import scale
-    from otf_core.validation.run import validate
-    from otf_core.validation.table import format_rows
+    from otf_core.validation.paper import scale
+    from otf_core.validation.validate import format_rows, validate
 
     out = output_folder(arguments)
     if arguments.cells is not None and not 1 <= arguments.cells <= MOST_CELLS:
@@ -180,4 +191,241 @@ def told_limits(rows: Sequence[Row]) -> int:
     failed = [row.quantity for row in rows if row.passed is False]
     for quantity in failed:
         note(f'otf: quality gate failed: {quantity}')
+    return QUALITY_GATE_FAILED if failed else 0
+
+
+# Verb that closes the circle against a real control: loop.
+
+WAYS = ('axes', 'volume', 'program')
+
+
+def add_closing_verbs(verb: AddVerb) -> None:
+    """Add loop."""
+    sub = verb('loop', run_loop)
+    sub.add_argument('--machine', required=True, help='machine.yaml')
+    add_out(sub, 'folder for loop.json, calibration, bags and the files given to the control')
+    sub.add_argument(
+        '--compensate', choices=WAYS, default='volume',
+        help='axes: a .comp file per joint; volume: external offsets at the current position; '
+        'program: a corrected NC program (default volume)',
+    )  # fmt: skip
+    sub.add_argument(
+        '--diagnose', action='store_true', help='also diagnose the fitted run (diagnosis/; slow)'
+    )
+    add_parameters(sub, LoopConfig)
+
+
+def run_loop(arguments: argparse.Namespace) -> int:
+    """The whole circle on LinuxCNC."""
+    asked = parameters(LoopConfig, arguments)
+    given = dataclasses.asdict(asked)
+    planning = PlannerConfig(passes=1, feed=given.pop('feed'), corner_dwell=0.05, end_dwell=2.0)
+    out = output_folder(arguments, arguments.machine)
+    from otf_core.loop.circle import go_round
+    from otf_core.loop.control import find_control
+    from otf_core.model.machine import load_machine
+    from otf_core.planning.path_creation import plan_path
+    from otf_core.reports.loop import failed_gates, format_loop, write_loop
+
+    machine = load_machine(arguments.machine)
+    find_control()
+    plan = plan_path(machine, planning)
+
+    def progress(text: str) -> None:
+        if not arguments.quiet:
+            note(f'otf loop: {text}')
+
+    circle = go_round(
+        machine,
+        plan,
+        arguments.compensate,
+        SimulationConfig(**given),
+        progress,
+    )
+    with out.filled('loop') as folder:
+        files = write_loop(circle, folder)
+        if arguments.diagnose:
+            from otf_core.diagnosis.diagnose import diagnose
+            from otf_core.reports.diagnosis import write_diagnosis
+            from otf_core.sim.twin import twin_recording
+
+            progress('diagnoses')
+            found = diagnose([circle.recordings['fit']], twin_recording)
+            files += write_diagnosis(found, folder / 'diagnosis')
+        names = [f.relative_to(folder) for f in files]
+    answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
+    gates = failed_gates(circle)
+    for gate in gates:
+        note(f'otf loop: quality gate failed: {gate}')
+    return QUALITY_GATE_FAILED if gates else 0
+
+
+# Verbs on many runs, a process each, here or on other hosts: fleet, blind.
+
+LISTED = ('calibrate', 'diagnose')
+BLIND, VALIDATE = 'blind', 'validate'
+MOST = {'trials': 100_000, 'seed': 10_000_000}
+NEEDED = {
+    **dict.fromkeys(LISTED, ('list',)),
+    **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
+}
+"""Options that say what is done, by what is asked for; each takes no other of them."""
+
+
+def add_plant_verbs(verb: AddVerb) -> None:
+    """Add fleet."""
+    sub = verb('fleet', run_fleet_verb)
+    sub.add_argument('what', choices=tuple(NEEDED), help='command for each run or cell')
+    sub.add_argument(
+        '--list', metavar='runs.csv',
+        help='calibrate, diagnose: CSV with the header name,bag,machine; paths may be relative '
+        'to its folder',
+    )  # fmt: skip
+    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: number of cells')
+    sub.add_argument(
+        '--seed', type=int, metavar='N',
+        help='blind: seed of all random draws; validate: seed of the first cell',
+    )  # fmt: skip
+    sub.add_argument(
+        '--leave-one-out', action='store_true',
+        help='blind: diagnose every effect with that effect removed from the catalogue',
+    )  # fmt: skip
+    sub.add_argument(
+        '--out', required=True,
+        help='folder for the results and fleet.json; an interrupted fleet resumes there',
+    )  # fmt: skip
+    sub.add_argument(
+        '--workers', type=int, metavar='N', help='parallel runs (default: one per core)'
+    )
+    sub.add_argument(
+        '--scheduler', metavar='ADDRESS',
+        help='address of a Dask scheduler, e.g. tcp://host:8786, whose workers process the runs',
+    )  # fmt: skip
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Refuse options that are missing, or that another kind of fleet has."""
+    needed = NEEDED[arguments.what]
+    for name in sorted({n for names in NEEDED.values() for n in names}):
+        given = getattr(arguments, name) is not None
+        if given and name not in needed:
+            raise ConfigError(f'--{name}: not of fleet {arguments.what}; leave it out')
+        if not given and name in needed:
+            raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
+    if arguments.leave_one_out and arguments.what != BLIND:
+        raise ConfigError(f'--leave-one-out: not of fleet {arguments.what}; leave it out')
+    if 'trials' in needed:
+        _check_cells(arguments)
+
+
+def _check_cells(arguments: argparse.Namespace) -> None:
+    for name, low in (('trials', 1), ('seed', 0)):
+        value = getattr(arguments, name)
+        if not low <= value <= MOST[name]:
+            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MOST[name]}]')
+
+
+def _workers(arguments: argparse.Namespace) -> Workers:
+    """Who does the runs."""
+    from otf_core.fleet.fleet import done_by_dask, done_here
+
+    count = arguments.workers
+    if count is not None and not 1 <= count <= 1000:
+        raise ConfigError(f'--workers: {count} is out of range [1, 1000]')
+    if count is not None and arguments.scheduler is not None:
+        raise ConfigError('--workers: the scheduler has its own; leave it out with --scheduler')
+    if arguments.scheduler is not None:
+        return partial(done_by_dask, address=arguments.scheduler)
+    return partial(done_here, workers=count or os.cpu_count() or 1)
+
+
+def _progress(arguments: argparse.Namespace) -> Callable[[str], None]:
+    def told(text: str) -> None:
+        if not arguments.quiet:
+            note(f'otf {arguments.verb}: {text}')
+
+    return told
+
+
+def run_fleet_verb(arguments: argparse.Namespace) -> int:
+    """Many runs at once."""
+    _check_options(arguments)
+    workers = _workers(arguments)
+    if arguments.what == BLIND:
+        return _trial(arguments, workers, overwrite=False)
+    if arguments.what == VALIDATE:
+        return _validation(arguments, workers)
+    return _listed_runs(arguments, workers)
+
+
+def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
+    """Calibrate or diagnose recordings."""
+    from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
+    from otf_core.reports.fleet_report import format_fleet, offset_warnings, write_fleet
+
+    verb = arguments.what
+    runs = read_list(arguments.list)
+    folder = take_folder(Path(arguments.out), verb)
+    jobs = listed_jobs(verb, runs, folder)
+    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
+    files = write_fleet(verb, folder, outcomes)
+    warnings = offset_warnings(verb, folder, outcomes)
+    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + listed(files, arguments.out)
+    answer(arguments, words, fleet_to_dict(verb, outcomes) | {'warnings': warnings})
+    exits = {o.exit for o in outcomes.values()} - {0}
+    if not exits:
+        return 0
+    return LIMIT_NOT_PROVEN if exits == {LIMIT_NOT_PROVEN} else QUALITY_GATE_FAILED
+
+
+def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
+    """The paper's comparisons, a cell a run, in one table."""
+    from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
+    from otf_core.reports.fleet_report import format_fleet, list_results, write_outcomes
+    from otf_core.reports.validation import write_table
+    from otf_core.validation.validate import cell_jobs, format_rows, table_of
+
+    folder = take_folder(Path(arguments.out), VALIDATE)
+    jobs = cell_jobs(arguments.seed, arguments.trials, folder)
+    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
+    words, files = format_fleet(VALIDATE, outcomes, gates=False), []
+    seeds, rows = table_of(folder, outcomes)
+    if rows:
+        files = write_table(seeds, rows, folder)
+        words = f'{format_rows(rows)}\n\n{words}'
+    files.append(write_outcomes(VALIDATE, folder, outcomes))
+    list_results(VALIDATE, folder)
+    answer(arguments, words + listed(files, arguments.out), fleet_to_dict(VALIDATE, outcomes))
+    beyond = told_limits(rows)
+    return QUALITY_GATE_FAILED if any(not o.done for o in outcomes.values()) else beyond
+
+
+def run_blind(arguments: argparse.Namespace) -> int:
+    """Blind trial: draw and seal cells, diagnose them, score."""
+    from otf_core.fleet.fleet import done_here
+
+    _check_cells(arguments)
+    workers = partial(done_here, workers=arguments.jobs)
+    return _trial(arguments, workers, overwrite=arguments.overwrite)
+
+
+def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) -> int:
+    """Run a blind trial."""
+    from otf_core.blind.seal import holds_trial
+    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
+    from otf_core.files.output_folder import OutputFolder
+    from otf_core.reports.fleet_report import format_fleet, write_outcomes
+
+    folder = Path(arguments.out)
+    if overwrite or not holds_trial(folder):
+        OutputFolder(folder, overwrite=overwrite).clear()
+    run = run_leave_one_out if arguments.leave_one_out else run_trial
+    try:
+        found = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
+        files = [write_outcomes(BLIND, folder, found.ended), folder / 'score.txt']
+    finally:
+        list_files(folder)
+    failed = any(not ended.done for ended in found.ended.values())
+    words = f'{found.words}\n\n{format_fleet(BLIND, found.ended)}' if failed else found.words
+    answer_from(arguments, words, files, 'score.json')
     return QUALITY_GATE_FAILED if failed else 0

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_dialect import read_lines
 from otf_core.files.text_table import TextTable, fault_words, is_comment, read_text_table
@@ -17,8 +17,6 @@ from otf_core.files.writing import write_text
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
-
-Array = NDArray[np.float64]
 
 LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}

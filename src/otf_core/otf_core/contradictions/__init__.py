@@ -2,6 +2,6 @@
 """Inputs that contradict each other: found in seconds, stated in one message, not solved.
 
 ``recording_checks`` looks at recordings, ``no_match`` states why a track does not follow its
-path, ``examine`` looks at runs that are reduced to pieces, ``table_worth`` at the result. One
-check is one file; docs/contradictions.md lists their messages.
+path, ``examine`` looks at runs that are reduced to pieces, ``table_checks`` at the tables;
+docs/contradictions.md lists their messages.
 """

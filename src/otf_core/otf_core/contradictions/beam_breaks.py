@@ -1,25 +1,143 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A beam found again with a shift: an offset of its own for every uninterrupted segment."""
+"""A beam found again with a shift: an offset of its own for every uninterrupted segment.
+
+After a break a tracker may come back with another range (the interferometer lost its count) or
+another point (target or tracker touched). Each segment between breaks then has an offset of its
+own, a vector or a length along the beam, drawn from a normal distribution whose width the data
+give (empirical Bayes; MacKay 1992). Whether the offsets are real is decided by comparison with the
+same number of segments that begin in the middle of the true ones.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg, sparse
 
-from otf_core.contradictions.quick_model import Model
-from otf_core.contradictions.segments import (
-    MAX_COLUMNS,
-    Array,
-    Index,
-    Offsets,
-    between,
-    fitted_offsets,
-    membership,
-    segment_of_samples,
-)
+from otf_core.arrays import Array, Index
+from otf_core.contradictions.quick_model import Fit, Model, Rows
+from otf_core.model.observation import Samples
 from otf_core.pieces.finding import WARNING, Finding
+from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Run
+from otf_core.tracking.measured_track import broken
+
+MAX_COLUMNS = 400
+"""Offsets that are solved for at most."""
+ROUNDS = 12
+"""Rounds in which the width of the distribution settles."""
+WIDEST = 1e-3
+"""m; standard deviation of the offsets at most."""
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Offsets of segments.
+
+    Attributes
+    ----------
+    kind : str
+        'vector' or 'range'.
+    value, u : ndarray, shape (segments, 3) or (segments, 1), m
+        In the machine frame, or along the beam; the mean over all is free, it is the pose.
+    width : float
+        m; standard deviation of their distribution.
+    evidence : float
+        Logarithm of the odds for such offsets against none.
+    """
+
+    kind: str
+    value: Array
+    u: Array
+    width: float
+    evidence: float
+
+    @property
+    def step(self) -> float:
+        """Root mean square of the length by which successive segments differ, m."""
+        change = np.diff(self.value, axis=0)
+        return float(np.sqrt(np.mean(np.sum(change**2, axis=1))))
+
+
+def segment_of_samples(samples: Samples) -> Index:
+    """Number of the uninterrupted segment of every sample, shape (n,), from 0."""
+    if len(samples) < 3:
+        return np.zeros(len(samples), dtype=np.int64)
+    return np.concatenate([[0], np.cumsum(broken(samples))])
+
+
+def between(segment: Index) -> Index:
+    """As many segments, begun in the middle of the given ones: the experiment beside."""
+    begin = np.flatnonzero(np.diff(segment, prepend=-1))
+    middle = (begin + np.append(begin[1:], len(segment))) // 2
+    return np.searchsorted(middle[1:], np.arange(len(segment)), side='right')
+
+
+def membership(pieces: Pieces, segment: Index) -> Array:
+    """Share of the samples of every piece in every segment, shape (p, segments)."""
+    shape = (len(pieces), int(segment.max()) + 1)
+    entries = (np.ones(len(pieces.piece)), (pieces.piece, segment[pieces.samples]))
+    return np.asarray(
+        sparse.coo_array(entries, shape=shape).toarray() / pieces.count[:, None], dtype=np.float64
+    )
+
+
+def offset_columns(rows: Rows, share: Array, kind: str) -> Array:
+    """Rows per m of the offset of every segment, shape (c p, segments times 3 or 1).
+
+    Parameters
+    ----------
+    share : ndarray, shape (p, segments)
+        Zero for the pieces of other runs.
+    kind : str
+        'vector' or 'range'.
+    """
+    vectors = (
+        [rows.beam] if kind == 'range' else [np.broadcast_to(u, rows.q.shape) for u in np.eye(3)]
+    )
+    tiled = np.tile(share, (len(rows.axes), 1))
+    parts = [tiled * rows.component(v)[:, None] for v in vectors]
+    return np.stack(parts, axis=2).reshape(len(tiled), -1)
+
+
+def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
+    """Estimate the offsets of segments from what a fit leaves.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the model without offsets; its unknowns are free again.
+    share : ndarray, shape (p, segments)
+    """
+    columns = offset_columns(rows, share, kind)
+    left, score = fit.left(columns), fit.score(columns)
+    root, vectors = linalg.eigh(left)
+    root, seen = np.maximum(root, 0.0), vectors.T @ score
+    variance = (WIDEST / 10) ** 2
+    noise = fit.ratio**2
+    for _ in range(ROUNDS):
+        cover = 1.0 / (root / noise + 1.0 / variance)
+        value = cover * seen / noise
+        taken = float(2.0 * seen @ value - value @ (root * value))
+        determined = float(np.sum(1.0 - cover / variance))
+        variance = float(value @ value) / max(determined, 1e-9)
+        variance = float(np.clip(variance, 1e-16, WIDEST**2))
+        noise = max(fit.square - taken, 1e-12) / max(fit.freedom - determined, 1.0)
+    cover = 1.0 / (root / noise + 1.0 / variance)
+    value = cover * seen / noise
+    evidence = 0.5 * float(seen @ value) / noise
+    evidence -= 0.5 * float(np.sum(np.log1p(root * variance / noise)))
+    u = np.sqrt(np.einsum('ij,j,ij->i', vectors, cover, vectors))
+    shape = (share.shape[1], -1)
+    return Offsets(
+        kind,
+        (vectors @ value).reshape(shape),
+        u.reshape(shape),
+        float(np.sqrt(variance)),
+        evidence,
+    )
+
 
 EVIDENCE = 0.03
 """Logarithm of the odds per row from which on offsets are real; other misfit gave up to 0.02."""
@@ -34,10 +152,8 @@ class FoundAgain:
 
     Attributes
     ----------
-    run : int
     segment : ndarray of int64, shape (n,)
         Of every sample.
-    offsets : Offsets
     """
 
     run: int

@@ -1,30 +1,363 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of runs that are aligned and reduced to pieces, in the order in which it counts.
+"""Examination of runs that are aligned and reduced to pieces, most consequential checks first.
 
-First what can be mended (offsets of segments, steps of the tracker), then what the mended runs
+First what can be repaired (offsets of segments, steps of the tracker), then what the repaired runs
 contradict: each other, the chain, the target offsets, the noise, the range.
+
+*Chain.* A rotation acts through the travels of the axes beyond it. Its own travel acts like a
+translation of the same axis, so the place of the base b in the chain changes what is called
+straightness and positioning, never what fits: the data show the order of the axes from workpiece
+to tool, six classes of four chains each.
+
+*Target offset.* With one offset a wrong one cannot be seen: rotations times a constant lever are
+translations of the same axis, and what is predicted at that target stays right. Between runs the
+difference of the offsets counts; signs of its parts are tried.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.beam_breaks import settle_offsets
-from otf_core.contradictions.chain import check_chain
-from otf_core.contradictions.driven_range import check_driven_range
-from otf_core.contradictions.noise_level import check_noise_level
-from otf_core.contradictions.one_machine import check_one_machine
 from otf_core.contradictions.quick_model import Model
-from otf_core.contradictions.target_offset import check_target_offset
 from otf_core.contradictions.tracker_moves import settle_steps
-from otf_core.pieces.finding import Finding
+from otf_core.errors import InputError
+from otf_core.model.machine import Chain
+from otf_core.model.observation import Samples
+from otf_core.noise.standstill import find_standstills, standstill_noise
+from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run
 
-Array = NDArray[np.float64]
+MAX_RATIO = 1.3
+"""Residual over noise from which on other chains are tried."""
+MAX_SHARE = 0.7
+"""Residual of another order, over that of the stated one, that contradicts it."""
+EQUAL_FIT = 1.15
+"""Residuals over the best that fit as well."""
+
+
+def chains_of(order: tuple[str, ...]) -> tuple[str, ...]:
+    """The four chains of one order."""
+    return tuple(str(Chain(order[:k], order[k:])) for k in range(len(order) + 1))
+
+
+def check_chain(model: Model) -> list[Finding]:
+    """Try all orders of axes where the stated chain fits badly."""
+    if model.fit.ratio < MAX_RATIO:
+        return []
+    chain, left = model.rows.machine.chain, model.left_by_order
+    stated = (*chain.table_side, *chain.target_side)
+    best = min(left.values())
+    if best > MAX_SHARE * left[stated]:
+        return []
+    fits = sorted((o for o in left if left[o] < EQUAL_FIT * best), key=lambda o: left[o])
+    named = '; or '.join(
+        f'{" ".join(o)} ({1e6 * left[o]:.2f} um: {", ".join(chains_of(o))})' for o in fits
+    )
+    return [Finding('chain', GATE, (
+        f'{model.rows.machine.chain} leaves {1e6 * left[stated]:.2f} um; other orders of axes '
+        f'from workpiece to tool leave less: {named}. The place of b cannot be seen in data; '
+        f'correct the chain in machine.yaml'
+    ))]  # fmt: skip
+
+
+LEAST = 0.8
+"""Share of the range of an axis that is to be driven."""
+
+
+def check_driven_range(model: Model) -> list[Finding]:
+    """Say which axes were driven over a part of their range only."""
+    machine, q = model.rows.machine, model.rows.q
+    low, high = q.min(axis=0), q.max(axis=0)
+    size = machine.upper - machine.lower
+    short = [k for k in range(3) if high[k] - low[k] < LEAST * size[k]]
+    if not short:
+        return []
+    parts = ', '.join(
+        f'{machine.axis_names[k]} over {1e3 * (high[k] - low[k]):.0f} of {1e3 * size[k]:.0f} mm '
+        f'({100 * (high[k] - low[k]) / size[k]:.0f} %, {1e3 * low[k]:.0f} to '
+        f'{1e3 * high[k]:.0f} mm)'
+        for k in short
+    )
+    return [Finding('driven range', WARNING, (
+        f'only part of the range was driven: {parts}; the tables end there, and beyond them '
+        f'nothing is known: drive the whole range, or state the range in use in machine.yaml'
+    ))]  # fmt: skip
+
+
+SAME = 1e-4
+"""m; offsets that differ by less show nothing."""
+
+
+def check_target_offset(model: Model) -> list[Finding]:
+    """Try other signs of the target offsets where runs with different ones fit badly together."""
+    offsets = model.offsets
+    if model.fit.ratio < MAX_RATIO or np.ptp(offsets, axis=0).max() < SAME:
+        return []
+    tried = _flips(offsets)
+    chain = model.rows.machine.chain
+    left = model.left_with([chain] * (len(tried) + 1), [offsets, *(t.offsets for t in tried)])
+    stated, others = left[0], left[1:]
+    if not tried or others.min() > MAX_SHARE * stated:
+        return []
+    named = '; or '.join(
+        f'{_metres(tried[k].right)} in place of {_metres(tried[k].stated)} '
+        f'({1e6 * others[k]:.2f} um)'
+        for k in np.argsort(others)
+        if others[k] < EQUAL_FIT * others.min()
+    )
+    return [Finding('target offset', GATE, (
+        f'as stated the runs fit together to {1e6 * stated:.2f} um, with another sign '
+        f'better: {named}; correct target_offset'
+    ))]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Flip:
+    """One group of runs with other signs: what was stated, what is tried, all offsets then."""
+
+    stated: Array
+    right: Array
+    offsets: Array
+
+
+def _flips(offsets: Array) -> list[_Flip]:
+    """Other signs of the offset of each group of runs with the same one."""
+    found = []
+    for offset in np.unique(np.round(offsets / SAME), axis=0) * SAME:
+        member = np.abs(offsets - offset).max(axis=1) < SAME
+        free = [(1.0, -1.0) if abs(v) > SAME else (1.0,) for v in offset]
+        for signs in list(product(*free))[1:]:
+            moved = np.where(member[:, None], np.array(signs) * offsets, offsets)
+            found.append(_Flip(offset, np.array(signs) * offset, moved))
+    return found
+
+
+def _metres(offset: Array) -> str:
+    return f'[{", ".join(f"{v:g}" for v in np.round(offset, 6))}] m'
+
+
+WORSE = 1.3
+"""Residual together over alone from which on something is said."""
+APART = 2.0
+"""The same, for a gate."""
+DIFFER, CHANGED, OTHER = 0.05, 0.1, 0.3
+"""Part of the errors by which runs differ: from which on it is said; they changed; they are of
+another machine."""
+
+
+def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
+    """Compare the fit of all runs with that of each alone.
+
+    Parameters
+    ----------
+    alone : sequence of Model
+        Of every recording by itself.
+
+    Raises
+    ------
+    InputError
+        If they are clearly of different machines.
+    """
+    if len(alone) < 2:
+        return []
+    together = model.fit.ratio
+    apart = _joined([m.fit.square for m in alone], [m.fit.freedom for m in alone])
+    if together < WORSE * apart:
+        return []
+    unit = model.fit.rms / together
+    extra = unit * np.sqrt(together**2 - apart**2)
+    share = extra / max(_errors(model), 1e-12)
+    if share < DIFFER:
+        return []
+    which = _outsider(alone) if len(alone) > 2 else ''
+    text = (
+        f'each run alone fits to {1e6 * unit * apart:.2f} um, together they fit to '
+        f'{1e6 * unit * together:.2f} um{which}'
+    )
+    if share > OTHER and together > APART * apart:
+        raise InputError(
+            f'{_names(model.runs)}: {text}: they are not of one machine, or it was changed '
+            f'between them (readjusted, crashed, referenced anew); calibrate them one by one'
+        )
+    grave = share > CHANGED and together > APART * apart
+    return [Finding('one machine', GATE if grave else WARNING, (
+        f'{text}: the machine changed between the runs (temperature, load, readjustment), a '
+        f'target offset is another than stated, or the model lacks something; calibrate them one '
+        f'by one and compare'
+    ))]  # fmt: skip
+
+
+def _joined(square: Sequence[float], freedom: Sequence[float]) -> float:
+    return float(np.sqrt(sum(square) / max(sum(freedom), 1.0)))
+
+
+def _errors(model: Model) -> float:
+    """What the tables explain, m: weighted like the residual of a row."""
+    fit, rows = model.fit, model.rows
+    posed = fit.design.usual[:, : 6 * rows.runs]
+    whole = rows.deviation.ravel()
+    value = np.linalg.lstsq(
+        posed * np.sqrt(fit.weight)[:, None],
+        whole * np.sqrt(fit.weight),
+        rcond=None,
+    )[0]
+    left = whole - posed @ value
+    return float(np.sqrt(fit.weight @ left**2 / fit.weight.sum()))
+
+
+def _outsider(alone: Sequence[Model]) -> str:
+    """Name the run without which the others fit, if there is one."""
+    best, name = np.inf, ''
+    for k, one in enumerate(alone):
+        others = [m for n, m in enumerate(alone) if n != k]
+        apart = _joined([m.fit.square for m in others], [m.fit.freedom for m in others])
+        ratio = Model.of([r for m in others for r in m.runs]).fit.ratio / apart
+        if ratio < best:
+            best, name = ratio, one.runs[0].recording.name or f'run {k + 1}'
+    return f' (without {name} the others fit)' if best < WORSE else ''
+
+
+def _names(runs: Sequence[Run]) -> str:
+    return ', '.join(r.recording.name or f'run {k}' for k, r in enumerate(runs, start=1))
+
+
+ABOVE, BELOW = 5.0, 1.0 / 15.0
+"""Measured over specified noise that contradicts: trackers are often better than specified."""
+FITS = 0.3
+"""Residual over noise below which the noise is smaller than assumed."""
+THIRD = np.sqrt(20.0)
+"""Standard deviation of the third difference of white noise of unit variance."""
+NORMAL_MEDIAN = 0.6745
+QUANTILES = (5.0, 85.0)
+"""Percentiles of the third differences; corners spoil the uppermost."""
+TWO_LEVELS = 30.0
+"""Their ratio from which on there are two kinds of samples; normal noise gives 4, Student's t of
+three degrees of freedom 10."""
+EVEN, FEWEST = 0.25, 100
+"""Share by which intervals of stamps may differ from the usual one for differences from sample to
+sample to be taken; fewest of these, else all are."""
+RASTERS = (1e-3, 1e-4, 1e-5, 1e-6)
+"""m; to what recordings are rounded."""
+MANY, TOO_MANY = 0.1, 0.3
+"""Share of outliers from which on they are named; from which on the result is not relied on."""
+
+
+def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
+    """Level of range and two angles: at standstill, else from one sample to the next.
+
+    Returns
+    -------
+    level : ndarray, shape (3,), m, rad, rad
+    where : str
+        In words.
+    """
+    seen = standstill_noise(samples, find_standstills(samples, speed))
+    if seen is not None:
+        return seen.noise.level, 'at standstill'
+    third, middle = _third(samples)
+    distance = np.linalg.norm(middle, axis=1)
+    along = np.einsum('ij,ij->i', third, middle) / distance
+    across = np.linalg.norm(np.cross(middle / distance[:, None], third), axis=1) / distance
+    u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD
+    u_angle = float(np.median(across)) / 1.1774 / THIRD
+    return np.array([u_range, u_angle, u_angle]), 'from sample to sample'
+
+
+def _third(samples: Samples) -> tuple[Array, Array]:
+    """Third differences (m, 3) of samples that follow each other evenly, and their samples, m."""
+    third, middle = np.diff(samples.xyz, 3, axis=0), samples.xyz[1:-2]
+    step = np.diff(samples.stamp_ns)
+    usual = float(np.median(step))
+    even = np.abs(step - usual) <= EVEN * usual
+    even = even[:-2] & even[1:-1] & even[2:]
+    return (third[even], middle[even]) if even.sum() >= FEWEST else (third, middle)
+
+
+def rounded_to(samples: Samples) -> float:
+    """Coarsest of ``RASTERS`` that all coordinates are multiples of, m; 0 if there is none."""
+    for step in RASTERS:
+        if all(_multiples(part, step) for part in (samples.xyz[:FEWEST], samples.xyz)):
+            return step
+    return 0.0
+
+
+def _multiples(values: Array, step: float) -> bool:
+    count = values / step
+    return bool(np.all(np.abs(count - np.rint(count)) < 0.02))  # 0.01: single precision
+
+
+def outlying(samples: Samples) -> tuple[float, float]:
+    """Share of samples that stand out from noise, and by how much.
+
+    Third differences of noise of one level scatter little; a bad sample spoils four of them.
+
+    Returns
+    -------
+    share : float
+        Zero where they look like noise of one level.
+    size : float
+        m; median length of what stands out.
+    """
+    third = np.linalg.norm(_third(samples)[0], axis=1) / THIRD
+    low, high = np.percentile(third, QUANTILES)
+    if high < TWO_LEVELS * low:
+        return 0.0, 0.0
+    far = third > np.sqrt(low * high)
+    share = 1.0 - (1.0 - float(np.mean(far))) ** 0.25
+    return share, float(np.median(third[far]) * THIRD / 3.0)
+
+
+def _lever(samples: Samples) -> Array:
+    """What takes range and two angles to lengths, shape (3,)."""
+    distance = float(np.median(np.linalg.norm(samples.xyz, axis=1)))
+    return np.array([1.0, distance, distance])
+
+
+def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
+    """Compare noise as measured and as specified, run by run; said once for all alike."""
+    found = [f for run in model.runs if (f := _check(model, run, config)) is not None]
+    return found[:1]
+
+
+def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
+    spec = run.machine.tracker
+    level, where = measured_noise(run.recording.samples, config.standstill_speed)
+    ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
+    name = f'{run.recording.name}: ' if run.recording.name else ''
+    above = max(ratios) > ABOVE
+    raster = rounded_to(run.recording.samples) if above else 0.0
+    if raster and max(level * _lever(run.recording.samples)) < raster:
+        return Finding('rounded', WARNING, (
+            f'{name}coordinates are rounded to {1e6 * raster:g} um, more than the noise of the '
+            f'tracker; record or export more digits'
+        ))  # fmt: skip
+    share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
+    if share > MANY:
+        return Finding('outliers', GATE if share > TOO_MANY else WARNING, (
+            f'{name}about {100 * share:.0f} % of the samples are outliers of about '
+            f'{1e6 * size:.2g} um; look for reflections, a dirty target or a disturbed beam, and '
+            f'record again'
+        ))  # fmt: skip
+    if above:
+        kind = 'larger'
+    elif min(ratios) < BELOW and model.fit.ratio < FITS:
+        kind = 'smaller'
+    else:
+        return None
+    return Finding('noise', WARNING, (
+        f'{name}noise measured {where} is {1e6 * level[0]:.3g} um along the beam, '
+        f'{1e6 * level[1]:.3g} urad and {1e6 * level[2]:.3g} urad across, much {kind} than '
+        f'u_range {1e6 * spec.u_range:.3g} um and u_angle {1e6 * spec.u_angle:.3g} urad '
+        f'of machine.yaml; check the unit there (m and rad), and the tracker'
+    ))  # fmt: skip
+
 
 AS_GOOD = 1.1
 """Residual with steps, over that with offsets of segments, up to which steps are the answer."""
@@ -41,10 +374,8 @@ def examine(
 
     Parameters
     ----------
-    runs : sequence of Run
     nodes : mapping of axis to ndarray, m
         Table nodes.
-    config : CalibrationConfig
     mend : bool
         Take offsets off and cut runs at steps; else only say what is found.
 

@@ -24,13 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.frames import XYZ
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.runs import Run
 from otf_core.tracking.curves import Lines
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 CELL = 0.02
 """m; stretches of a line that are compared between passes."""

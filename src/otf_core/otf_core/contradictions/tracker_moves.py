@@ -2,8 +2,13 @@
 """Tracker or target moved in mid-run: a rigid step of all points at one moment.
 
 Six numbers before and after a moment explain what tables, reversal and a drift of third order in
-time leave. A step shows as a peak over time; other misfit explains little, or at no moment more
-than at others, or a smooth change of the machine explains it as well (``smooth_change``).
+time leave. A step at moment t is the sum of the columns of all time blocks after t, so sums over
+blocks give the normal matrix, its product with the model and the score of every candidate. A step
+shows as a peak over time; other misfit explains little, or at no moment more than at others.
+
+A smooth change of the machine is a rigid motion, a strain of the volume and a reversal of the
+axes, each a polynomial of time. A step in time is a kink that no polynomial of low order follows;
+an axis that expands, or play that grows, is followed to the end.
 """
 
 from __future__ import annotations
@@ -12,21 +17,137 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
+from scipy import linalg, sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.quick_model import Model
-from otf_core.contradictions.quick_rows import pose_columns
-from otf_core.contradictions.smooth_change import sharp_share
-from otf_core.contradictions.steps import Profile, step_profile
+from otf_core.contradictions.quick_model import (
+    Fit,
+    Model,
+    Rows,
+    gain,
+    pose_columns,
+    reversal_columns,
+)
 from otf_core.errors import InputError
 from otf_core.model.frames import XYZ
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.pieces.runs import Run, rigid_pose
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+
+@dataclass(frozen=True)
+class Profile:
+    """What a step explains, moment by moment.
+
+    Attributes
+    ----------
+    start : ndarray of int64, shape (m,)
+        First piece, in order of time, that lies after each moment.
+    gain : ndarray, shape (m,)
+        Drop of the weighted sum of squares.
+    value : ndarray, shape (m, k)
+        Size of the step.
+    """
+
+    start: Index
+    gain: Array
+    value: Array
+
+
+def step_profile(
+    rows: Rows, fit: Fit, columns: Array, order: Index, starts: Index, prior: float = 1.0
+) -> Profile:
+    """Try a step at every moment.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (c p, k)
+        What steps; zero for pieces of other runs.
+    order : ndarray of int64, shape (n,)
+        Pieces of the run in order of time.
+    starts : ndarray of int64, shape (m,), ascending
+        Moments: places in ``order`` from which on the step is there; the first above 0.
+    prior : float
+        Standard deviation of the step before the data.
+    """
+    components, width = len(rows.axes), columns.shape[1]
+    block = np.full(len(rows), -1)
+    block[order] = np.searchsorted(starts, np.arange(len(order)), side='right') - 1
+    row_block = np.tile(block, components)
+    use = np.flatnonzero(row_block >= 0)
+    place = row_block[use, None] * width + np.arange(width)
+    values = columns[use] * fit.weight[use, None]
+    entries = values.ravel(), (place.ravel(), np.repeat(use, width))
+    blocks = sparse.csr_array(entries, shape=(len(starts) * width, len(row_block)))
+
+    def after(sums: Array) -> Array:
+        turned = sums.reshape(len(starts), -1)[::-1]
+        np.cumsum(turned, axis=0, out=turned)
+        return sums
+
+    cross = after(fit.design.sums(blocks))
+    score = after(blocks @ fit.residual).reshape(-1, width)
+    own = after(blocks @ columns).reshape(-1, width, width)
+    half = linalg.solve_triangular(
+        fit.factor[0], cross.T, lower=True, overwrite_b=True, check_finite=False
+    ).reshape(-1, len(starts), width)
+    left = own - np.einsum('amk,aml->mkl', half, half)
+    return Profile(starts, *gain(left, score, prior))
+
+
+ORDER, USUAL = 6, 3
+"""Highest order of the polynomials, and that of the rigid motions in the usual model."""
+
+
+def sharp_share(rows: Rows, fit: Fit, run: int, time: float) -> float:
+    """Share of what a step explains that a smooth change does not explain as well.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the usual model.
+    time : float
+        s; first piece after the step.
+    """
+    mine = rows.run == run
+    pose = pose_columns(rows)
+    step = pose * _per_row(rows, mine & (rows.time >= time))
+    smooth = np.concatenate(_smooth(rows, mine, pose), axis=1)
+    left, score = fit.left(np.hstack([step, smooth])), fit.score(np.hstack([step, smooth]))
+    both, _ = gain(left, score)
+    width = step.shape[1]
+    alone, _ = gain(left[:width, :width], score[:width])
+    followed, _ = gain(left[width:, width:], score[width:])
+    return float((both - followed) / alone)
+
+
+def _smooth(rows: Rows, mine: NDArray[np.bool_], pose: Array) -> list[Array]:
+    """Columns of a smooth change of one run beyond the usual model, in blocks (r, k)."""
+    time = rows.time[mine]
+    x = 2.0 * (rows.time - time.min()) / max(float(np.ptp(time)), 1e-9) - 1.0
+    unit = np.eye(3)
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    strain = np.stack([
+        rows.component(rows.q[:, [j]] * unit[i] + (i != j) * rows.q[:, [i]] * unit[j])
+        for i, j in pairs
+    ], axis=1)  # fmt: skip
+    other = np.hstack([strain, reversal_columns(rows)])
+    found = []
+    for order in range(1, ORDER + 1):
+        course = _per_row(rows, np.where(mine, Legendre.basis(order)(x), 0.0))
+        found.append(other * course)
+        if order > USUAL:
+            found.append(pose * course)
+    return found
+
+
+def _per_row(rows: Rows, values: Array | NDArray[np.bool_]) -> Array:
+    """Values of pieces (p,) at all rows, shape (c p, 1)."""
+    return np.tile(np.asarray(values, dtype=np.float64), len(rows.axes))[:, None]
+
 
 MOMENTS = 200
 """Moments that are tried at first."""
@@ -62,7 +183,6 @@ class Step:
 
     Attributes
     ----------
-    run : int
     time : float
         s since the first sample.
     place : ndarray, shape (3,), m
@@ -202,7 +322,6 @@ def settle_steps(
         Of one recording.
     nodes : three arrays, m
         Table nodes of X, Y, Z.
-    config : CalibrationConfig
     mend : bool
         Cut the runs; else only say what is found.
 
@@ -210,7 +329,6 @@ def settle_steps(
     -------
     model : Model
         Of the parts.
-    findings : list of Finding
     """
     found: list[Finding] = []
     whole = model

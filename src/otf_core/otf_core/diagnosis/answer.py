@@ -1,29 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From an explanation to the answer: causes with their sizes, gap, sentence."""
+"""From an explanation to the answer: causes with their sizes, gap, sentence, what was measured.
+
+What was measured, for those who plan what to measure next: path, feeds, place of the tracker.
+
+Corners are taken half-way between the last piece of a leg and the first of the next: near corners
+nothing is used.
+
+Moves of tracker or target that are none: a cycle in time looks like steps.
+
+The examination takes what changes quickly for a move and cuts the run there; a diagnosis looks at
+the whole run. Where a cycle leaves hardly any of the gap, no move is left either. Other functions
+of time follow a true move as well.
+
+From an explanation to the answer: causes with their sizes, gap, sentence.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from otf_core.diagnosis.cause_parameters import FittedCause
+from otf_core.diagnosis.cause_parameters import (
+    FittedCause,
+    chosen_sizes,
+    curves_of,
+    departs_words,
+    sizes_of,
+    sizes_words,
+)
 from otf_core.diagnosis.engine.gap_sizes import (
     SIMULATED_U,
+    NoiseFinding,
     gap_um,
     shrink_interval,
     shrink_percent,
 )
-from otf_core.diagnosis.engine.noise_check import NoiseFinding
-from otf_core.diagnosis.explanation import Explanation
-from otf_core.diagnosis.free_curves import curves_of, departs_words
+from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
-from otf_core.diagnosis.sizes import chosen_sizes, sizes_of, sizes_words
-from otf_core.diagnosis.unnamed_cause import Unnamed
+from otf_core.diagnosis.weighing import EXPLAINED_SHARE, Explanation, Unnamed
 from otf_core.effects import State
+from otf_core.effects.located_inputs import CYCLE, MOMENT, head_of
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
+from otf_core.pieces.finding import WARNING, Finding
+
+
+def measured_run(view: RunView) -> dict[str, Any]:
+    """Corner points, m, feeds of the legs, m/s, and place of the tracker, m, of one run."""
+    first = np.flatnonzero(np.diff(view.leg, prepend=view.leg[0] - 1))
+    last = np.append(first[1:], len(view.leg)) - 1
+    between = 0.5 * (view.q[last[:-1]] + view.q[first[1:]])
+    path = np.vstack([view.q[first[:1]], between, view.q[last[-1:]]])
+    feed = [float(np.max(view.speed[a : b + 1])) for a, b in zip(first, last, strict=True)]
+    return {
+        'tracker_place': np.median(view.q - view.beam, axis=0).tolist(),
+        'path': np.round(path, 6).tolist(),
+        'feed': feed,
+    }
+
+
+WORDS = '; the cycle that this diagnosis finds explains the run as well, without a move'
+
+
+def qualify_moves(findings: Sequence[Finding], unnamed: Unnamed | None) -> tuple[Finding, ...]:
+    """Say so beside findings of moves.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+    unnamed : Unnamed, optional
+        What explains the gap, if it has no name.
+    """
+    if unnamed is None or unnamed.after_um > EXPLAINED_SHARE * unnamed.before_um:
+        return tuple(findings)
+    heads = {head_of(curve.input) for curve in unnamed.curves}
+    if CYCLE not in heads or MOMENT in heads:
+        return tuple(findings)
+    return tuple(
+        replace(f, words=f.words + WORDS) if (f.check, f.severity) == ('moved', WARNING) else f
+        for f in findings
+    )
+
 
 ALONG = 0.2
 """Share of the largest mean square displacement from which a direction is named as well."""
@@ -40,7 +100,6 @@ def named_causes(
 
     Parameters
     ----------
-    explained : Explanation
     fitted : sequence of FittedCause
         Of its causes.
     noise : NoiseFinding, optional

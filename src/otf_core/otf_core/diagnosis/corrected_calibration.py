@@ -6,10 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from otf_core.calibration.correction import Corrected, calibrate_without
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import Examined
-from otf_core.calibration.with_effects import EffectsCalibration, beside_plain, listed
+from otf_core.calibration.calibrate import Examined
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.calibration.with_effects import (
+    Corrected,
+    EffectsCalibration,
+    beside_plain,
+    calibrate_without,
+    listed,
+)
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.removable_effect import Taken, taken
@@ -26,11 +31,8 @@ class Told:
 
     Attributes
     ----------
-    confidence : float
-    indistinguishable : tuple of str
     words : str
         Its name with its axes.
-    axes : tuple of str
     """
 
     confidence: float
@@ -67,7 +69,6 @@ class FoundCauses:
 
         Parameters
         ----------
-        config : CalibrationConfig
         plain : CalibrationResult
             With nothing taken off.
         """
@@ -107,11 +108,8 @@ def with_causes(
 
     Parameters
     ----------
-    plain : CalibrationResult
     corrected : Corrected, optional
         See ``without_causes``.
-    causes : FoundCauses
-    config : CalibrationConfig
     sentence : str
         What the diagnosis says.
     """

@@ -13,44 +13,44 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.ahead import Ahead
-from otf_core.calibration.calibrate import assemble
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import Examined, SolvedRecordings, solve_recordings
-from otf_core.calibration.with_effects import EffectsCalibration
+from otf_core.arrays import Array
+from otf_core.calibration.calibrate import Examined, SolvedRecordings, assemble, solve_recordings
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.outlier_places import left_out
-from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
+from otf_core.diagnosis.answer import gap_of, known_words, named_causes, qualify_moves, sentence_of
 from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
 from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, with_causes, without_causes
-from otf_core.diagnosis.engine.catalogue import (
+from otf_core.diagnosis.engine.diagnosed_rows import (
+    held_by,
+    remove_steady_vibration,
+    rows_to_diagnose,
+    straight_rows,
+)
+from otf_core.diagnosis.engine.gap_sizes import Twin, simulated_residual_um
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.search import (
     Found,
     Visibility,
     search_catalogue,
     spectral_lines,
 )
-from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.diagnosis.engine.short_waves import held_by, rows_to_diagnose, straight_rows
-from otf_core.diagnosis.engine.standstill_vibration import remove_steady_vibration
-from otf_core.diagnosis.explanation import Explanation, explain
-from otf_core.diagnosis.moves import qualify_moves
-from otf_core.diagnosis.place.views import RunView, noise_factor
+from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
-from otf_core.diagnosis.twin_residual import Twin, simulated_residual_um
-from otf_core.diagnosis.weighing import Judged, judge, run_views
+from otf_core.diagnosis.weighing import Explanation, Judged, explain, judge, run_views
 from otf_core.effects import REGISTRY, Effect
-from otf_core.live.stages import silent
+from otf_core.errors import ConfigError
+from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording, Run
-from otf_core.solving.basis import Basis
-from otf_core.solving.joint import JointSolution, Progress
+from otf_core.solving.joint import JointSolution
+from otf_core.solving.unknowns import Basis
 from otf_core.threads import in_one_thread
-
-Array = NDArray[np.float64]
 
 ALL_SAMPLES = 100.0
 """Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""
@@ -115,7 +115,6 @@ class _WithoutReversal:
     ----------
     runs : list of Run
         As they were kept.
-    solution : JointSolution
     nodes : mapping of axis to ndarray, m
         Table nodes.
     """
@@ -190,17 +189,7 @@ def _search(
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Causes after what else could be, and where the gap lies.
-
-    Attributes
-    ----------
-    judged : Judged
-    fitted : tuple of FittedCause
-    gap : Gap
-    causes : tuple of NamedCause
-    where : Where
-    shape : str
-    """
+    """Causes after what else could be, and where the gap lies."""
 
     judged: Judged
     fitted: tuple[FittedCause, ...]
@@ -324,3 +313,52 @@ def _conditions(examined: Examined, plain: CalibrationResult) -> dict[str, str]:
         'reversal in the calibration': plain.reversal.model,
         'tracker noise, as measured in standstills': str(first.noise),
     }
+
+
+AUTO, NONE = 'auto', 'none'
+
+
+def calibrate_with_effects(
+    recordings: Sequence[Recording],
+    effects: str,
+    twin: Twin,
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+    method: str = 'otf',
+) -> EffectsCalibration:
+    """Calibrate on the fly with effects taken off.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Runs of one machine.
+    effects : str
+        'auto': what a diagnosis of these runs finds; else an effects.yaml, see
+        ``calibrate_with_file``.
+    twin : callable
+        Simulates a run again, for the diagnosis: ``sim.twin.twin_recording``.
+    config : CalibrationConfig, optional
+    progress : callable(stage, fraction), optional
+    method : str
+        Only 'otf' can do this: stops hold neither direction nor feed.
+
+    Raises
+    ------
+    ConfigError
+        If the file names what cannot be taken off, or for another method.
+    InputError
+        As ``calibrate_runs``.
+    """
+    if method != 'otf':
+        raise ConfigError(
+            f'effects {effects}: cannot be taken off with the method {method}: at stops there is '
+            f'neither feed nor direction of travel; use the method otf'
+        )
+    if effects != AUTO:
+        return calibrate_with_file(recordings, effects, config, progress)
+    found = diagnose(recordings, twin, (), config, progress)
+    done = found.calibration
+    if found.verdict != 'unknown':
+        return done
+    warned = (done.words, *done.result.warnings)
+    return replace(done, result=replace(done.result, warnings=warned))

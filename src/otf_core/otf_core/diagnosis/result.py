@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.calibration.with_effects import EffectsCalibration
-from otf_core.diagnosis.free_curves import Curve
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.cause_parameters import CauseSize, Curve
+from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import Where
-from otf_core.diagnosis.sizes import CauseSize
-from otf_core.diagnosis.unnamed_cause import Unnamed
+from otf_core.diagnosis.weighing import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
@@ -31,7 +30,6 @@ class Gap:
     before_um, after_um : float
         sqrt(max(0, measured^2 - simulated^2)) without and with the causes; ``after`` is judged on
         legs that the causes were not fitted on.
-    shrink_percent : float
     shrink_interval_percent : tuple of two floats
         95 % interval over legs, with the uncertainty of ``simulated_um``.
     simulated_u_um : float
@@ -53,16 +51,11 @@ class NamedCause:
 
     Attributes
     ----------
-    effect : str
-    axes : tuple of str
     parameters, u : mapping of str to float
         Fitted parameters in SI units with their standard uncertainties (shape parameters have
         none).
-    units : mapping of str to str
     before_um, after_um, shrink_percent : float
         Gap without and with this cause, those found before it being in both.
-    confidence : float
-    indistinguishable_from : tuple of str
     form : str
         'formula', or 'free' where a smooth function of inputs explains the data better.
     departs : str
@@ -94,13 +87,7 @@ class NamedCause:
 
 @dataclass(frozen=True)
 class Shown:
-    """What figures show: arrays of every run, and the conditions in words.
-
-    Attributes
-    ----------
-    views : tuple of RunView
-    conditions : mapping of str to str
-    """
+    """What figures show: arrays of every run, and the conditions in words."""
 
     views: tuple[RunView, ...]
     conditions: Mapping[str, str]
@@ -118,13 +105,9 @@ class Diagnosis:
         One of ``VERDICTS``.
     sentence : str
         The verdict in words.
-    gap : Gap
     causes : tuple of NamedCause
         First the cause that shrinks the gap most.
-    unexplained_um : float
-    unexplained_where : str
     not_visible : tuple of (effect, needs)
-    where : Where
     considered : tuple of (effect, log odds)
         Ranking of the last round of the search.
     smallest_found_um : mapping of effect to float
@@ -140,7 +123,6 @@ class Diagnosis:
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
-    shown : Shown
     unnamed : Unnamed, optional
         Cause without a name, where the verdict is 'unknown' and something was found.
     """

@@ -1,24 +1,481 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes found weighed against noise, and against what has no name: the verdict."""
+"""Causes weighed: which matter, what else could be, what has no name, and the verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import takewhile
 
+import numpy as np
+
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.empirical_structure import AS_RIVALS, SCREENED, try_structures
-from otf_core.diagnosis.engine.gap_sizes import Residuals, gap_um
-from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
+from otf_core.diagnosis.cause_parameters import Curve, curves_of, fitted_causes, range_words
+from otf_core.diagnosis.engine.empirical_structure import (
+    AS_RIVALS,
+    SCREENED,
+    Rival,
+    Structure,
+    Structures,
+    find_another,
+    find_structure,
+    rival_of,
+    try_structures,
+)
+from otf_core.diagnosis.engine.gap_sizes import (
+    NoiseFinding,
+    Residuals,
+    check_noise,
+    gap_um,
+    plain_residuals,
+    residuals_with,
+    shrink_interval,
+    shrink_percent,
+)
 from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.diagnosis.engine.rival import Rival, rival_of
-from otf_core.diagnosis.explanation import Explanation
-from otf_core.diagnosis.place.views import RunView
-from otf_core.diagnosis.place.where import describe_structure
-from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
-from otf_core.diagnosis.unnamed_cause import Nameless, find_unnamed
-from otf_core.diagnosis.verdict import Case, matters, verdict_of
+from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.diagnosis.engine.time_courses import DECOY_NAMES
+from otf_core.diagnosis.place.groups import RunView
+from otf_core.diagnosis.place.where import EVERYWHERE, NO_STRUCTURE, describe_structure
+from otf_core.effects import AppliedEffect, Effect
+from otf_core.effects.action import (
+    RIGID_TABLE,
+    RIGID_TRACKER,
+    VECTOR,
+    Along,
+    acting_name,
+)
+from otf_core.effects.inputs import SIGNAL
+from otf_core.effects.located_inputs import (
+    CYCLE,
+    MOMENT,
+    PLACE,
+    TURNS,
+    found_kind,
+    head_of,
+    numbers_of,
+    plain_names,
+)
+from otf_core.model.frames import XYZ
+
+NO_GAP_SHARE = 0.35
+"""Gap over simulated residual below which there is nothing to explain."""
+PLAIN_GAP_SHARE = 0.6
+"""The same for a residual without structure: the level of noise is known to ten percent only."""
+EXPLAINED_SHARE, KNOWN_SHARE = 0.3, 0.55
+"""Share of the gap left (as amplitude) up to which it counts as explained; as known at all."""
+PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE = 0.1, 0.25
+"""The same where what is left has a place or a shape: a cause leaves noise, a wrong one a part of
+the true one."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a verdict depends on.
+
+    Attributes
+    ----------
+    simulated_um : float
+        Residual of the simulation.
+    before_um, after_um : float
+        Gap without and with the causes named.
+    beyond_um : float
+        Gap with everything of the catalogue that the data speak for, too small to be named or not.
+    named : bool
+        True if a cause is named.
+    structured : bool
+        True if neighbouring pieces share more of the residual than noise explains.
+    left_has_place : bool
+        True if what is left stands out somewhere.
+    decoyed : bool
+        True if shapes outside the catalogue explain more than the causes.
+    """
+
+    simulated_um: float
+    before_um: float
+    after_um: float
+    beyond_um: float
+    named: bool
+    structured: bool
+    left_has_place: bool
+    decoyed: bool
+
+
+def matters(gap_um: float, simulated_um: float) -> bool:
+    """Tell whether a gap is large enough beside the simulated residual to be explained."""
+    return gap_um > NO_GAP_SHARE * simulated_um
+
+
+def verdict_of(case: Case) -> str:
+    """Return 'none', 'explained', 'partly_explained' or 'unknown'."""
+    if case.decoyed:
+        return 'unknown'
+    if not case.named:
+        least = NO_GAP_SHARE if case.structured else PLAIN_GAP_SHARE
+        return 'none' if case.before_um < least * case.simulated_um else 'unknown'
+    explained, known = EXPLAINED_SHARE, KNOWN_SHARE
+    if case.left_has_place:
+        explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
+    if case.beyond_um > max(known * case.before_um, NO_GAP_SHARE * case.simulated_um):
+        return 'unknown'
+    left = case.after_um if matters(case.after_um, case.simulated_um) else 0.0
+    return 'explained' if left <= explained * case.before_um else 'partly_explained'
+
+
+MATERIAL_SHARE = 0.12
+"""Least share of a further cause in the gap, as amplitude."""
+FREE_OF_STRUCTURE = 1.2
+"""Correlation of neighbouring pieces below which residuals count as noise."""
+NOISE_RANGE = (0.7, 1.4)
+"""Variances by which the twin's noise may be corrected."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Causes that matter and the residuals with them.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+        Effects of the catalogue, in the order found.
+    twin_um, simulated_um : float
+        Residual of the simulation, and with its noise corrected by what the causes leave.
+    steps : tuple of Residuals
+        Without causes, with the first, with the first two ... (held out).
+    fitted : Residuals
+        With all causes fitted to all legs.
+    known_um : float
+        Residual with the effects of the catalogue that the data speak for, too small ones to be
+        named included (held out), um.
+    known_rest : Residuals
+        The same, fitted to all legs.
+    structured : bool
+        True if neighbouring pieces share more of the residual than noise explains.
+    decoyed : bool
+        True if shapes outside the catalogue explain more than the causes.
+    """
+
+    causes: tuple[Cause, ...]
+    twin_um: float
+    simulated_um: float
+    steps: tuple[Residuals, ...]
+    fitted: Residuals
+    known_um: float
+    known_rest: Residuals
+    structured: bool
+    decoyed: bool
+
+    @property
+    def before_um(self) -> float:
+        """Gap without causes, um."""
+        return gap_um(self.steps[0].rms_um, self.simulated_um)
+
+    @property
+    def after_um(self) -> float:
+        """Gap with all causes, on legs they were not fitted on, um."""
+        return gap_um(self.steps[-1].rms_um, self.simulated_um)
+
+    def doubted(self, rival: Rival) -> Explanation:
+        """The same with confidences that count something else and nothing."""
+        causes = tuple(replace(c, confidence=rival.confidence(c)) for c in self.causes)
+        return replace(self, causes=causes)
+
+    def without_causes(self, simulated_um: float) -> Explanation:
+        """The same with nothing named: where no effect explains the gap."""
+        first = self.steps[0]
+        return replace(self, causes=(), simulated_um=simulated_um, steps=(first,), fitted=first)
+
+
+def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
+    """Keep the effects that matter.
+
+    Parameters
+    ----------
+    rows : Rows
+    found : sequence of Cause
+        What the search found, decoys among them, in its order.
+    twin_um : float
+        Residual of the simulation.
+    """
+    simulated_um = twin_um * noise_level(rows, found)
+    causes, steps = _named(rows, found, simulated_um)
+    decoyed = _decoyed(causes, steps)
+    kept = [c for c in causes if _in_catalogue(c)]
+    if len(kept) < len(causes):  # what a decoy takes away is not explained
+        causes = kept
+        steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
+    fitted = residuals_with(rows, causes, held_out=False)
+    # what is found after a decoy lives on what that left
+    first = takewhile(_in_catalogue, found)
+    known = [*causes, *(c for c in first if all(c is not named for named in causes))]
+    known_um, rest = steps[-1].rms_um, fitted
+    if len(known) > len(causes):
+        known_um = min(known_um, residuals_with(rows, known).rms_um)
+        rest = residuals_with(rows, known, held_out=False)
+    structured = _structure(rows, rows.residual) > FREE_OF_STRUCTURE
+    levels = twin_um, simulated_um
+    return Explanation(
+        tuple(causes), *levels, tuple(steps), fitted, known_um, rest, structured, decoyed
+    )
+
+
+def _named(
+    rows: Rows, found: Sequence[Cause], simulated_um: float
+) -> tuple[list[Cause], list[Residuals]]:
+    """Causes that matter, and the residuals step by step."""
+    whole = plain_residuals(rows)
+    gap = gap_um(whole.rms_um, simulated_um)
+    causes, steps = _material(rows, found, whole, gap, all_alike=False)
+    if not causes and matters(gap, simulated_um):
+        return _material(rows, found, whole, gap, all_alike=True)
+    return causes, steps
+
+
+def _material(
+    rows: Rows, found: Sequence[Cause], whole: Residuals, gap: float, *, all_alike: bool
+) -> tuple[list[Cause], list[Residuals]]:
+    """Causes whose own trace matters, in itself and beside the whole gap.
+
+    ``all_alike`` asks no more of those that smooth machines have a little of than of others.
+    """
+    causes: list[Cause] = []
+    steps = [whole]
+    for cause in found:
+        after = residuals_with(rows, [*causes, cause])
+        trace = float(np.sqrt(max(0.0, steps[-1].rms_um ** 2 - after.rms_um**2)))
+        least = Effect.material_um if all_alike else cause.option.effect.material_um
+        if trace > max(least, MATERIAL_SHARE * gap):
+            causes.append(cause)
+            steps.append(after)
+    return causes, steps
+
+
+def noise_level(rows: Rows, found: Sequence[Cause]) -> float:
+    """Correction of the twin's noise, from what the causes leave.
+
+    How fast noise averages out over a piece is known to some ten percent from short stops. If
+    what is left has no structure, its size tells better.
+    """
+    residual = rows.residual
+    for cause in found:
+        residual = fit_out(cause.option, residual)
+    structure = _structure(rows, residual)
+    variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - rows.base.shape[1])
+    if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
+        return 1.0
+    return float(np.sqrt(variance))
+
+
+def _structure(rows: Rows, residual: Array) -> float:
+    """Inflation by the correlation of neighbouring pieces; 1 for noise as assumed."""
+    return noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1.0)
+
+
+def _in_catalogue(cause: Cause) -> bool:
+    return cause.option.effect.name not in DECOY_NAMES
+
+
+def _decoyed(causes: Sequence[Cause], steps: Sequence[Residuals]) -> bool:
+    """Tell whether shapes outside the catalogue explain more than the effects named."""
+    power = {True: 0.0, False: 0.0}
+    for cause, before, after in zip(causes, steps[:-1], steps[1:], strict=True):
+        power[not _in_catalogue(cause)] += max(0.0, before.rms_um**2 - after.rms_um**2)
+    return power[True] > power[False]
+
+
+FAR_BETTER = 0.5
+"""Share of the gap that the named causes leave, below which a cause without a name beats them."""
+LEAST_SHRINK = 20.0
+"""Percent; a structure that takes less of the gap is not worth stating."""
+MOST, LEAST_BESIDES = 3, 0.15
+"""Structures at most, and the share of the squared gap that each but the first must take."""
+WORDS = {
+    'time': 'time', 'x': 'the position of X', 'y': 'the position of Y', 'z': 'the position of Z',
+    'feed': 'the feed', 'acceleration': 'the acceleration along the path',
+    'since_stop': 'the time since the last stop', 'lap': 'the lap', 'leg': 'the leg',
+    'range': 'the length of the beam', 'azimuth': 'the azimuth of the beam',
+    'elevation': 'the elevation of the beam',
+}  # fmt: skip
+ACTS = {
+    VECTOR: 'a shift of the target',
+    RIGID_TRACKER: 'a shift and turn of all that the tracker sees',
+    RIGID_TABLE: 'a shift and turn of the table',
+}
+ALMOST = 0.95
+"""Component of a unit vector from which it counts as along an axis."""
+MECHANISMS = (
+    ({'range', 'azimuth', 'elevation'}, 'air along the beam, the tracker or its stand'),
+    ({'sense_x', 'sense_y', 'sense_z'}, 'friction, play or clamps of the drives that reverse'),
+    (
+        {'since_reversal_x', 'since_reversal_y', 'since_reversal_z'},
+        'wind-up and friction that are taken up after a reversal',
+    ),
+    ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),
+    ({'feed'}, 'forces or films that grow with speed: oil film, air drag, control'),
+    ({'lap'}, 'something that changed between the laps'),
+    ({PLACE}, 'a fault of a guideway or of the structure at one place'),
+    ({MOMENT}, 'a jolt: something slipped, gave way or was knocked'),
+    ({*TURNS}, 'a screw, a gear, a rack or the balls of a guide: what repeats with travel'),
+    ({CYCLE}, 'what switches in turn: cooling, coolant, air conditioning, a pump'),
+    ({'time'}, 'warming, settling or something that switches while the run lasts'),
+    ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
+)
+"""Kinds of mechanism that depend on any of some inputs."""
+WITH_WORDS = {CYCLE, MOMENT, PLACE, *TURNS}
+"""Inputs with numbers that have kinds of mechanism of their own."""
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Cause without a name (docs/conventions.md, gap.json).
+
+    Attributes
+    ----------
+    depends_on : tuple of str
+    acts_as : str
+        'vector', 'direction', 'rigid_tracker' or 'rigid_table'.
+    words : str
+    before_um, after_um : float
+        Gap without and with it, on legs it was not fitted on.
+    shrink_percent : float
+    shrink_interval_percent : tuple of two floats
+        95 % interval over legs.
+    curves : tuple of Curve
+    """
+
+    depends_on: tuple[str, ...]
+    acts_as: str
+    words: str
+    before_um: float
+    after_um: float
+    shrink_percent: float
+    shrink_interval_percent: tuple[float, float]
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Nameless:
+    """A cause without a name, and the empirical effects that reproduce it in every run."""
+
+    said: Unnamed
+    applied: tuple[tuple[AppliedEffect, ...], ...]
+    simulated_um: float
+    """Residual of the simulation, its noise corrected by what the structures leave."""
+
+
+def find_unnamed(
+    rows: Rows, explained: Explanation, verdict: str, tried: Structures, rival: Rival
+) -> Nameless | None:
+    """Look for a cause without a name where the named ones leave a gap.
+
+    Parameters
+    ----------
+    rows : Rows
+    explained : Explanation
+    verdict : str
+        By the effects of the catalogue.
+    tried : Structures
+        What may explain the gap.
+    rival : Rival
+        Of the named causes.
+
+    Returns
+    -------
+    Nameless or None
+        None if nothing is left to explain, if no structure explains it, or if the named causes
+        are about as good.
+    """
+    if verdict not in ('unknown', 'partly_explained') and not rival.wins:
+        return None
+    first = find_structure(tried)
+    if first is None:
+        return None
+    found = _with_more(rows, explained, tried, first)
+    if found.said.shrink_percent < LEAST_SHRINK:
+        return None
+    enough = (1.0 if rival.wins else FAR_BETTER) * explained.after_um
+    left = found.said.after_um
+    worse = left > enough and (not rival.wins or matters(left, explained.twin_um))
+    return None if verdict != 'unknown' and worse else found
+
+
+def _with_more(
+    rows: Rows, explained: Explanation, tried: Structures, first: Structure
+) -> Nameless:
+    """Add to a structure those that take enough of the gap besides."""
+    structures = [first]
+    found = _said(rows, explained, structures)
+    least = LEAST_BESIDES * found.said.before_um**2
+    while len(structures) < MOST and found.said.after_um**2 > least:
+        other = find_another(tried, structures)
+        if other is None:
+            break
+        more = _said(rows, explained, [*structures, other])
+        if found.said.after_um**2 - more.said.after_um**2 < least:
+            break
+        structures, found = [*structures, other], more
+    return found
+
+
+def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -> Nameless:
+    causes = [s.cause for s in structures]
+    before, after = explained.steps[0], residuals_with(rows, causes)
+    simulated = explained.twin_um * noise_level(rows, causes)
+    sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
+    parts = fitted_causes(causes, rows)
+    curves = [curves_of(part) for part in parts]
+    words = [_words(s, own) for s, own in zip(structures, curves, strict=True)]
+    said = Unnamed(
+        depends_on=tuple(dict.fromkeys(n for s in structures for n in s.inputs)),
+        acts_as=acting_name(structures[0].effect.form.acts),
+        words='; and besides it '.join(words),
+        before_um=sizes[0],
+        after_um=sizes[1],
+        shrink_percent=shrink_percent(*sizes),
+        shrink_interval_percent=shrink_interval(before, after, simulated),
+        curves=tuple(c for own in curves for c in own),
+    )
+    runs = range(len(rows.runs))
+    applied = tuple(tuple(part.applied(k) for part in parts) for k in runs)
+    return Nameless(said, applied, simulated)
+
+
+def input_words(name: str) -> str:
+    """Name of an input in words."""
+    if name.startswith(SIGNAL):
+        return f'the signal {name.removeprefix(SIGNAL)}'
+    if kind := found_kind(name):
+        return kind.words(numbers_of(name))
+    head, _, axis = name.rpartition('_')
+    of_axis = {
+        'sense': 'the sense of travel of',
+        'since_reversal': 'the travel since a reversal of',
+    }
+    return WORDS.get(name) or f'{of_axis[head]} {axis.upper()}'
+
+
+def _words(structure: Structure, curves: Sequence[Curve]) -> str:
+    inputs = structure.effect.form.inputs
+    depends = ' and '.join(input_words(n) for n in inputs)
+    acts = structure.effect.form.acts
+    moved = f'a shift along {_direction_words(acts)}' if isinstance(acts, Along) else ''
+    moved = moved or ACTS[acting_name(acts)]
+    sizes = f', {range_words(curves[0])}' if curves else ''
+    signals = any(n.startswith(SIGNAL) for n in inputs)
+    kinds_of = {head_of(n) or n for n in inputs}
+    kinds_of |= set(plain_names([n for n in inputs if head_of(n) not in WITH_WORDS]))
+    kinds = [words for names, words in MECHANISMS if names & kinds_of][:2]
+    kinds = ['what that signal measures'] if signals else kinds
+    return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'
+
+
+def _direction_words(acts: Along) -> str:
+    main = int(np.argmax(np.abs(acts.direction)))
+    if abs(acts.direction[main]) > ALMOST:
+        return XYZ[main]
+    return f'X, Y, Z = ({", ".join(f"{v:.2f}" for v in acts.direction)})'
 
 
 @dataclass(frozen=True)
@@ -27,13 +484,10 @@ class Judged:
 
     Attributes
     ----------
-    verdict : str
     explained : Explanation
         Without causes where they are not enough.
-    noise : NoiseFinding or None
     left : str
         Where what the causes leave lies.
-    nameless : Nameless or None
     """
 
     verdict: str

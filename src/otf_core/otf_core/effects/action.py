@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.effects.terms import Array, Shape, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.terms import Shape, State, Terms
 from otf_core.model.frames import XYZ
 
 Acting = Callable[[State, Shape], Terms]

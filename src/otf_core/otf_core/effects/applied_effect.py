@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.arrays import Array
+from otf_core.effects.base import Effect, Shape, State
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,6 @@ class AppliedEffect:
 
     Attributes
     ----------
-    effect : Effect
     parameters : mapping of str to float
         Coefficients and shape by name, in the units of the effect; what is missing is zero or
         the default.

@@ -19,11 +19,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.action import Acting
 from otf_core.effects.drawing import Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import Coefficients, Size
-from otf_core.effects.terms import Array, BelongsTo, Shape, State, Terms
+from otf_core.effects.terms import BelongsTo, Shape, State, Terms
 from otf_core.errors import ConfigError
 
 __all__ = [
@@ -197,7 +198,6 @@ class Effect(ABC):
         ----------
         state : State
             Of the run or the machine that the parameters are for; any points will do.
-        parameters : mapping of str to float
 
         Raises
         ------
@@ -220,7 +220,6 @@ class Effect(ABC):
 
         Parameters
         ----------
-        state : State
         parameters : mapping of str to float
             Coefficients by their names in ``Terms`` (missing ones are zero) and the shape.
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.effects.base import Array, State
+from otf_core.arrays import Array
+from otf_core.effects.base import State
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,6 @@ class Number:
 
     Attributes
     ----------
-    name : str
-    value : Value
     of_duration : bool
         True if the value counts in durations of the run.
     also : tuple of str
@@ -135,8 +133,6 @@ class BetweenNodes:
     ----------
     name : str
         Of a coefficient, to be formatted with both ends of the interval.
-    axis : str
-    size : float
     lengths : tuple of two floats
         Shortest and longest wave, in intervals.
     rough : float

@@ -15,7 +15,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.arrays import Array
+from otf_core.effects.base import Effect, Shape, State
 from otf_core.effects.drawing import LogUniform, Number
 
 ORDER = 4
@@ -43,7 +44,6 @@ def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
 
     Parameters
     ----------
-    state : State
     shape : mapping
         tau and until in s, order.
 

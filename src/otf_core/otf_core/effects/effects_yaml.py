@@ -86,7 +86,6 @@ def effects_from_data(data: Any, where: str, machine: Machine) -> tuple[AppliedE
 
     Parameters
     ----------
-    data : list
     where : str
         Named in messages, usually the file.
     machine : Machine

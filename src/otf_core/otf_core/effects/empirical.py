@@ -14,9 +14,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.action import Acting
 from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
@@ -97,8 +98,6 @@ def of_table(
 
     Parameters
     ----------
-    name : str
-    acts : Acting
     nodes : mapping of input to sequence of float
         Ascending, the first and the last are the range; of a phase an odd number in one period.
     values : mapping of term to ndarray

@@ -16,8 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.action import Acting
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.free import AXIS, TERM, Free, follower
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
 from otf_core.effects.located_inputs import TURNS, head_of
@@ -34,7 +35,6 @@ class FreeForm(Effect):
 
     Attributes
     ----------
-    free : Free
     parent : Effect
         Whose name it has.
     spans : mapping of input to (float, float)

@@ -9,14 +9,11 @@ less the way from the corner at the speed there.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING
 from otf_core.tracking.curves import Lines
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SLOWEST = 1e-3
 """m/s; least speed with which the way from a corner is turned into a time."""
@@ -69,7 +66,6 @@ def path_history(
 
     Parameters
     ----------
-    lines : Lines
     leg : ndarray of int64, shape (n,)
         In driving order.
     q : ndarray, shape (n, 3), m

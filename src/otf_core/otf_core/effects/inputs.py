@@ -15,9 +15,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.polynomial import legendre
 
+from otf_core.arrays import Array
 from otf_core.effects.located_inputs import cycle_period, found_kind, numbers_of
 from otf_core.effects.switching import Switching
-from otf_core.effects.terms import Array, State
+from otf_core.effects.terms import State
 from otf_core.errors import ConfigError
 from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.switching import SWITCHED, Switching
-from otf_core.effects.terms import Array, State
+from otf_core.effects.terms import State
 from otf_core.model.frames import XYZ
 
 CYCLE, MOMENT, PLACE, DIRECTION = 'cycle:', 'after:', 'near:', 'aside:'
@@ -45,7 +46,6 @@ class FoundKind:
     order : int
         Highest order of a function of it that says anything; 0 for any.
     values : callable(state, numbers) -> ndarray, shape (n,), SI
-    words : callable(numbers) -> str
     """
 
     count: int

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.effects.base import Array, State
+from otf_core.arrays import Array
+from otf_core.effects.base import State
 
 
 def scaled_position(state: State) -> Array:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Array, Effect, State
+from otf_core.effects.base import Effect, State
 from otf_core.effects.stated_effect import FILE, FOUND
 
 LARGEST_STEP = 0.5
@@ -33,8 +34,6 @@ class Taken:
 
     Attributes
     ----------
-    effect : Effect
-    shape : mapping of str to float
     names : tuple of str
         Coefficients that take part; all others are zero.
     values : ndarray, shape (r, k)

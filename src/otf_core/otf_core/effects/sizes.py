@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
 
-Array = NDArray[np.float64]
 Part = Mapping[str, float]
 """A sum of coefficients: weights by their names."""
 
@@ -35,7 +33,6 @@ class Coefficients:
     axes : tuple of str
         Axes that take part, the strongest first.
     shape : mapping of name to float
-    machine : Machine
     """
 
     value: Mapping[str, float]
@@ -112,7 +109,6 @@ def vector_size(
 
     Parameters
     ----------
-    found : Coefficients
     parts : sequence of Part
         Of the components.
     unit, remark : str

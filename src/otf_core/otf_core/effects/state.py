@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects.base import State
 from otf_core.effects.history import path_history
 from otf_core.model.courses import Courses
@@ -17,8 +18,6 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
 from otf_core.model.tables import ErrorTables
 from otf_core.tracking.curves import Lines, PathShape, straight_shape
-
-Array = NDArray[np.float64]
 
 
 def state_on_path(
@@ -40,7 +39,6 @@ def state_on_path(
 
     Parameters
     ----------
-    machine : Machine
     corners : ndarray, shape (m + 1, 3), m
         Leg j runs from corner j to corner j + 1.
     leg : ndarray of int64, shape (n,)
@@ -48,9 +46,7 @@ def state_on_path(
         Nominal positions on those legs.
     speed : ndarray, shape (n,), m/s
     time : ndarray, shape (n,), s
-    T_machine_tracker : RigidTransform
     nodes : mapping of axis to ndarray, m
-    tables : ErrorTables, optional
     duration : float, s
         Length of the recording; 0 stands for the time of the last point.
     shape : PathShape, optional
@@ -92,7 +88,6 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
     Parameters
     ----------
-    machine : Machine
     q, direction : ndarray, shape (n, 3), m and 1
     """
     zero, vector = np.zeros(len(q)), np.zeros_like(q)
@@ -114,12 +109,7 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
 
 def probe_state(machine: Machine) -> State:
-    """One point in the middle of the volume: for names and units of terms.
-
-    Parameters
-    ----------
-    machine : Machine
-    """
+    """One point in the middle of the volume: for names and units of terms."""
     corners = np.stack([machine.lower, machine.upper])
     middle = corners.mean(axis=0)
     place = middle - np.array([1.0, 0.0, 0.0])

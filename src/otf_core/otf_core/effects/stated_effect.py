@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from otf_core.effects.base import Array
+from otf_core.arrays import Array
 
 FOUND, FILE = 'found', 'file'
 
@@ -18,10 +18,8 @@ class StatedEffect:
 
     Attributes
     ----------
-    effect : str
     parameters, u : mapping of str to float
         Standard uncertainties (k = 1) of those that were estimated.
-    units : mapping of str to str
     how : str
         'found' by a diagnosis, or named in a 'file'.
     """
@@ -39,7 +37,6 @@ class TakenOff:
 
     Attributes
     ----------
-    stated : tuple of StatedEffect
     of_unknowns : ndarray, shape (full, full), m and rad
         Covariance.
     """

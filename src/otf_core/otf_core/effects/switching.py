@@ -14,9 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 SWITCHED = 'switched:'
 """Head of the name of such an input; lag and moments in s follow."""

@@ -7,14 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.model.courses import Part
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 
-Array = NDArray[np.float64]
 Shape = Mapping[str, float]
 
 
@@ -24,7 +21,6 @@ class State:
 
     Attributes
     ----------
-    machine : Machine
     q : ndarray, shape (n, 3), m
         Programmed axis positions.
     direction : ndarray, shape (n, 3)

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from otf_core.exports.base import Format
+    from otf_core.exports.format import Format
 
 HOMES = {
     'linuxcnc': 'linuxcnc',

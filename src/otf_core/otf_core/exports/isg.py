@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.base import (
+from otf_core.exports.format import (
     TABLE_WORDS,
     Exported,
     Format,
     Request,
     asked_sign_words,
     lever_words,
+    rounded_tables,
 )
-from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, SQUARENESS

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.exports.base import POINT_WORDS, Exported, Format, Request
+from otf_core.exports.format import POINT_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import Lattice, sampled_lattice
-from otf_core.files.text_table import fault_words, read_text_table
-from otf_core.files.units import LENGTHS, known_lengths, parted
+from otf_core.files.text_table import LENGTHS, fault_words, known_lengths, parted, read_text_table
 from otf_core.prediction.predict import predict
 
 HEADER = ('x', 'y', 'z', 'dx', 'dy', 'dz', 'u_dx', 'u_dy', 'u_dz')
@@ -51,10 +50,6 @@ class LatticeCsv(Format):
 
 def read_lattice_csv(path: str | Path) -> Lattice:
     """Read a lattice in any order of its points.
-
-    Returns
-    -------
-    Lattice
 
     Raises
     ------

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.exports.base import POINT_WORDS, Exported, Format, Request
+from otf_core.exports.format import POINT_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import lattice_covariance, sampled_lattice
 from otf_core.prediction.predict import predict
 

@@ -13,20 +13,18 @@ from __future__ import annotations
 from pathlib import PurePath
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
-from otf_core.exports.line_terms import (
+from otf_core.arrays import Array
+from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
+from otf_core.exports.lattice import (
     OWN_PAIRS,
     LineTerm,
     axis_positions,
+    half_reversal,
     held_by,
     line_terms,
 )
-from otf_core.exports.travel import half_reversal
 from otf_core.model.tables import ErrorTables
-
-Array = NDArray[np.float64]
 
 MOST = 256
 """Lines that the control reads of a file."""

@@ -16,8 +16,15 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from otf_core.exports.base import TABLE_WORDS, Exported, Format, Request, lever_words, printable
-from otf_core.exports.rounded import rounded_tables
+from otf_core.exports.format import (
+    TABLE_WORDS,
+    Exported,
+    Format,
+    Request,
+    lever_words,
+    printable,
+    rounded_tables,
+)
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import SQUARENESS, ErrorMotion

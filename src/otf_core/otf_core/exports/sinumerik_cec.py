@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.exports.base import LINE_WORDS, Exported, Format, Request, asked_sign_words
-from otf_core.exports.line_terms import (
+from otf_core.exports.format import LINE_WORDS, Exported, Format, Request, asked_sign_words
+from otf_core.exports.lattice import (
     CROSS_PAIRS,
     LineTerm,
     Pair,

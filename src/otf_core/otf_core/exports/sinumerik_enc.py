@@ -9,14 +9,8 @@ reference position, and is loaded while MD32700 is 0.
 
 from __future__ import annotations
 
-from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
-from otf_core.exports.line_terms import (
-    OWN_PAIRS,
-    LineTerm,
-    even_terms,
-    held_by,
-    without_table,
-)
+from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
+from otf_core.exports.lattice import OWN_PAIRS, LineTerm, even_terms, held_by, without_table
 
 MOST = 5000
 DECIMALS = 6

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strict YAML: duplicate, unknown, missing and mistyped keys are errors that name the key."""
+"""Strict YAML and JSON: duplicate, unknown, missing or mistyped keys are errors that name it."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import reprlib
@@ -15,6 +16,8 @@ from typing import Any, NoReturn
 
 from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
+
+# Strict YAML: duplicate, unknown, missing and mistyped keys are errors that name the key.
 
 DEEPEST = 100
 """Levels of nesting; each costs the parser more than the one before."""
@@ -58,8 +61,6 @@ def _loader() -> Any:
 
 
 _WORDS = reprlib.Repr()
-_WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
-_WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _LONGEST = 250
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
@@ -239,3 +240,26 @@ class Fields:
         if not math.isfinite(number):
             self.fail(key, f'{value} is not finite')
         return number
+
+
+# JSON files in, with one clear message for whatever is wrong with them.
+
+
+def read_json(path: str | Path) -> Any:
+    """Return the content of a JSON file.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is no JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding='utf-8-sig'))
+    except OSError as error:
+        raise unreadable(path, error) from None
+    except UnicodeDecodeError:
+        raise ConfigError(f'{path}: not a text file; expected JSON in UTF-8') from None
+    except RecursionError:
+        raise ConfigError(f'{path}: not usable JSON (nested too deeply)') from None
+    except ValueError as error:
+        raise ConfigError(f'{path}: not valid JSON ({number_words(error)})') from None

@@ -140,7 +140,6 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
 
     Parameters
     ----------
-    texts : sequence of str
     order : str, optional
         Of the numbers of dates, of ``ORDERS``, where it is known.
 

@@ -11,9 +11,15 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from otf_core.errors import ConfigError
 
+# Files that are either whole or not there: written beside the final name, then renamed.
+
 FULL = (errno.ENOSPC, errno.EDQUOT)
+DISK_FULL = 'the disk is full'
 
 
 class DiskFull(ConfigError):
@@ -35,8 +41,6 @@ def write_if_it_fits(
     ----------
     missing : dict of str to str, or None
         Takes the name and why it is missing; None: it may not be missing.
-    name : str
-    write : callable
 
     Returns
     -------
@@ -53,7 +57,7 @@ def write_if_it_fits(
     except DiskFull:
         if missing is None:
             raise
-        missing[name] = 'the disk is full'
+        missing[name] = DISK_FULL
         return False
     return True
 
@@ -110,3 +114,49 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding='utf-8', newline='\n')  # the same bytes on Windows
+
+
+# Numbers to CSV, with full precision; reading is ``text_table``.
+
+
+def begins_with(path: str | Path, header: str) -> bool:
+    """Tell whether the first line of a file is this header."""
+    try:
+        with open(path, 'rb') as file:
+            return file.read(len(header) + 1) == f'{header}\n'.encode()
+    except OSError:
+        return False
+
+
+def ends_head(path: str | Path, tail: str) -> bool:
+    """Tell whether the first line of a file ends with these columns."""
+    try:
+        with open(path, 'rb') as file:
+            return file.readline(1000).rstrip(b'\n').endswith(tail.encode())
+    except OSError:
+        return False
+
+
+def tidy(value: float) -> float:
+    """A length as it is written: to 1e-12 m, without the noise of sums and without -0.0."""
+    return round(float(value), 12) + 0.0
+
+
+def write_csv(
+    path: str | Path,
+    header: str,
+    columns: NDArray[np.float64],
+    flags: NDArray[np.bool_] | None = None,
+) -> None:
+    """Write numbers with full precision under a comma-separated header, whole or not at all.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, columns)
+    flags : ndarray of bool, shape (n,), optional
+        A last column of 1 and 0.
+    """
+    rows = [','.join(map(repr, row)) for row in columns.tolist()]
+    if flags is not None:
+        rows = [f'{row},{int(flag)}' for row, flag in zip(rows, flags, strict=True)]
+    write_text(path, '\n'.join([header, *rows]) + '\n')

@@ -1,30 +1,412 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet of runs: what is done stays done, one that is broken ends nothing but itself.
-
-``DIR/.fleet/NAME.json`` holds how a run ended and by which inputs. A run is left alone when it is
-started again with the same inputs and has its results; failed ones are tried again.
-"""
+"""Many recordings, one process each, here or on other hosts; a failing run affects no other."""
 
 from __future__ import annotations
 
+import csv
+import hashlib
 import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
-from otf_core.files.manifest import file_digest
-from otf_core.files.writing import ensure_folder, write_text
-from otf_core.fleet.job import Job, JobResult
-from otf_core.live.time_left import StepsLeft
+from otf_core.files.output_folder import file_digest, written_files
+from otf_core.files.strict_yaml import read_json
+from otf_core.files.writing import ensure_folder, unreadable, write_text
+from otf_core.live.stages import StepsLeft
+from otf_core.threads import one_thread
+from otf_core.version import __version__
+
+# One run of a fleet in a process of its own: what it does, it does to itself alone.
+#
+# The process is a command that a user types, or a function by its name (``call``), so results are
+# the same bits whoever runs it. A run that was killed is tried again. In its results ``written``
+# is a time that the job names (SOURCE_DATE_EPOCH): results depend on nothing but their inputs.
+
+COMMAND = (sys.executable, '-m')
+VERBS = 'otf_core.cli'
+TRIES = 3
+LONGEST_MESSAGE = 1000
+JUDGED = (4, 5)
+"""Exit codes of a command that is done and states a verdict that is not good."""
+DATE = 'SOURCE_DATE_EPOCH'
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to do.
+
+    Attributes
+    ----------
+    name : str
+        Of the run in its fleet; letters, digits, dots, dashes and underscores.
+    words : tuple of str
+        Module and its arguments.
+    out : str
+        Folder for its results.
+    result : str
+        File in it that holds the result.
+    inputs : str
+        Hash of all that the result depends on, see ``hash_of``.
+    date : int
+        s since 1970; ``written`` in what comes out, unless the environment names another.
+    folder : str, optional
+        Where the process runs.
+    places : tuple of str, optional
+        Folders that hold its modules, besides that of otf_core.
+    limit : float, optional
+        s; a process that takes longer is ended, and has failed.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    out: str
+    result: str
+    inputs: str
+    date: int
+    folder: str | None = None
+    places: tuple[str, ...] = ()
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """How a run ended.
+
+    Attributes
+    ----------
+    exit : int
+        Exit code of the command; negative: the signal that ended it, each time.
+    message : str
+        What it said in the end; empty if all is well.
+    sha256 : str or None
+        Of its result file; None if there is none.
+    seconds : float
+        It took; part of no result.
+    """
+
+    exit: int
+    message: str
+    sha256: str | None
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def done(self) -> bool:
+        """True if there are results."""
+        return self.sha256 is not None
+
+
+def hash_of(*given: Any) -> str:
+    """Hash of plain data that a result depends on, and of the version of this program."""
+    return hashlib.sha256(json.dumps([__version__, *given]).encode()).hexdigest()
+
+
+def run_job(job: Job) -> JobResult:
+    """Run one job to its end, in a process."""
+    environment = {DATE: str(job.date), **os.environ}
+    places = [str(Path(__file__).resolve().parents[2]), *job.places]
+    environment['PYTHONPATH'] = os.pathsep.join(
+        filter(None, [*places, os.environ.get('PYTHONPATH', '')])
+    )
+    start = time.monotonic()
+    code, said = 0, ''
+    for _ in range(TRIES):
+        process = subprocess.Popen(
+            [*COMMAND, *job.words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, env=environment, cwd=job.folder, text=True, errors='replace',
+        )  # fmt: skip
+        try:
+            said = process.communicate(timeout=job.limit)[1]
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            return JobResult(1, f'took longer than {job.limit:.0f} s', None)
+        finally:
+            process.kill()
+        code = process.returncode
+        if code >= 0:
+            break
+        _clear_half(Path(job.out))
+    result = Path(job.out) / job.result
+    worked = code in (0, *JUDGED) and result.exists()
+    digest = file_digest(result) if worked else None
+    return JobResult(code, _message(code, said), digest, time.monotonic() - start)
+
+
+def _clear_half(out: Path) -> None:
+    """Remove what a killed process has left beside its folder."""
+    for left in out.parent.glob(f'.{out.name}.*.new'):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _message(code: int, said: str) -> str:
+    """Last words of a command that failed; empty if it did not."""
+    if code < 0:
+        return f'killed by signal {-code} in {TRIES} tries; out of memory?'
+    if code == 0:
+        return ''
+    lines = [line for line in said.splitlines() if line.strip()]
+    text = lines[-1] if lines else 'said nothing'
+    if code in JUDGED:
+        text = text.removeprefix('otf: ')
+    return text[:LONGEST_MESSAGE]
+
+
+# A function by its name as a run of a fleet: arguments and result are JSON.
+#
+# ``python -m otf_core.fleet.call MODULE:FUNCTION OUT ARGUMENTS`` calls it with the object
+# ARGUMENTS and writes what it returns to ``OUT/result.json``. What it raises is its last words.
+
+MODULE = 'otf_core.fleet.fleet'
+RESULT = 'result.json'
+
+
+def call_job(
+    name: str,
+    function: str,
+    arguments: Mapping[str, Any],
+    out: Path,
+    *,
+    depends: Sequence[str] = (),
+    places: Sequence[str] = (),
+) -> Job:
+    """Make the job that calls a function.
+
+    Parameters
+    ----------
+    function : str
+        'module:function'.
+    arguments : mapping
+        Plain data, by the names of the parameters.
+    out : Path
+        Folder for ``result.json``.
+    depends : sequence of str
+        Hashes of files that it reads.
+    places : sequence of str
+        Folders where its module is found, besides that of otf_core.
+    """
+    out = out.absolute()
+    words = (MODULE, function, str(out), json.dumps(arguments))
+    inputs = hash_of(function, dict(arguments), list(depends))
+    return Job(name, words, str(out), RESULT, inputs, 0, places=tuple(places))
+
+
+def call(words: Sequence[str]) -> None:
+    """Call a function and write its result."""
+    name, out, text = words
+    module, _, function = name.partition(':')
+    with one_thread():
+        result = getattr(import_module(module), function)(**json.loads(text))
+    write_text(ensure_folder(out) / RESULT, json.dumps(result) + '\n')
+
+
+if __name__ == '__main__':
+    call(sys.argv[1:])
+
+
+# The list of a fleet: CSV with the header ``name,bag,machine``, a line per run.
+
+HEADER = ['name', 'bag', 'machine']
+NAME = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,99}')
+TAKEN = ('fleet.json', 'fleet.html', 'manifest.json')
+"""Names in the folder of results that no run may have."""
+
+
+@dataclass(frozen=True)
+class ListedRun:
+    """One line: name of the run and of its folder, bag, machine.yaml."""
+
+    name: str
+    bag: Path
+    machine: Path
+
+
+def read_list(path: str | Path) -> list[ListedRun]:
+    """Read a list of runs.
+
+    Relative paths are looked for beside the list, then where the command runs.
+
+    Raises
+    ------
+    ConfigError
+        Names file, line and what is wrong. Bags that are missing are no mistake of the list: such
+        a run fails alone.
+    """
+    path = Path(path)
+    try:
+        with open(path, newline='', encoding='utf-8-sig') as file:
+            rows = list(csv.reader(file))
+    except OSError as error:
+        raise unreadable(path, error) from None
+    except (UnicodeDecodeError, csv.Error):
+        raise ConfigError(f'{path}: not a CSV text file') from None
+    if not rows or [h.strip() for h in rows[0]] != HEADER:
+        raise ConfigError(f'{path}: line 1: expected the header {",".join(HEADER)}')
+    runs: dict[str, ListedRun] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        if not any(word.strip() for word in row):
+            continue
+        words = [word.strip() for word in row]
+        if len(words) != len(HEADER) or not all(words):
+            raise ConfigError(f'{path}: line {number}: expected name,bag,machine, got {row}')
+        name, bag, machine = words
+        if not NAME.fullmatch(name) or name in TAKEN:
+            raise ConfigError(
+                f'{path}: line {number}: {name!r} is no name of a folder; letters, digits, '
+                f'dots, dashes and underscores'
+            )
+        if name in runs:
+            raise ConfigError(f'{path}: line {number}: the name {name} appears twice')
+        runs[name] = ListedRun(name, _found(path.parent, bag), _found(path.parent, machine))
+    if not runs:
+        raise ConfigError(f'{path}: lists no runs')
+    return list(runs.values())
+
+
+def _found(folder: Path, word: str) -> Path:
+    """Absolute path of what a list names."""
+    beside, here = folder / word, Path(word)
+    return (here if here.exists() and not beside.exists() else beside).absolute()
+
+
+# The runs of a list as jobs: ``DIR/NAME/`` holds the results of each.
+
+RESULTS = {'calibrate': 'error_tables.json', 'diagnose': 'gap.json'}
+"""What each verb writes."""
+
+
+def listed_jobs(verb: str, runs: Sequence[ListedRun], folder: Path) -> list[Job]:
+    """Return a job for every run of a list: the command that a user types.
+
+    Parameters
+    ----------
+    verb : str
+        Of ``RESULTS``.
+    folder : Path
+        Of the fleet.
+    """
+    jobs = []
+    for run in runs:
+        out = str((folder / run.name).absolute())
+        words = (VERBS, verb, str(run.bag), '--machine', str(run.machine), '--out', out)
+        inputs = _inputs(verb, run)
+        jobs.append(
+            Job(
+                run.name,
+                (*words, '--overwrite', '--quiet'),
+                out,
+                RESULTS[verb],
+                inputs,
+                newest(run.bag),
+            )
+        )
+    return jobs
+
+
+def newest(path: Path) -> int:
+    """Time of the newest file of a bag, s since 1970; 0 if there is none."""
+    files = [p for p in path.rglob('*') if p.is_file()] if path.is_dir() else [path]
+    return int(max((p.stat().st_mtime for p in files if p.exists()), default=0))
+
+
+def _inputs(verb: str, run: ListedRun) -> str:
+    """Hash of all that a result depends on; bags by name, size and time of their files."""
+    try:
+        machine = file_digest(run.machine)
+    except OSError:
+        machine = 'missing'
+    files = written_files(run.bag) if run.bag.is_dir() else [run.bag]
+    sizes = [(p.name, p.stat().st_size) for p in files if p.is_file()]
+    return hash_of(verb, str(run.bag), newest(run.bag), sizes, machine)
+
+
+def listed_results(
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
+) -> Iterator[tuple[str, Any]]:
+    """Names of the runs that are done, with the content of their result files."""
+    for name, outcome in outcomes.items():
+        if outcome.done:
+            yield name, read_json(folder / name / RESULTS[verb])
+
+
+# Who does the jobs: processes of this computer, or the workers of a Dask scheduler.
+
+CONNECT = 20.0
+"""s to wait for a scheduler and its workers."""
+
+
+def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, JobResult]]:
+    """Do jobs on this computer; yield each as it ends.
+
+    Parameters
+    ----------
+    workers : int
+        Jobs at once: a thread each that waits for the process of its job.
+    """
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: dict[Future[JobResult], Job] = {pool.submit(run_job, job): job for job in jobs}
+        try:
+            while waiting:
+                ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    yield waiting.pop(future), future.result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobResult]]:
+    """Do jobs on the workers of a Dask scheduler; yield each as it ends.
+
+    All hosts see the same files under the same names, and have otf_core of the same version. A
+    worker that dies loses its jobs to others.
+
+    Raises
+    ------
+    ConfigError
+        If Dask distributed is missing, or nothing answers at the address.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise ConfigError(
+            '--scheduler: needs Dask distributed on this computer and on the workers: '
+            'python3 -m pip install distributed'
+        ) from None
+    try:
+        client = Client(address, timeout=CONNECT)
+        client.wait_for_workers(1, timeout=CONNECT)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ConfigError(f'--scheduler: {address}: no workers there ({error})') from None
+    with client:
+        futures = {client.submit(run_job, job, pure=False): job for job in jobs}
+        for future in as_completed(futures):
+            lost = future.exception()
+            if lost is not None:
+                yield futures[future], JobResult(1, f'lost by its workers: {lost}', None)
+            else:
+                yield futures[future], future.result()
+
+
+# A fleet of runs: what is done stays done, one that is broken ends nothing but itself.
+#
+# ``DIR/.fleet/NAME.json`` holds how a run ended and by which inputs. A run is left alone when it
+# is started again with the same inputs and has its results; failed ones are tried again.
 
 SCHEMA = 'otf-fleet/1'
 FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
 VERB_FILE = 'verb.json'
 Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, JobResult]]]
-Progress = Callable[[str], None]
 
 
 def take_folder(folder: Path, verb: str) -> Path:
@@ -50,18 +432,16 @@ def take_folder(folder: Path, verb: str) -> Path:
 
 
 def run_fleet(
-    jobs: Sequence[Job], folder: Path, workers: Workers, progress: Progress
+    jobs: Sequence[Job], folder: Path, workers: Workers, progress: Callable[[str], None]
 ) -> dict[str, JobResult]:
     """Do all jobs that are not done.
 
     Parameters
     ----------
-    jobs : sequence of Job
     folder : Path
         Its ``.fleet`` keeps how they ended.
     workers : callable(jobs)
         Yields every job with its outcome.
-    progress : callable(str)
 
     Returns
     -------

@@ -16,11 +16,10 @@ from decimal import Decimal
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 
-Array = NDArray[np.float64]
 Position = dict[str, Decimal | None]
 """By axis, m; None: not stated by the program."""
 
@@ -114,14 +113,12 @@ class DrivenPath:
             Of the block, for messages.
         goal : mapping of str to Decimal
             Where it ends, m; axes that are not given stay.
-        frame : str
         plane : str
             First and second axis; an arc that is not clockwise turns from the first to the second.
         centre : mapping of str to Decimal, optional
             Of both axes of the plane, m.
         radius : Decimal, optional
             m; where no centre is given; negative: more than half a turn.
-        clockwise : bool
         """
         start = dict(self.at)
         end = {**start, **goal}

@@ -3,16 +3,191 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
+from otf_core.errors import ConfigError, InputError
+from otf_core.files.strict_yaml import read_json
+from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_lengths
+from otf_core.files.writing import refuse_pipe
+from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
 from otf_core.inputs.nc_program import is_program, read_program
-from otf_core.inputs.plan_json import looks_like_json, read_plan
-from otf_core.inputs.points_file import read_points
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
 
-Array = NDArray[np.float64]
+# Reads what ``otf plan`` wrote: plan.json (``otf-plan/1``) with feed of every leg and dwells.
+
+SCHEMA = 'otf-plan/1'
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """Content of a plan.json.
+
+    Attributes
+    ----------
+    tracker_place : ndarray, shape (3,), m, optional
+        Beam origin in the machine frame that the forecast assumed.
+    """
+
+    plan: Plan
+    tracker_place: Array | None
+
+
+def looks_like_json(path: str | Path) -> bool:
+    """Tell whether a file starts as a JSON object; False if it cannot be read.
+
+    Raises
+    ------
+    ConfigError
+        If it is a pipe.
+    """
+    refuse_pipe(path)
+    try:
+        with open(path, 'rb') as file:
+            return file.read(64).lstrip(b'\xef\xbb\xbf \t\r\n').startswith(b'{')
+    except OSError:
+        return False
+
+
+def _numbers(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:
+    """Array of a shape, -1 standing for any length; ConfigError names the key."""
+    words = ' x '.join('n' if n < 0 else str(n) for n in shape)
+    try:
+        values = np.array(data[key], dtype=float)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise ConfigError(f'{where}: {key}: expected {words} numbers') from None
+    fits = values.ndim == len(shape) and all(
+        wanted in (-1, n) for wanted, n in zip(shape, values.shape, strict=True)
+    )
+    if not fits or not np.all(np.isfinite(values)):
+        raise ConfigError(f'{where}: {key}: expected {words} finite numbers')
+    return values
+
+
+def read_plan(path: str | Path) -> PlanFile:
+    """Read a plan.json.
+
+    Raises
+    ------
+    ConfigError
+        Names the file and what is wrong with it.
+    """
+    data = read_json(path)
+    where = str(path)
+    if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
+        raise ConfigError(f"{where}: no plan; expected the schema '{SCHEMA}' of otf plan")
+    points = _numbers(data, 'path', (-1, 3), where)
+    feed = _numbers(data, 'feed', (len(points) - 1,), where)
+    dwell = _numbers(data, 'dwell', (len(points),), where)
+    try:
+        plan = Plan(NominalPath(points), feed, dwell)
+    except InputError as error:
+        raise ConfigError(f'{where}: {error}') from None
+    assumed = data.get('assumed')
+    place = None
+    if isinstance(assumed, Mapping) and 'tracker_place' in assumed:
+        place = _numbers(assumed, 'tracker_place', (3,), f'{where}: assumed')
+    return PlanFile(plan, place)
+
+
+# Points from a text: CSV in m with the header x,y,z, or any table that says what it holds.
+
+
+def read_points(name: str | Path) -> tuple[Array, str]:
+    """Points (n, 3), m, and what the text was read as; empty for a plain CSV.
+
+    Separator, decimal comma, case and units of the head are found out; m where it states none.
+    Of a nominal and a measured point the nominal one is taken. Every line has to be a point.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, names no points, or a line is none.
+    """
+    try:
+        table = read_table(name)
+        found = named_columns(table, nominal=True)
+        if found is None:
+            raise ConfigError(
+                f'{unnamed_words(table)}; write there what they are, as in x_mm,y_mm,z_mm'
+            )
+        if found.polar:
+            raise ConfigError(f'{name}: holds polar coordinates; expected x, y, z')
+        return _points(table, found)
+    except InputError as error:
+        raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
+
+
+def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
+    """Axis positions (n, k), m and rad, of a CSV with the letters of the axes as its header.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, has another header, or a line is no position.
+    """
+    header = ','.join(axes).lower()
+    try:
+        lines = Path(name).read_text(encoding='utf-8-sig').splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{name}: cannot be read ({error})') from None
+    head = lines[0].replace(' ', '').lower() if lines else ''
+    if sorted(head.split(',')) != sorted(header.split(',')):
+        raise ConfigError(f'{name}: has the header {head[:60]!r}; expected {header}, in m and rad')
+    order = [head.split(',').index(a.lower()) for a in axes]
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        try:
+            values = [float(v) for v in line.split(',')]
+        except ValueError:
+            values = []
+        if len(values) != len(axes) or not np.all(np.isfinite(values)):
+            raise ConfigError(
+                f'{name}: line {number}: expected {len(axes)} numbers, got {line[:60]!r}'
+            )
+        rows.append([values[k] for k in order])
+    if not rows:
+        raise ConfigError(f'{name}: holds no positions')
+    return np.array(rows)
+
+
+def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
+    read = table.numbers({c.place: c.name for c in columns.point})
+    faults = dict(table.faults)
+    for column in reversed(read):
+        faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
+    if faults:
+        raise ConfigError(
+            f'{table.where}: line {min(faults)}: expected numbers like the other lines: '
+            f'{fault_words(faults)}; every line has to be a point'
+        )
+    stated = {c.unit for c in columns.point}
+    if len(stated) > 1 or not stated <= {*LENGTHS, None}:
+        given = ' and '.join(sorted(map(repr, stated)))
+        raise ConfigError(f'{table.where}: x, y, z are in {given}; expected {known_lengths()}')
+    unit = stated.pop()
+    points = np.stack([c.values for c in read], axis=1)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise ConfigError(f'{table.where}: line {table.lines[bad[0]]}: not finite numbers')
+    form = next((f', {c.form}' for c in read if c.form), '')
+    names = [c.name for c in columns.point]
+    if unit is None and not form and names == ['x', 'y', 'z'] and table.dialect.separator == ',':
+        return points, ''
+    said = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
+    said += ''.join(f'; {remark}' for remark in columns.remarks)
+    return points * LENGTHS[unit or 'm'], said
+
+
+# A path from a file: plan.json of otf plan, the NC program that was driven, or corner points.
 
 
 def read_path(name: str | Path) -> tuple[Array, str]:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from otf_core.bags.bag import BagContent, content_of, points_of
 from otf_core.bags.bag_reading import BagReading
+from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, called
 from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import AXES, PATH, POINT, called
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
@@ -35,7 +35,7 @@ class Given:
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
     publisher : int, optional
-        Whose samples to take where several published them, from 1, see ``bags.publishers``.
+        Whose samples to take where several published them, from 1, see ``bags.bag_reading``.
     columns : str, optional
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional
@@ -102,7 +102,6 @@ def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagC
     sources : sequence of str or Path
         One recording, or several that are parts of the run, in any order: every part has samples,
         one of them at least the path, which is the same in all that have it.
-    given : Given
     """
     return content_of([open_reading(source, given) for source in sources], sources, given.path)
 

@@ -1,44 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole circle: drive, measure, calibrate, compensate, drive again on other lines, prove it.
-
-LinuxCNC drives programs with its own acceleration and its own clock; the simulated machine goes
-where its motors are; the simulated tracker measures with another clock. Tables come from the
-fitted path alone; what is judged are lines drawn anew.
-"""
+"""The whole loop: drive, measure, calibrate, compensate, drive other lines, verify."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.result import CalibrationResult
-from otf_core.config import SimulationConfig
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
 from otf_core.exports import export_format
-from otf_core.exports.base import Field, Request
-from otf_core.loop.check_lines import check_plan
-from otf_core.loop.control import Driven, Program, drive
-from otf_core.loop.control_files import (
+from otf_core.exports.format import Field, Request
+from otf_core.loop.control import (
     LATTICE,
+    Driven,
+    Program,
+    drive,
     ini_text,
     with_piece,
     written_files,
 )
-from otf_core.loop.corrected import corrected, corrected_program, in_parts
-from otf_core.loop.judged import OnPath, by_line, on_path, seen_from_lines, start_row, volumetric
+from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, TablesFile
-from otf_core.pieces.runs import Recording
-from otf_core.planning.drive_time import drive_times
+from otf_core.pieces.runs import Recording, prepare_runs, rigid_pose
+from otf_core.planning.forecast import drive_times
 from otf_core.planning.nc import DIALECTS
+from otf_core.planning.nc.linuxcnc import LinuxCnc
 from otf_core.planning.nc.programs import on_increment, program
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.predict import predict
@@ -46,14 +43,222 @@ from otf_core.sim.cell import random_tables
 from otf_core.sim.tracker import place_tracker
 from otf_core.sim.watched import watched
 
-Array = NDArray[np.float64]
+# Lines to prove a compensation on: drawn in the volume, none of them one that was fitted.
+
+POINTS = 13
+SHORTEST = 0.3
+"""Share of the space diagonal; shorter lines are drawn again."""
+INNER = 0.03
+"""Share of every axis kept free at either end."""
+DWELL = 0.3
+"""s; at every corner point."""
+MOST_TRIES = 10_000
+
+
+def check_plan(machine: Machine, feed: float, rng: np.random.Generator) -> Plan:
+    """Draw lines through the whole volume.
+
+    Parameters
+    ----------
+    feed : float
+        m/s
+    rng : numpy.random.Generator
+    """
+    size = machine.upper - machine.lower
+    low, high = machine.lower + INNER * size, machine.upper - INNER * size
+    points = [rng.uniform(low, high)]
+    for _ in range(MOST_TRIES):
+        point = rng.uniform(low, high)
+        if np.linalg.norm(point - points[-1]) > SHORTEST * np.linalg.norm(size):
+            points.append(point)
+        if len(points) == POINTS:
+            break
+    return Plan(
+        NominalPath(np.array(points)), np.full(len(points) - 1, feed), np.full(len(points), DWELL)
+    )
+
+
+# Corrected NC program: for controls that have no table for the volumetric error.
+#
+# Every line is cut into parts, and the ends of the parts are moved by minus the error there. The
+# parts are blended within ``TOLERANCE``; at the corner points of the nominal path the machine
+# stops by its dwell as before.
+
+PART = 0.01
+"""m; longest part of a line."""
+TOLERANCE = 1e-7
+"""m; blending between parts (G64 P)."""
+
+
+class _Corrected(LinuxCnc):
+    """Positions of 0.1 um, which the interpreter takes like any number."""
+
+    decimals = 4
+
+
+INCREMENT = 1e-7
+"""m; of these positions."""
+
+
+def in_parts(plan: Plan) -> Plan:
+    """Cut every leg of a plan into parts of at most ``PART``; only its own corners dwell."""
+    points, feed, dwell = [plan.path.points[0]], [], [plan.dwell[0]]
+    for k, length in enumerate(plan.path.leg_lengths):
+        count = max(1, int(np.ceil(length / PART)))
+        share = np.arange(1, count + 1)[:, None] / count
+        start, end = plan.path.points[k], plan.path.points[k + 1]
+        points.extend(start + share * (end - start))
+        feed.extend([plan.feed[k]] * count)
+        dwell.extend([0.0] * (count - 1) + [plan.dwell[k + 1]])
+    return Plan(NominalPath(np.array(points)), np.array(feed), np.array(dwell))
+
+
+def corrected(parts: Plan, held: Field) -> Plan:
+    """Move the points of a plan by minus the error, to the increment of a program.
+
+    Parameters
+    ----------
+    parts : Plan
+        See ``in_parts``.
+    held : callable
+        Error at positions, m.
+    """
+    nominal = parts.path.points
+    moved = nominal - held(nominal)
+    moved -= (moved - nominal)[0]  # the zero point of the program is that of the nominal path
+    points = np.rint(moved / INCREMENT) / round(1 / INCREMENT)
+    return Plan(NominalPath(points), parts.feed, parts.dwell)
+
+
+def corrected_program(plan: Plan, header: Sequence[str]) -> str:
+    """Program for LinuxCNC: parts blended, stops by dwell."""
+    text = program(_Corrected(), plan, header)
+    return text.replace('\nG61.1\n', f'\nG64 P{1e3 * TOLERANCE:.6f}\n', 1)
+
+
+# Volumetric error along lines that a control drove: true, and as a tracker sees it.
+#
+# Where the program is the nominal path, the nominal position is where the control believes to be.
+# In a corrected program it belongs to the point of the program that the control has reached, found
+# by the length driven since the start: the control runs along the points of its program, so equal
+# shares of that length are equal places in it, whatever the correction has moved.
+
+REACHED = 2e-6
+"""m; the control stands at a point."""
+STEP = 1e-3
+"""m; the error is taken this often along the path."""
+DETOUR = 1e-4
+"""Largest relative difference of the length driven from that of the program."""
+
+
+@dataclass(frozen=True)
+class OnPath:
+    """Moments spread evenly along a path.
+
+    Attributes
+    ----------
+    row : ndarray of int64, shape (n,)
+        Servo periods.
+    nominal : ndarray, shape (n, 3), m
+        Where the target should be.
+    share : ndarray, shape (n,)
+        Of the whole path.
+    """
+
+    row: NDArray[np.int64]
+    nominal: Array
+    share: Array
+
+
+def start_row(driven: Driven, point: Array) -> int:
+    """First servo period in which the control stands at the start of the path."""
+    there = np.flatnonzero(np.linalg.norm(driven.believed - point, axis=1) < REACHED)
+    if not len(there):
+        raise InputError('LinuxCNC: never reached the start of the path')
+    return int(there[0])
+
+
+def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None = None) -> OnPath:
+    """Find what the control was to drive at each moment.
+
+    Parameters
+    ----------
+    programmed : NominalPath
+        Points of the program.
+    nominal : NominalPath, optional
+        Where the target should be at these points, if not there.
+
+    Raises
+    ------
+    InputError
+        If the control drove another length than that of its program.
+    """
+    first = start_row(driven, programmed.points[0])
+    moved = np.linalg.norm(np.diff(driven.believed[first:], axis=0), axis=1)
+    reach = np.concatenate([[0.0], np.cumsum(moved)])
+    corners = np.concatenate([[0.0], np.cumsum(programmed.leg_lengths)])
+    if abs(reach[-1] - corners[-1]) > DETOUR * corners[-1]:
+        raise InputError(f'LinuxCNC: drove {reach[-1]:.6f} m of a program of {corners[-1]:.6f} m')
+    reach *= corners[-1] / reach[-1]
+    wanted = np.arange(STEP, corners[-1], STEP)
+    row = np.minimum(np.searchsorted(reach, wanted), len(reach) - 1)
+    if nominal is None:
+        return OnPath(first + row, driven.believed[first + row], wanted / corners[-1])
+    at = reach[row]
+    points = np.stack([np.interp(at, corners, nominal.points[:, k]) for k in range(3)], axis=1)
+    return OnPath(first + row, points, wanted / corners[-1])
+
+
+def by_line(error: Array, at: OnPath, path: NominalPath) -> tuple[tuple[float, float], ...]:
+    """Mean and largest length of the errors on each line, best rigid motion of all taken out.
+
+    Parameters
+    ----------
+    error : ndarray, shape (n, 3), m
+    path : NominalPath
+        The lines.
+
+    Returns
+    -------
+    tuple of (mean, largest), m
+        One pair a line.
+    """
+    length = np.linalg.norm(without_rigid_motion(error, at.nominal), axis=1)
+    ends = np.cumsum(path.leg_lengths)
+    line = np.minimum(np.searchsorted(ends, at.share * ends[-1]), len(ends) - 1)
+    own = [length[line == k] for k in range(len(ends))]
+    return tuple((float(v.mean()), float(v.max())) for v in own)
+
+
+def volumetric(error: Array, q: Array) -> float:
+    """Mean length of errors (n, 3) at positions (n, 3), best rigid motion taken out, m."""
+    return mean_length(without_rigid_motion(error, q))
+
+
+def seen_from_lines(recording: Recording) -> float:
+    """Mean distance of tracker samples from the lines, rigidly aligned, m.
+
+    What a real machine shows: without a common clock nothing is seen along the line.
+    """
+    config = CalibrationConfig()
+    (run, *_), _ = prepare_runs([recording], config)
+    points = rigid_pose(run.pieces, run.pose, config).apply(run.pieces.xyz)
+    away = points - run.pieces.origin
+    along = np.einsum('ij,ij->i', away, run.pieces.direction)
+    return mean_length(away - along[:, None] * run.pieces.direction)
+
+
+# The whole circle: drive, measure, calibrate, compensate, drive again on other lines, prove it.
+#
+# LinuxCNC drives programs with its own acceleration and its own clock; the simulated machine goes
+# where its motors are; the simulated tracker measures with another clock. Tables come from the
+# fitted path alone; what is judged are lines drawn anew.
 
 AXES_WAY, VOLUME, PROGRAM = 'axes', 'volume', 'program'
 WAYS = (AXES_WAY, VOLUME, PROGRAM)
 FIT, CHECK, PROOF = 'fit.ngc', 'check.ngc', 'proof.ngc'
 SPARE, APPROACH = 3.0, 20.0
 """A program counts as stuck after so many times the time it takes, and s for what lies before."""
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -103,9 +308,6 @@ class Circle:
     ----------
     way : str
         'axes', 'volume' or 'program'.
-    proof : Proof
-    result : CalibrationResult
-    truth : ErrorTables
     recordings : mapping of name to Recording
         'fit', 'check', 'proof'.
     files : mapping of file name to bytes
@@ -195,20 +397,18 @@ def go_round(
     plan: Plan,
     way: str,
     config: SimulationConfig,
-    progress: Progress,
+    progress: Callable[[str], None],
 ) -> Circle:
     """Go round once.
 
     Parameters
     ----------
-    machine : Machine
     plan : Plan
         What is fitted.
     way : str
         One of ``WAYS``.
     config : SimulationConfig
         Its acceleration is that of the control's axes.
-    progress : callable(str)
 
     Raises
     ------

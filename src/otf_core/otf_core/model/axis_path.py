@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError, ShapeError
 from otf_core.model.joints import Sight
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
-
-Array = NDArray[np.float64]
 
 MIN_MOTION = 1e-9
 """m or rad; corners that differ by less are one."""

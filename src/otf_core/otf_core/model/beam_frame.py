@@ -8,9 +8,8 @@ Both are counted as angles of the beam itself: a small angle moves the target by
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 
 def beam_frame(xyz: Array) -> tuple[Array, Array, Array, Array]:

@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.signals import LAGS, Signal
-
-Array = NDArray[np.float64]
 
 
 def lag_of(name: str) -> float | None:
@@ -34,7 +32,6 @@ class Courses(Mapping[str, Array]):
 
     Parameters
     ----------
-    signals : mapping of str to Signal
     stamp_ns : int
         From which ``time`` counts.
     time : ndarray, shape (n,), s

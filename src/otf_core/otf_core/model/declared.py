@@ -53,7 +53,6 @@ def declared_from_fields(fields: Fields, tracker: str | None = None) -> Declared
 
     Parameters
     ----------
-    fields : Fields
     tracker : str, optional
         Class of tracker that is named in the section ``tracker``.
 

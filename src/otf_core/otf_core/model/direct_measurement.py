@@ -28,13 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-
-Array = NDArray[np.float64]
 
 ROTATIONS = DIRECTIONS[3:]
 

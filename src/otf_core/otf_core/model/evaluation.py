@@ -6,12 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
-
-Array = NDArray[np.float64]
 
 
 def lattice(machine: Machine, count: int = 7) -> Array:

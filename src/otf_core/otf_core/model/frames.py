@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 XYZ = ('X', 'Y', 'Z')
 """Directions of a frame, as the components of its vectors are called."""

@@ -25,8 +25,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ShapeError
 from otf_core.model.machine import BED, SPINDLE, TABLE, Axis, Machine
 from otf_core.model.motions import DIRECTIONS, location_names
@@ -34,7 +34,6 @@ from otf_core.model.motions import DIRECTIONS, location_names
 if TYPE_CHECKING:
     from otf_core.model.tables import ErrorTables
 
-Array = NDArray[np.float64]
 
 _UNIT = np.eye(3)
 TILTS: Mapping[str, tuple[tuple[str, Array], ...]] = {

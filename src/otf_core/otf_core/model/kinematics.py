@@ -36,7 +36,6 @@ def lever(machine: Machine, axis: str, q: Points) -> Points:
 
     Parameters
     ----------
-    machine : Machine
     axis : str
         X, Y or Z.
     q : ndarray, shape (n, 3), m
@@ -58,8 +57,6 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
 
     Parameters
     ----------
-    machine : Machine
-    motion : ErrorMotion
     q : ndarray, shape (n, 3), m
 
     Returns
@@ -127,7 +124,6 @@ def displacement(tables: ErrorTables, q: Points) -> Points:
 
     Parameters
     ----------
-    tables : ErrorTables
     q : ndarray, shape (n, k), m and rad
         Programmed axis positions.
 
@@ -171,7 +167,6 @@ def exact_position(tables: ErrorTables, q: Points) -> Points:
 
     Parameters
     ----------
-    tables : ErrorTables
     q : ndarray, shape (n, k), m and rad
 
     Returns

@@ -208,12 +208,9 @@ class Machine:
 
     Attributes
     ----------
-    name : str
-    chain : Chain
     axes : mapping of axis name to Axis
     target_offset : ndarray, shape (3,), m
         From the last target-side frame to the target, all frames coinciding at q = 0.
-    tracker : TrackerSpec
     uncertainty : DeclaredUncertainty, optional
         Standard uncertainties that no run shows.
     limits : Limits, optional
@@ -485,14 +482,6 @@ def _axis(fields: Fields) -> Axis:
 
 def load_machine(path: str | Path) -> Machine:
     """Read a machine.yaml.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    Machine
 
     Raises
     ------

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.machine import Axis, Machine
-
-Array = NDArray[np.float64]
 
 SAME_PLACE = 1e-6
 """m; positions that differ by less are one."""
@@ -32,7 +30,6 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
 
     Parameters
     ----------
-    machine : Machine
     low, high : ndarray, shape (3,), m
         Covered part of the axis ranges.
 

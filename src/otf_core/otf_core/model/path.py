@@ -10,10 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError, ShapeError
 from otf_core.model.frames import RigidTransform
-
-Array = NDArray[np.float64]
 
 FURTHEST = 1e6
 """m; nothing is measured there, and squares of lengths stay finite."""

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import file_digest
+from otf_core.files.output_folder import file_digest
 from otf_core.files.text_table import LeftOut
 from otf_core.files.writing import unreadable
 from otf_core.model.machine import Machine
@@ -47,8 +47,6 @@ class Origin:
 
     Attributes
     ----------
-    name : str
-    samples : int
     first_ns, last_ns : int
         Stamps of the first and the last sample, on the tracker's clock.
     sha256 : str
@@ -179,7 +177,6 @@ def provenance(
         Command that the file comes from.
     method : str, optional
         'otf' or 'standstill'.
-    runs : sequence of Origin
     machines : sequence of Machine
         Descriptions that were read besides those of the runs; repeated ones count once.
     files : mapping of str to path, optional

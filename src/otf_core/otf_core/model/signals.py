@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
 """s; time constants that are tried beside none: one is always within a factor of 1.4, which leaves
@@ -39,7 +39,6 @@ class Signal:
 
         Parameters
         ----------
-        stamp_ns : int
         time : ndarray, shape (n,), s
         lag : float, s
             Time constant; 0 for none.

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import read_json, shown
 from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 
@@ -84,7 +83,6 @@ class ErrorTables:
 
     Attributes
     ----------
-    machine : Machine
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
     location : mapping of name, such as X0C, to LocationError
@@ -138,7 +136,6 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
 
     Parameters
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
         Of squareness and location errors and the nodes of all motions in that order.
     """
@@ -168,7 +165,6 @@ class TablesFile:
 
     Attributes
     ----------
-    tables : ErrorTables
     extra : mapping of str to object
         All other top-level keys.
     without_value : tuple of str
@@ -393,14 +389,6 @@ def _check_fit(entry: Mapping[str, Any], where: str) -> None:
 
 def load_tables(path: str | Path) -> TablesFile:
     """Read an error_tables.json.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    TablesFile
 
     Raises
     ------

@@ -5,13 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.errors import ShapeError
 from otf_core.model.evaluation import mean_length, without_rigid_motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour of noise: its white and its slow part (first-order Gauss-Markov), from short windows.
+"""Colour of measured noise: white and slow part (first-order Gauss-Markov), spectrum, peaks.
 
 Half the mean square of the differences at lag k is w + s (1 - exp(-k dt / tau)) for white noise
 of variance w and slow noise of variance s (variogram, Matheron 1963). Unlike the autocovariance it
-needs no mean, which short windows do not tell. Lags are spaced by octaves and each counts by its
-relative precision, so that a small white part beside a large slow one is still seen.
+needs no mean, which short windows do not determine. Lags are spaced by octaves and each counts by
+its relative precision, so that a small white part beside a large slow one is still resolved. The
+scatter of the fit is that of fits without a part of the windows (jackknife).
 """
 
 from __future__ import annotations
@@ -13,12 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from otf_core.noise.model import NoiseComponent
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from otf_core.arrays import Array, Index
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 
 LAGS_PER_OCTAVE = 4
 MAX_LAG = 0.75
@@ -136,3 +135,139 @@ def fit_colour(windows: Sequence[Array], step: float) -> tuple[NoiseComponent, .
         white, time = total, 0.0
     levels = zip(np.sqrt(total), np.sqrt(white), strict=True)
     return tuple(NoiseComponent(float(u), float(w), time) for u, w in levels)
+
+
+GROUPS = 10
+"""Groups of windows, each left out once."""
+SHORTEST_PART = 0.2
+"""s; fewer windows than groups are cut, but not shorter than this."""
+
+
+def left_out_fits(windows: list[Array], step: float) -> list[NoiseModel]:
+    """Noise without one group of windows, group by group; none if there is too little.
+
+    Parameters
+    ----------
+    windows : list of ndarray, each of shape (n, 3), m, rad, rad
+    step : float
+        s, between values.
+    """
+    parts = -(-GROUPS // len(windows))
+    cut = [p for w in windows for p in np.array_split(w, parts) if len(p) * step > SHORTEST_PART]
+    windows = cut if parts > 1 else windows
+    groups = min(GROUPS, len(windows))
+    if groups < 2:
+        return []
+    kept = [[w for k, w in enumerate(windows) if k % groups != g] for g in range(groups)]
+    return [NoiseModel(*fit_colour(rest, step)) for rest in kept]
+
+
+def jackknife_u(values: Array) -> Array:
+    """Standard uncertainty from values (g, ...) that each leave out one of g groups."""
+    if len(values) < 2:
+        return np.full(values.shape[1:], np.nan)
+    return np.asarray(np.std(values, axis=0) * np.sqrt(len(values) - 1.0))
+
+
+SEGMENT = 2.0
+"""s; longest segment, which sets the resolution in frequency."""
+NEIGHBOURS = 12
+"""bins on either side whose median is the background."""
+SKIPPED = 3
+"""lowest bins, where slow noise is no peak."""
+FALSE_ALARM = 0.01
+"""Probability that noise without peaks shows any."""
+MEDIAN_EFFICIENCY = 2.0 / np.pi
+MIN_RATIO = 3.0
+"""A peak stands out of the background by at least this factor, however long the recording."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Power spectral density.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (m,), Hz
+    density : ndarray, shape (c, m)
+        m^2/Hz or rad^2/Hz.
+    segments : int
+        Number averaged.
+    """
+
+    frequency: Array
+    density: Array
+    segments: int
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A line in the spectrum: which quantity, frequency (Hz), root mean square (m or rad)."""
+
+    quantity: int
+    frequency: float
+    rms: float
+
+
+def spectrum(windows: Sequence[Array], step: float) -> Spectrum:
+    """Averaged spectrum of windows (n, c) by Welch's method, half-overlapping segments."""
+    from scipy.signal import welch  # 0.3 s
+
+    lengths = np.array([len(w) for w in windows])
+    size = int(min(SEGMENT / step, np.median(lengths)))
+    long = [w for w in windows if len(w) >= size]
+    parts = [welch(w, 1.0 / step, nperseg=size, detrend='linear', axis=0) for w in long]
+    number = [1 + 2 * (len(w) - size) // size for w in long]
+    density = np.average([p[1] for p in parts], axis=0, weights=number)
+    return Spectrum(parts[0][0], np.asarray(density.T), int(sum(number)))
+
+
+def expected_density(frequency: Array, noise: NoiseModel) -> Array:
+    """One-sided density of range and two angles sampled fast, shape (3, m).
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (m,), Hz
+        From zero to half the sampling rate.
+    """
+    rows = []
+    for c in noise:
+        turn = 2.0 * np.pi * frequency * c.correlation_time
+        slow = 4.0 * c.slow**2 * c.correlation_time / (1.0 + turn**2)
+        rows.append(c.white**2 / frequency[-1] + slow)
+    return np.array(rows)
+
+
+def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
+    """Lines that stand out of their neighbourhood more than chance allows.
+
+    Parameters
+    ----------
+    expected : ndarray, shape (c, m)
+        Shape of the density without peaks, see ``expected_density``; its size does not matter.
+    """
+    from scipy.stats import chi2  # 0.4 s
+    from scipy.stats import f as f_ratio
+
+    bins = seen.frequency.size
+    if bins < 2 * NEIGHBOURS:
+        return ()
+    freedom = 2.0 * max(1.0, seen.segments / 1.06)  # half overlap, Hann window
+    # the background is a median over neighbours of which two out of three tell something new
+    of_background = freedom * (2 * NEIGHBOURS + 1) * (2.0 / 3.0) * MEDIAN_EFFICIENCY
+    chance = f_ratio.isf(FALSE_ALARM / (bins * len(seen.density)), freedom, of_background)
+    chance *= freedom / chi2.median(freedom)
+    width = seen.frequency[1]
+    found = []
+    for quantity, density in enumerate(seen.density):
+        shape = np.maximum(expected[quantity], 1e-9 * expected[quantity].max() + 1e-300)
+        background = shape * median_filter(density / shape, 2 * NEIGHBOURS + 1, mode='nearest')
+        excess = density > max(chance, MIN_RATIO) * background
+        excess[:SKIPPED] = False
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], excess, [False]]).astype(int)))
+        for low, high in edges.reshape(-1, 2):
+            top = low + int(density[low:high].argmax())
+            near = slice(max(low - 1, 0), high + 1)
+            power = float(np.sum(density[near] - background[near])) * width
+            found.append(Peak(quantity, float(seen.frequency[top]), float(np.sqrt(power))))
+    return tuple(found)

@@ -14,22 +14,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp, stdtr
 
+from otf_core.arrays import Array
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
-from otf_core.noise.jackknife import jackknife_u, left_out_fits
-from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseModel
+from otf_core.noise.colour import jackknife_u, left_out_fits
+from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise.standstill import (
+    FREEDOMS,
     MIN_TOTAL,
+    fast_part,
     find_standstills,
     noise_of_windows,
     quiet_windows,
+    student_likelihood,
 )
-from otf_core.noise.tails import FREEDOMS, fast_part, student_likelihood
-
-Array = NDArray[np.float64]
 
 LEVEL = 1.6
 """Actual over specified standard deviation that still passes as specified."""
@@ -130,8 +130,6 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
 
     Parameters
     ----------
-    samples : Samples
-    spec : TrackerSpec
     speed : float
         m/s; slower counts as standstill.
 

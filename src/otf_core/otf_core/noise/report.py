@@ -6,25 +6,37 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.noise.colour import Variogram, longest_time, variogram
-from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
-from otf_core.noise.jackknife import jackknife_u, left_out_fits
-from otf_core.noise.rest import at_rest
-from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
+from otf_core.noise.colour import (
+    Peak,
+    Spectrum,
+    Variogram,
+    expected_density,
+    find_peaks,
+    jackknife_u,
+    left_out_fits,
+    longest_time,
+    spectrum,
+    variogram,
+)
 from otf_core.noise.standstill import (
     HELD,
     MIN_DURATION,
+    Drift,
+    Lost,
     MeasuredNoise,
+    Step,
+    at_rest,
+    find_drift,
     find_standstills,
+    find_steps,
+    lost_samples,
     noise_of_windows,
     quiet_windows,
 )
-
-Array = NDArray[np.float64]
 
 MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""
@@ -48,7 +60,6 @@ class NoiseReport:
 
     Attributes
     ----------
-    measured : MeasuredNoise
     u_total, u_white : ndarray, shape (3,), m, rad, rad
         Standard uncertainties of the levels by leaving out part of the windows; nan if there is
         too little to leave out.
@@ -62,15 +73,10 @@ class NoiseReport:
         Hz.
     distance : float
         m, mean length of the beam in the standstills.
-    peaks : tuple of Peak
     lost : Lost
         Of the whole recording.
-    steps : tuple of Step
     drift : Drift or None
         None without a long standstill.
-    variogram : Variogram
-    spectrum : Spectrum
-    warnings : tuple of str
     """
 
     measured: MeasuredNoise
@@ -160,7 +166,6 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
 
     Parameters
     ----------
-    samples : Samples
     standstill_speed : float
         m/s; slower counts as standstill.
 

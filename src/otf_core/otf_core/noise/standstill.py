@@ -1,23 +1,402 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standstills of a recording, and the tracker noise seen in them."""
+"""Standstills of a recording: which of their blocks are at rest, and the noise seen in them.
+
+A target that has stopped goes on moving for a while: axes settle, a structure rings, the next move
+begins. This is no noise of the tracker. Each standstill is judged in blocks of a tenth of a second
+against the quiet blocks of the whole recording, so that no level of noise has to be known before.
+Steps and drift of a resting target and lost samples are reported separately. Heavy tails are
+described by the degrees of freedom of a Student distribution.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
+from otf_core.arrays import Array, Index
 from otf_core.memory import blocks
+from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import fit_colour
-from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseComponent, NoiseModel
-from otf_core.noise.rest import at_rest, resolution, spherical_deviations
-from otf_core.noise.tails import Tails, tails
+from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME, NoiseComponent, NoiseModel
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+BLOCK = 0.1
+"""s; settling is slower than this, most tracker noise within a block faster."""
+MIN_SAMPLES = 4
+"""Samples in a block, at low rates."""
+SHAKEN = 8.0
+"""Ratio of a block's standard deviation to that of quiet blocks; heavy tails stay below it."""
+IN_MOTION = 6.0
+"""Change from block to block over its standard deviation in quiet blocks."""
+SETTLED = 4.0
+"""Deviation of the first and last blocks from the median, in the same units."""
+QUIET_BLOCKS = 25.0
+"""Percentile of all blocks that counts as quiet: most stops of a robot are not."""
+NORMAL = 0.3186
+"""This percentile of the absolute value of normal noise of unit variance."""
+MIN_BLOCKS, MIN_BLOCKS_FOR_MEDIAN = 3, 8
+"""Blocks; shorter standstills are not judged, or not by the deviation from their median."""
+RESOLUTION = 0.2e-6
+"""m and rad; levels below are not told apart."""
+ROUNDING = 0.3
+"""Standard deviation of rounding over its step."""
+
+
+def spherical_deviations(xyz: Array) -> Array:
+    """Range, and the two angles across the beam, relative to the mean of the points.
+
+    Parameters
+    ----------
+    xyz : ndarray, shape (n, 3), m
+        Points of one standstill in the tracker frame.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        m, rad, rad; the angles about horizontal and vertical of the mean beam, both counted as
+        angles of the beam itself.
+    """
+    mean = xyz.mean(axis=0)
+    (distance,), (beam,), (horizontal,), (vertical,) = beam_frame(mean[None])
+    offset = xyz - mean
+    return np.stack(
+        [offset @ beam, offset @ horizontal / distance, offset @ vertical / distance], axis=1
+    )
+
+
+def resolution(deviations: list[Array]) -> Array:
+    """Levels that recordings do not tell apart: they are often rounded to 1 um and 1 urad.
+
+    Parameters
+    ----------
+    deviations : list of ndarray, each of shape (n, 3), m, rad, rad
+
+    Returns
+    -------
+    ndarray, shape (3,)
+    """
+    steps = np.abs(np.concatenate([np.zeros((0, 3)), *(np.diff(d, axis=0) for d in deviations)]))
+    small = [np.percentile(s[s > 0], QUIET_BLOCKS) if (s > 0).any() else 0.0 for s in steps.T]
+    return np.maximum(RESOLUTION, ROUNDING * np.array(small))
+
+
+def block_size(samples: Samples) -> int:
+    """Samples in a block."""
+    return max(MIN_SAMPLES, round(BLOCK / samples.step))
+
+
+def blocks_of(deviations: Array, size: int) -> tuple[Array, Array]:
+    """Means and standard deviations of the whole blocks of a standstill, each of shape (b, 3)."""
+    count = len(deviations) // size
+    parts = deviations[: count * size].reshape(count, size, 3)
+    return parts.mean(axis=1), parts.std(axis=1)
+
+
+def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
+    """First and one past the last of the longest run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
+    runs = edges.reshape(-1, 2)
+    if not len(runs):
+        return 0, 0
+    best = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return int(best[0]), int(best[1])
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """What blocks of a target at rest show.
+
+    Attributes
+    ----------
+    deviation : ndarray, shape (3,), m, rad, rad
+        Standard deviation within a block.
+    change : ndarray, shape (3,)
+        Standard deviation of the change of the mean from one block to the next.
+    away : ndarray, shape (3,)
+        Standard deviation of means about the median of their standstill.
+    """
+
+    deviation: Array
+    change: Array
+    away: Array
+
+
+def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> Quiet:
+    """Judge quiet blocks; standstills too short for it do not count."""
+
+    def lowest(values: list[Array]) -> Array:
+        rows = np.concatenate([np.zeros((0, 3)), *values])
+        low = np.percentile(rows, QUIET_BLOCKS, axis=0) if len(rows) else np.full(3, np.inf)
+        return np.asarray(np.maximum(low, least))
+
+    judged = [b for b in blocks if len(b[0]) >= MIN_BLOCKS]
+    long = [mean for mean, _ in judged if len(mean) >= MIN_BLOCKS_FOR_MEDIAN]
+    return Quiet(
+        lowest([deviation for _, deviation in judged]),
+        lowest([np.abs(np.diff(mean, axis=0)) / NORMAL for mean, _ in judged]),
+        lowest([np.abs(mean - np.median(mean, axis=0)) / NORMAL for mean in long]),
+    )
+
+
+def _settled(mean: Array, away: Array) -> tuple[int, int]:
+    """Blocks (first, one past last) between settling and the next start."""
+    if len(mean) < MIN_BLOCKS_FOR_MEDIAN:
+        return 0, len(mean)
+    off = np.any(np.abs(mean - np.median(mean, axis=0)) > SETTLED * away, axis=1)
+    if off.all():
+        return 0, 0
+    lead, trail = int(np.argmin(off)), int(np.argmin(off[::-1]))
+    # what settles as an exponential has not ended where it comes down to the noise: wait as long
+    return min(2 * lead, len(mean)), len(mean) - trail
+
+
+def at_rest(samples: Samples, runs: Index) -> Index:
+    """Shorten standstills to the part in which the target is at rest.
+
+    Parameters
+    ----------
+    runs : ndarray of int64, shape (k, 2)
+        First sample and one past the last of every standstill.
+
+    Returns
+    -------
+    ndarray of int64, shape (k', 2)
+        Standstills without any rest are missing; those shorter than three blocks are returned
+        as they are.
+    """
+    if not len(runs):
+        return runs
+    size = block_size(samples)
+    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
+    blocks = [blocks_of(d, size) for d in deviations]
+    quiet = quiet_blocks(blocks, resolution(deviations))
+    found = []
+    for (first, last), (mean, deviation) in zip(runs, blocks, strict=True):
+        if len(mean) < MIN_BLOCKS:
+            found.append((first, last))
+            continue
+        jump = np.any(np.abs(np.diff(mean, axis=0)) > IN_MOTION * quiet.change, axis=1)
+        bad = np.any(deviation > SHAKEN * quiet.deviation, axis=1)
+        bad[1:] |= jump
+        bad[:-1] |= jump
+        low, high = _longest(~bad)
+        start, stop = _settled(mean[low:high], quiet.away)
+        if stop > start:
+            end = last if low + stop == len(mean) else first + (low + stop) * size
+            found.append((first + (low + start) * size, end))
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+SIDE = 3
+"""Blocks on either side of a step that have to be quiet."""
+MIN_DRIFT_TIME = 5.0
+"""s; a shorter standstill does not tell drift from slow noise."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Samples that the stamps say are missing.
+
+    Attributes
+    ----------
+    samples, gaps : int
+        Missing samples, and pauses in which they are missing.
+    longest : float
+        s, longest pause.
+    """
+
+    samples: int
+    gaps: int
+    longest: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change from one level to another within a standstill.
+
+    Attributes
+    ----------
+    time : float
+        s since the first sample.
+    size : ndarray, shape (3,), m, rad, rad
+        Change of range, horizontal and vertical angle.
+    """
+
+    time: float
+    size: Array
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Straight line through the longest standstill.
+
+    Attributes
+    ----------
+    duration : float
+        s, of that standstill.
+    change : ndarray, shape (3,), m, rad, rad
+        Over its duration.
+    """
+
+    duration: float
+    change: Array
+
+
+def lost_samples(samples: Samples) -> Lost:
+    """Count missing samples: pauses in multiples of the usual interval."""
+    interval, usual = np.diff(samples.stamp_ns), samples.step_ns
+    pauses = interval[interval >= 1.5 * usual]
+    missing = np.rint(pauses / usual).astype(np.int64) - 1
+    longest = float(pauses.max(initial=0)) * 1e-9
+    return Lost(int(missing.sum()), len(pauses), longest)
+
+
+def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
+    """Find steps: quiet before, quiet after, but elsewhere.
+
+    Parameters
+    ----------
+    runs : ndarray of int64, shape (k, 2)
+        From ``find_standstills``.
+    """
+    size = block_size(samples)
+    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
+    blocks = [blocks_of(d, size) for d in deviations]
+    quiet = quiet_blocks(blocks, resolution(deviations))
+    limit = IN_MOTION * np.hypot(quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0))
+    found = []
+    for (first, _), (mean, _) in zip(runs, blocks, strict=True):
+        places = np.arange(SIDE, len(mean) - SIDE)
+        if not len(places):
+            continue
+        before = np.stack([mean[k - SIDE : k] for k in places])
+        after = np.stack([mean[k + 1 : k + 1 + SIDE] for k in places])
+        change = after.mean(axis=1) - before.mean(axis=1)
+        calm = np.all(np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1)) < limit, axis=1)
+        height = np.where(calm, np.max(np.abs(change) / limit, axis=1), 0.0)
+        while height.max() > 1.0:
+            best = int(height.argmax())
+            sample = first + round((places[best] + 0.5) * size)
+            found.append(Step(float(samples.time[sample]), change[best]))
+            height[max(best - SIDE, 0) : best + SIDE + 1] = 0.0
+    return tuple(sorted(found, key=lambda s: s.time))
+
+
+def find_drift(samples: Samples, rest: Index) -> Drift | None:
+    """Fit a line to the longest part at rest; None if that is short.
+
+    Parameters
+    ----------
+    rest : ndarray of int64, shape (k, 2)
+        From ``at_rest``.
+    """
+    if not len(rest):
+        return None
+    first, last = rest[np.argmax(rest[:, 1] - rest[:, 0])]
+    time = samples.time[first:last]
+    duration = float(time[-1] - time[0])
+    if duration < MIN_DRIFT_TIME:
+        return None
+    line = np.polyfit(time - time.mean(), spherical_deviations(samples.xyz[first:last]), 1)
+    return Drift(duration, np.asarray(line[0] * duration))
+
+
+SMOOTHING = 0.1
+"""s; slower noise is taken off first, so that its wandering does not count as tails."""
+MAX_VALUES = 5_000
+"""Values that the likelihood is taken over."""
+FREEDOMS = np.geomspace(2.2, 60.0, 30)
+"""Degrees of freedom tried; more are not told from normal."""
+
+
+@dataclass(frozen=True)
+class Tails:
+    """Tails of the fast noise of one quantity.
+
+    Attributes
+    ----------
+    excess_kurtosis : float
+        0 for normal noise.
+    freedom : float or None
+        Degrees of freedom of the likeliest Student distribution; None if normal serves as well.
+    beyond : float
+        Share of values beyond 4 standard deviations; 6e-5 for normal noise.
+    """
+
+    excess_kurtosis: float
+    freedom: float | None
+    beyond: float
+
+
+def _log_likelihoods(square: Array, freedom: Array) -> Array:
+    """Largest log-likelihoods over the scale, found by expectation and maximisation.
+
+    Of squares (n,) for degrees of freedom (f,), shape (f,).
+    """
+    free, scale = freedom[:, None], np.full((len(freedom), 1), float(np.median(square)) or 1.0)
+    for _ in range(20):
+        share = square / (square + free * scale)
+        scale = (free + 1) * scale * share.mean(axis=1, keepdims=True)
+    rest = (0.5 * (free + 1) * np.log1p(square / (free * scale))).sum(axis=1)
+    constant = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom)
+    constant -= 0.5 * np.log(np.pi * freedom * scale[:, 0])
+    return np.asarray(square.size * constant - rest)
+
+
+def student_likelihood(values: Array) -> tuple[Array, float]:
+    """Log-likelihoods of Student's t for each of ``FREEDOMS``, and of the normal distribution."""
+    values = values[:: max(1, values.size // MAX_VALUES)]
+    square = values**2 / max(float(np.mean(values**2)), 1e-300)
+    normal = -0.5 * square.size * (np.log(2 * np.pi) + 1.0)
+    return _log_likelihoods(square, FREEDOMS), float(normal)
+
+
+def student_freedom(values: Array) -> float | None:
+    """Degrees of freedom by maximum likelihood; None if normal fits as well (1 % level)."""
+    likelihood, normal = student_likelihood(values)
+    best = int(likelihood.argmax())
+    return float(FREEDOMS[best]) if likelihood[best] > normal + 3.3 else None
+
+
+def _moving_mean(values: Array, half: int) -> Array:
+    """Means of values (n, c) and ``half`` on either side, mirrored at the ends.
+
+    Of values about zero, as sums are subtracted; importing ``scipy.ndimage`` takes 25 ms.
+    """
+    padded = np.pad(values, ((half + 1, half), (0, 0)), mode='symmetric')
+    sums = np.cumsum(padded, axis=0)
+    return np.asarray((sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1))
+
+
+def fast_part(windows: Sequence[Array], step: float) -> Array:
+    """Values (n, c) of all windows less slower noise, of unit variance in every window."""
+    half = max(2, round(0.5 * SMOOTHING / step))
+    width = 2 * half + 1
+    rest = [w - w.mean(axis=0) for w in windows]
+    rest = [w - _moving_mean(w, half) for w in rest]
+    sized = [r / np.maximum(r.std(axis=0), 1e-300) for r in rest if len(r) > width]
+    return np.concatenate(sized or rest)
+
+
+def tails(windows: Sequence[Array], step: float) -> tuple[Tails, ...]:
+    """Tails of each quantity over windows (n, c) of values ``step`` seconds apart."""
+    found = []
+    for column in fast_part(windows, step).T:
+        square = float(np.mean(column**2)) or 1.0
+        found.append(
+            Tails(
+                float(np.mean(column**4) / square**2 - 3.0),
+                student_freedom(column),
+                float(np.mean(np.abs(column) > 4.0 * np.sqrt(square))),
+            )
+        )
+    return tuple(found)
+
 
 MIN_DURATION = 0.25
 """s; shorter stops are not used."""
@@ -35,9 +414,9 @@ DRIFTING = 8.0
 """s; of standstills as long as this a straight line is drift, and taken off."""
 SHORTEST = 0.2
 """s; parts of a standstill that are shorter are not used."""
-LONG = 1.0
+MIN_WINDOW_OF_LEVEL = 1.0
 """s; the level of shorter windows scatters much."""
-QUIET = 10.0
+QUIET_WINDOWS = 10.0
 """Percentile of the windows that counts as quiet."""
 LOUD = 4.0
 """Ratio of a long window to quiet ones beyond which the target itself must have moved."""
@@ -50,7 +429,6 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
 
     Parameters
     ----------
-    samples : Samples
     speed : float
         m/s; slower counts as standstill. Taken over 0.1 s, so that noise does not hide it.
     min_duration : float
@@ -129,8 +507,8 @@ def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
         return [], 0
     level = np.array([w.std(axis=0) for w in windows])
     # the shorter a window, the more its level scatters
-    quiet = np.percentile(level, QUIET, axis=0)
-    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in windows])))
+    quiet = np.percentile(level, QUIET_WINDOWS, axis=0)
+    limit = LOUD * (1.0 + MIN_WINDOW_OF_LEVEL / (step * np.array([len(w) for w in windows])))
     still = np.all(level <= limit[:, None] * np.maximum(quiet, resolution(windows)), axis=1)
     return [w for w, s in zip(windows, still, strict=True) if s], int(np.sum(~still))
 
@@ -138,12 +516,11 @@ def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     """Deviations of range and angles in windows of standstill.
 
-    Only the part at rest is taken (``rest.at_rest``), and windows much louder than the quiet
+    Only the part at rest is taken (``at_rest``), and windows much louder than the quiet
     ones are left out: there the target moves (a machine that settles or is shaken).
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
 
@@ -166,7 +543,6 @@ def standstill_noise(
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
     min_total : float
@@ -223,8 +599,6 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
 
     Parameters
     ----------
-    samples : Samples
-    spec : TrackerSpec
     speed : float
         m/s; slower counts as standstill.
 

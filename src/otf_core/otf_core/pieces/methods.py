@@ -1,19 +1,242 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every method of calibration prepares recordings."""
+"""Methods that reduce recordings: on the fly, and at standstill.
+
+Standstill calibration (Montavon et al., Lamdamap 2019; paper, Table 1): the machine stops at every
+corner point. Stops are recognised in the samples, matched to the points in driving order by their
+mutual distances alone (how the machine moves between them does not matter), and averaged. Every
+stop gives the full deviation in three directions, weighted by the tracker noise along and across
+the beam; the same equations are solved as on the fly.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
-from otf_core.pieces.runs import Recording, Run, prepare_runs
-from otf_core.pieces.standstill_method import prepare_stops
+from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform, rigid_fit
+from otf_core.model.observation import Samples
+from otf_core.model.path import MIN_LEG, NominalPath, sides_of_travel
+from otf_core.noise.standstill import find_standstills, noise_model
+from otf_core.pieces.pieces import Pieces
+from otf_core.pieces.runs import (
+    Recording,
+    Run,
+    blamed,
+    check_same_machine,
+    common_nodes,
+    covered_range,
+    prepare_runs,
+)
+from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.matching import OFF_PATH, find_match
+from otf_core.tracking.measured_track import Track
+
+MIN_STOP = 0.05
+"""s; shortest part of a stop, settling left out, that is averaged."""
+MIN_STOPS = 4
+"""Fewer stops do not fix the place of the tracker."""
+SAME_PLACE = 1e-4
+"""m; successive stops at one point that lie closer together are one stop."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Standstills of a recording.
+
+    Attributes
+    ----------
+    span : ndarray of int64, shape (k, 2)
+        First sample and one past the last.
+    xyz : ndarray, shape (k, 3), m
+        Mean point in the tracker frame, outliers left out.
+    samples : tuple of ndarray of int64
+        Samples averaged, one array a stop.
+    """
+
+    span: Index
+    xyz: Array
+    samples: tuple[Index, ...]
+
+
+def _without_outliers(xyz: Array, limit: float) -> NDArray[np.bool_]:
+    """Points within ``limit`` robust standard deviations of the median."""
+    distance = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+    return np.asarray(distance <= limit * max(float(np.median(distance)), 1e-9))
+
+
+def find_stops(samples: Samples, config: CalibrationConfig) -> Stops:
+    """Recognise and average standstills; parts of one stop are joined.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than ``MIN_STOPS``.
+    """
+    span = find_standstills(samples, config.standstill_speed, MIN_STOP)
+    place = [np.median(samples.xyz[a:b], axis=0) for a, b in span]
+    joined: list[list[int]] = []
+    for k, (first, last) in enumerate(span.tolist()):
+        if joined and np.linalg.norm(place[k] - place[k - 1]) < SAME_PLACE:
+            joined[-1][1] = last
+        else:
+            joined.append([first, last])
+    if len(joined) < MIN_STOPS:
+        raise InputError(
+            f'{len(joined)} standstills in the recording; the standstill method needs a stop at '
+            f'every point of the path (use the method otf for a run without stops)'
+        )
+    limit = config.outlier_limit
+    used = tuple(a + np.flatnonzero(_without_outliers(samples.xyz[a:b], limit)) for a, b in joined)
+    mean = np.array([samples.xyz[places].mean(axis=0) for places in used])
+    return Stops(np.array(joined, dtype=np.int64), mean, used)
+
+
+def _distinct_points(path: NominalPath) -> Array:
+    """Points of the path, successive repetitions merged, shape (n, 3), m."""
+    step = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
+    return np.asarray(path.points[np.concatenate([[True], step > MIN_LEG])])
+
+
+def match_in_order(measured: Array, nominal: Array, tolerance: float) -> Index:
+    """Assign stops to points so that most are assigned and the order never runs backwards.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (k, 3), m
+        Stops in order of time, machine frame.
+    nominal : ndarray, shape (n, 3), m
+        Points in driving order; a point visited twice is listed twice.
+    tolerance : float
+        m.
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+        Point of every stop, ``OFF_PATH`` for stops elsewhere.
+    """
+    near = np.linalg.norm(measured[:, None] - nominal[None], axis=2) < tolerance
+    count, points = near.shape
+    best = np.zeros((count + 1, points), dtype=np.int64)
+    for i in range(count):  # most assigned stops among the first i, the last one at point <= j
+        best[i + 1] = np.maximum.accumulate(np.maximum(best[i], best[i] + near[i]))
+    found = np.full(count, OFF_PATH, dtype=np.int64)
+    j = points - 1
+    for i in range(count, 0, -1):
+        if best[i, j] == best[i - 1, j]:
+            continue
+        j = int(np.argmax(best[i, : j + 1] == best[i, j]))
+        found[i - 1] = j
+    return found
+
+
+def _rough_pose(stops: Stops, points: Array, tolerance: float) -> RigidTransform:
+    number = np.arange(len(stops.xyz))
+    track = Track(stops.span[:, 0], stops.xyz, number[:-1], number[1:], number[:-1] > 0)
+    match = find_match(track, points, tolerance)
+    if match is None:
+        raise InputError(
+            'no run of stops fits the points of the path: do bag and path belong together, and '
+            'does the machine stop at every point?'
+        )
+    return match.pose
+
+
+def align_stops(
+    samples: Samples, path: NominalPath, config: CalibrationConfig
+) -> tuple[Alignment, Stops, Index]:
+    """Find the tracker's pose and the point of every stop.
+
+    Returns
+    -------
+    alignment : Alignment
+        ``corners`` are the points of the path; ``leg`` holds the point of every sample in a
+        stop; ``coverage`` is the share of points with a stop.
+    point : ndarray of int64, shape (k,)
+        Point of every stop or ``OFF_PATH``.
+
+    Raises
+    ------
+    InputError
+        If stops and points do not belong together.
+    """
+    points, stops = _distinct_points(path), find_stops(samples, config)
+    pose = _rough_pose(stops, points, config.match_tolerance)
+    for _ in range(3):
+        found = match_in_order(pose.apply(stops.xyz), points, 2 * config.match_tolerance)
+        use = found != OFF_PATH
+        if use.sum() < MIN_STOPS:
+            raise InputError(f'only {use.sum()} stops lie at points of the path')
+        pose = rigid_fit(stops.xyz[use], points[found[use]])
+    leg = np.full(len(samples), OFF_PATH, dtype=np.int32)
+    for (first, last), point in zip(stops.span, found, strict=True):
+        leg[first:last] = point
+    coverage = len(np.unique(found[use])) / len(points)
+    return (
+        Alignment(pose, points, leg, coverage, bool(found.max() == len(points) - 1)),
+        stops,
+        found,
+    )
+
+
+def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Index) -> Pieces:
+    """Return the stops at points of the path as pieces, each with a leg number of its own.
+
+    Their direction is that of approach from the point before; zero, as unknown, at the first.
+    """
+    use = np.flatnonzero(point != OFF_PATH)
+    approach = np.diff(alignment.corners, axis=0, prepend=alignment.corners[:1])
+    approach[1:] /= np.linalg.norm(approach[1:], axis=1, keepdims=True)
+    span, time = stops.span[use], samples.time
+    averaged = [stops.samples[k] for k in use]
+    count = np.array([len(a) for a in averaged])
+    return Pieces(
+        xyz=stops.xyz[use],
+        leg=np.arange(len(use)),
+        origin=alignment.corners[point[use]],
+        direction=approach[point[use]],
+        side=sides_of_travel(approach)[point[use]],
+        count=count,
+        time=0.5 * (time[span[:, 0]] + time[span[:, 1] - 1]),
+        duration=time[span[:, 1] - 1] - time[span[:, 0]],
+        speed=np.zeros(len(use)),
+        samples=np.concatenate(averaged),
+        piece=np.repeat(np.arange(len(use)), count),
+        used=int(count.sum()),
+        outliers=int((span[:, 1] - span[:, 0] - count).sum()),
+        end=float(time[-1]),
+        standstill=True,
+    )
+
+
+def prepare_stops(
+    recordings: Sequence[Recording], config: CalibrationConfig
+) -> tuple[list[Run], dict[str, Array]]:
+    """Align and average stops for a common set of table nodes; see ``runs.prepare_runs``."""
+    check_same_machine(recordings)
+    found, pieces, ranges = [], [], []
+    for recording in recordings:
+        with blamed(recording.name):
+            found.append(align_stops(recording.samples, recording.path, config))
+            pieces.append(stop_pieces(recording.samples, *found[-1]))
+            ranges.append(covered_range(found[-1][0], recording))
+    nodes = common_nodes(recordings[0].machine, ranges)
+    runs = []
+    for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
+        with blamed(recording.name):
+            samples, spec = recording.samples, recording.machine.tracker
+            noise = noise_model(samples, spec, config.standstill_speed)
+        runs.append(Run.of(recording, alignment, part, alignment.T_machine_tracker, noise))
+    return runs, nodes
+
 
 Preparation = Callable[
-    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, NDArray[np.float64]]]
+    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
 ]
 """From recordings to runs reduced to pieces, and the table nodes."""
 PREPARATIONS: Mapping[str, Preparation] = {OTF: prepare_runs, STANDSTILL: prepare_stops}

@@ -2,34 +2,176 @@
 """Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
 
 A piece never crosses a table node, so every error table is linear inside it and the mean of its
-samples loses nothing. Left out: corners, standstill and the moments around it, outliers. Curves
-have pieces of their own kind, see ``curve_pieces``.
+samples loses nothing. Left out: corners, standstill and the moments around it, and outliers, which
+are samples far from the running median of their leg. Curves have pieces of their own kind, see
+``tracking.curves``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
-from otf_core.pieces.boundaries import all_boundaries
-from otf_core.pieces.outliers import outlying
-from otf_core.pieces.windows import over_windows
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.arcs import curvature
-from otf_core.tracking.curve_pieces import near_joints
-from otf_core.tracking.curves import SHORT_CURVE, Lines
+from otf_core.tracking.curves import SHORT_CURVE, Lines, curvature, curve_boundaries, near_joints
 from otf_core.tracking.matching import OFF_PATH
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+
+def over_windows(combine: np.ufunc, values: NDArray[Any], size: int) -> NDArray[Any]:
+    """Combine the values of every window.
+
+    Two windows that overlap or meet make a longer one, so their length doubles from pass to pass.
+
+    Parameters
+    ----------
+    combine : ufunc
+        Of two values, which may be taken in repeatedly: maximum, minimum, logical_or.
+    values : ndarray, shape (..., n)
+    size : int
+        Values in a window.
+
+    Returns
+    -------
+    ndarray, shape (..., n - size + 1)
+    """
+    width = 1
+    while width < size:
+        step = min(width, size - width)
+        values = combine(values[..., :-step], values[..., step:])
+        width += step
+    return values
+
+
+MEDIAN_HALF = 5
+"""samples on either side that a sample is compared with to tell an outlier."""
+GROSS = 3e-5
+"""m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
+as bad samples they average out."""
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector of two independent normal components of unit variance."""
+
+
+def outlying(
+    offset_of: Callable[[slice], Array], bounds: Sequence[tuple[int, int]], limit: float
+) -> NDArray[np.bool_]:
+    """Samples far from the running median of their leg, by robust standard deviation.
+
+    No sample is further from its median than the samples around it are apart, so where these
+    are all within ``GROSS`` there is nothing to look for. The ends of a leg are continued by
+    point reflection, which keeps the slope; the end sample, about which it is reflected, is
+    compared with the extrapolated median instead.
+
+    Parameters
+    ----------
+    offset_of : callable
+        Offsets (3, m), m, of a slice of the samples; so that not all are held at once.
+    bounds : sequence of (int, int)
+        First sample and one past the last of every leg.
+    """
+    if all(_apart(offset_of(slice(*leg))) < GROSS for leg in bounds):
+        return np.zeros(bounds[-1][1], dtype=bool)
+    distance = np.empty(bounds[-1][1])
+    for leg in bounds:
+        distance[slice(*leg)] = np.linalg.norm(_from_median(offset_of(slice(*leg))), axis=0)
+    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
+    return np.asarray(distance > max(limit * sigma, GROSS))
+
+
+def _from_median(offset: Array) -> Array:
+    """Offsets of a leg (3, n) less their running median."""
+    from scipy.ndimage import median_filter  # 25 ms; most runs do without
+
+    if offset.shape[1] <= MEDIAN_HALF:
+        return np.asarray(offset - np.median(offset, axis=1, keepdims=True))
+    reach = ((0, 0), (MEDIAN_HALF, MEDIAN_HALF))
+    padded = np.pad(offset, reach, mode='reflect', reflect_type='odd')
+    # of one dimension at a time: SciPy then moves the window, five times as fast
+    smooth = np.stack([median_filter(own, 2 * MEDIAN_HALF + 1) for own in padded])
+    smooth = smooth[:, MEDIAN_HALF:-MEDIAN_HALF]
+    rest = offset - smooth
+    rest[:, 0] = offset[:, 0] - (2 * smooth[:, 1] - smooth[:, 2])
+    rest[:, -1] = offset[:, -1] - (2 * smooth[:, -2] - smooth[:, -3])
+    return np.asarray(rest)
+
+
+def _apart(offset: Array) -> float:
+    """Bound on the distance of the samples of a leg (3, n), m, from their running median."""
+    size, count = 2 * MEDIAN_HALF + 1, offset.shape[1]
+    if count <= size:
+        return float(np.linalg.norm(np.ptp(offset, axis=1))) * (3.0 if count > 1 else 1.0)
+    spread = over_windows(np.maximum, offset, size) - over_windows(np.minimum, offset, size)
+    reach = np.maximum(spread[:, 0], spread[:, -1])
+    return float(np.linalg.norm(np.maximum(spread.max(axis=1), 3.0 * reach)))
+
+
+MOST = 200
+"""Equal parts of one leg: long legs are those of large machines, whose functions are as long."""
+
+
+def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
+    """Piece boundaries along one leg, m from its start: node crossings, then equal parts.
+
+    Parts are ``size`` long, on legs of more than ``MOST`` of them longer.
+    """
+    step = corners[leg + 1] - corners[leg]
+    length = float(np.linalg.norm(step))
+    size = max(size, length / MOST)
+    cuts = [np.array([0.0, length])]
+    for axis in range(3):
+        if abs(step[axis]) > 1e-9:
+            cuts.append((nodes[axis] - corners[leg, axis]) / step[axis] * length)
+    marks = np.unique(np.concatenate(cuts))
+    marks = marks[(marks >= 0) & (marks <= length)]
+    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
+    span = np.diff(marks)
+    parts = np.maximum(np.ceil(span / size), 1.0).astype(np.int64)
+    place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
+    return np.append(inner, length)
+
+
+def all_boundaries(
+    lines: Lines, first: Index, nodes: tuple[Array, ...], size: float
+) -> list[Array]:
+    """Piece boundaries of every leg or part of a curve, m from its start.
+
+    Parameters
+    ----------
+    first : ndarray of int64, shape (k,)
+        First leg of each.
+    nodes : three ndarrays, m
+        Table nodes of the axes.
+    size : float
+        m.
+    """
+    corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
+    known: dict[bytes, Array] = {}  # laps drive the same lines
+
+    def boundaries(a: int, b: int) -> Array:
+        driven = corners[a : b + 1]
+        key = driven.tobytes()
+        if key not in known:
+            known[key] = (
+                piece_boundaries(driven, 0, nodes, size)
+                if b == a + 1
+                else curve_boundaries(driven, nodes, size)
+            )
+        return known[key]
+
+    return [boundaries(a, b) for a, b in zip(first.tolist(), ends.tolist(), strict=True)]
+
+
 Small = NDArray[np.int32]
 
 SPEED_WINDOW = 0.04
@@ -258,11 +400,8 @@ def reduce_to_pieces(
 
     Parameters
     ----------
-    samples : Samples
-    alignment : Alignment
     nodes : three ndarrays, m
         Table nodes of X, Y, Z; pieces end there.
-    config : CalibrationConfig
 
     Raises
     ------

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of one machine: each with its samples, path, tracker place and target offset."""
+"""Runs of one machine: each with its samples, path, tracker pose and target offset.
+
+Solving, budget and diagnosis need pieces, the pose of the tracker, its noise and the shape of the
+path (``Observed``: of a recording, or of a plan that is not driven yet); single samples only where
+``Run`` is required.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import LeftOut
@@ -22,18 +28,69 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.noise.standstill import noise_model
-from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, Followed, align
-from otf_core.tracking.curves import Lines
+from otf_core.tracking.alignment import Alignment, Followed, align, line_step
+from otf_core.tracking.curves import Lines, PathShape
 from otf_core.tracking.leg_starts import leg_starts
-from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """Pieces of one run and how they are seen.
+
+    Attributes
+    ----------
+    machine : Machine
+        As set up in this run.
+    shape : PathShape
+        Corner points and curves of the path as driven.
+    pose : RigidTransform
+        Tracker to machine, to start from: fitted rigidly, or of a solution before.
+    noise : NoiseModel
+        As the standstills of the run show it, else as specified.
+    fitted : ndarray, shape (5,), optional
+        What the residuals say of noise and misfit, see ``joint.fit_noise``.
+    name : str
+        Where it comes from, for messages and reports; empty if it needs none.
+    late : float, s
+        Where a recording was cut: start of this part after that of the recording.
+    signals : mapping of str to Signal
+        Recorded beside the samples.
+    first_ns : int, ns
+        Stamp from which the times of the pieces count.
+    """
+
+    machine: Machine
+    shape: PathShape
+    pieces: Pieces
+    pose: RigidTransform
+    noise: NoiseModel
+    fitted: Array | None = None
+    name: str = ''
+    late: float = 0.0
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    first_ns: int = 0
+
+    @property
+    def leg_starts(self) -> Array | None:
+        """When every line began from rest, as far as samples tell; see ``tracking.leg_starts``."""
+        return None
+
+    @property
+    def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
+        """Noise of single samples, and what the model leaves besides: as far as is known."""
+        if self.fitted is None:
+            return self.noise, Misfit()
+        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
+
+
+AnyRun = TypeVar('AnyRun', bound=Observed)
+"""Runs of recordings stay such where they are moved, thinned or fitted."""
+
 
 SNAP = 0.02
 """m; a covered range that ends this close to the path's own end is taken to reach it."""
@@ -45,8 +102,6 @@ class Recording:
 
     Attributes
     ----------
-    samples : Samples
-    path : NominalPath
     machine : Machine
         The same machine in all runs; its target offset and tracker may differ.
     name : str
@@ -100,10 +155,8 @@ class Run(Observed):
 
     Attributes
     ----------
-    samples : Samples
     path : NominalPath
         As published.
-    alignment : Alignment
     read : tuple of str
         Remarks of the recording.
     left_out : tuple of LeftOut
@@ -258,7 +311,6 @@ def prepare_runs(
 
     Returns
     -------
-    runs : list of Run
     nodes : mapping of axis to ndarray, m
     """
     check_same_machine(recordings)

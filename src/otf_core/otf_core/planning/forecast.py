@@ -1,42 +1,138 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan will show, before anything moves: rank, uncertainties of motions and on a grid.
-
-The path pieces that a recording would give are laid out from geometry and drive times; system of
-equations, weights and solution are those of the calibration, only without measured values. The
-forecast is therefore right where the noise is, and silent about effects that the model lacks.
-"""
+"""What a plan will show before anything moves: rank, uncertainties of motions and on a grid."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
+from otf_core.budget.budget import (
+    SYSTEMATIC,
+    declared_sources,
+    piece_states,
+    systematic_sensitivities,
+)
+from otf_core.budget.typical import missing_keys, typical_runs
+from otf_core.calibration.calibration_result import Expected
 from otf_core.config import CalibrationConfig, ForecastConfig
+from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
+from otf_core.errors import ConfigError, OtfError
+from otf_core.model.declared import KEYS
 from otf_core.model.evaluation import covered_grid, free_rows
+from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
-from otf_core.model.path import MIN_LEG, sides_of_travel
+from otf_core.model.path import MIN_LEG, NominalPath, sides_of_travel
 from otf_core.model.plan import Plan
-from otf_core.noise.model import NoiseModel
-from otf_core.pieces.boundaries import piece_boundaries
-from otf_core.pieces.pieces import SPEED_WINDOW, Pieces
-from otf_core.planning.drive_time import DriveTimes, drive_times
+from otf_core.model.presets import TYPICAL
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
+from otf_core.pieces.runs import Observed
 from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.prediction.volumetric import length_sizes
+from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
+from otf_core.solving.model_choice import smooth_bases
 from otf_core.solving.normal import NormalEquations, normal_equations
-from otf_core.solving.roughness import expected_precision
-from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.roughness import Roughness, expected_precision
 from otf_core.solving.solution import Solution, determined_by_data, identifiable_blocks, solve
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import by_motion, table_rows
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
+from otf_core.tracking.curves import straight_shape
 
-Array = NDArray[np.float64]
+# When the machine is where on a plan: trapezoidal speed, exact stop and dwell at every corner.
+#
+# t(s) on a leg of length L with peak speed v and acceleration a: sqrt(2 s / a) while speeding up,
+# s / v + v / (2 a) at constant speed, mirrored while slowing down; v = min(feed, sqrt(a L)).
+
+
+@dataclass(frozen=True)
+class DriveTimes:
+    """Timing of every leg.
+
+    Attributes
+    ----------
+    length, peak, moving : ndarray, shape (n,), m, m/s, s
+        Length, highest speed and driving time of each leg.
+    start : ndarray, shape (n,), s
+        Departure, counted from the start of the first dwell.
+    acceleration : float
+        m/s^2.
+    duration : float
+        s, all dwells included.
+    """
+
+    length: Array
+    peak: Array
+    moving: Array
+    start: Array
+    acceleration: float
+    duration: float
+
+    def at(self, leg: int, along: Array) -> Array:
+        """Time since departure at positions along a leg.
+
+        Parameters
+        ----------
+        along : ndarray, shape (k,), m
+            From the start of the leg.
+
+        Returns
+        -------
+        ndarray, shape (k,), s
+        """
+        peak, a = self.peak[leg], self.acceleration
+        ramp = 0.5 * peak**2 / a
+        left = self.length[leg] - along
+        return np.asarray(
+            np.select(
+                [along < ramp, left < ramp],
+                [
+                    np.sqrt(2 * np.maximum(along, 0.0) / a),
+                    self.moving[leg] - np.sqrt(2 * np.maximum(left, 0.0) / a),
+                ],
+                along / peak + 0.5 * peak / a,
+            )
+        )
+
+
+def leg_time(length: Array, feed: Array, acceleration: float) -> tuple[Array, Array]:
+    """Highest speed (m/s) and driving time (s) of legs that start and end at standstill."""
+    peak = np.minimum(feed, np.sqrt(length * acceleration))
+    moving = np.divide(length, peak, out=np.zeros_like(length), where=peak > 0)
+    return peak, moving + peak / acceleration
+
+
+def drive_times(plan: Plan, acceleration: float) -> DriveTimes:
+    """Time every leg of a plan.
+
+    Parameters
+    ----------
+    acceleration : float
+        m/s^2, along the path.
+    """
+    length = plan.path.leg_lengths
+    peak, moving = leg_time(length, plan.feed, acceleration)
+    start = np.cumsum(plan.dwell[:-1] + np.concatenate([[0.0], moving[:-1]]))
+    duration = float(start[-1] + moving[-1] + plan.dwell[-1])
+    return DriveTimes(length, peak, moving, start, acceleration, duration)
+
+
+# What a plan will show, before anything moves: rank, uncertainties of motions and on a grid.
+#
+# The path pieces that a recording would give are laid out from geometry and drive times; system of
+# equations, weights and solution are those of the calibration, only without measured values. The
+# forecast is therefore right where the noise is, and silent about effects that the model lacks.
+
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 
@@ -54,13 +150,9 @@ class Setup:
 
     Attributes
     ----------
-    machine : Machine
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the machine frame; it stands upright, its third axis along
         Z, which matters where its two angles are not equally good.
-    noise : NoiseModel
-    config : ForecastConfig
-    calibration : CalibrationConfig
     """
 
     machine: Machine
@@ -97,7 +189,6 @@ class Forecast:
 
     Attributes
     ----------
-    unknowns : Unknowns
     solution : Solution
         Its values are zero; covariance and accepted blocks count.
     nodes : mapping of axis to ndarray, m
@@ -117,7 +208,6 @@ class Forecast:
     grid_u_free : ndarray, shape (n, 3), m
         The same with the best rigid motion of the whole grid taken out, as for the grid errors
         of ``evaluation``: free of the choice of gauge.
-    pieces : Pieces
     duration : float
         s, accelerations and dwells included.
     """
@@ -241,7 +331,6 @@ def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setu
         Of these legs.
     cut : callable
         Such as ``as_recorded``.
-    setup : Setup
 
     Returns
     -------
@@ -284,17 +373,7 @@ def tracker_pose(setup: Setup) -> RigidTransform:
 
 
 def forecast(plan: Plan, setup: Setup) -> Forecast:
-    """Forecast what a calibration with this plan will show.
-
-    Parameters
-    ----------
-    plan : Plan
-    setup : Setup
-
-    Returns
-    -------
-    Forecast
-    """
+    """Forecast what a calibration with this plan will show."""
     points = plan.path.points
     nodes = table_nodes(setup.machine, points.min(axis=0), points.max(axis=0))
     equal = equal_pieces(layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length)
@@ -315,20 +394,14 @@ def forecast_of_pieces(
 
     Parameters
     ----------
-    pieces : Pieces
     pose : RigidTransform
         Of the tracker.
     nodes : mapping of axis to ndarray, m
         Of the tables.
     points : ndarray, shape (n, 3), m
         Corner points, which span the grid that is judged.
-    setup : Setup
     duration : float
         s.
-
-    Returns
-    -------
-    Forecast
     """
     machine, limit = setup.machine, setup.calibration.unidentifiable_above
     unknowns = layout(smooth_bases(nodes))
@@ -378,3 +451,180 @@ def grid_uncertainty(
         variance = np.einsum('ij,ij->i', part @ covariance, part)
         found.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
     return found[0], found[1]
+
+
+# Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.
+#
+# The sensitivities are those of the budget, for the pieces that the plan would give.
+
+Planned = tuple[Observed, JointSolution, ErrorTables]
+"""What a plan shows, and solution and tables with zero deviations."""
+
+
+def planned_solution(plan: Plan, setup: Setup, found: Forecast) -> Planned:
+    """What the plan shows, and solution and tables with zero deviations."""
+    observed = Observed(
+        machine=setup.machine,
+        shape=straight_shape(plan.path.points),
+        pieces=found.pieces,
+        pose=tracker_pose(setup),
+        noise=setup.noise,
+    )
+    return solution_of_pieces(observed, found)
+
+
+def solution_of_pieces(observed: Observed, found: Forecast) -> Planned:
+    """What pieces show, planned or recorded, and solution and tables with zero deviations."""
+    machine = observed.machine
+    system = build_system(machine, found.pieces, observed.pose, found.unknowns)
+    whitener = Whitener.of(system, found.pieces, observed.noise)
+    solved = SolvedRun(observed.pose, system, whitener, np.zeros_like(system.deviation))
+    nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
+    done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
+    return observed, done, tables_of(machine, found.unknowns, found.solution)
+
+
+@dataclass(frozen=True)
+class PlannedSystematic:
+    """Mean uncertainty of the grid vector, rigid motion taken out, by what it contains.
+
+    Attributes
+    ----------
+    declared, missing : tuple of str
+        Contributions as the budget calls them; ``missing``: at least one key is not declared.
+    noise, with_declared, with_typical : float
+        m, k = 1: of the noise alone; with the declared contributions; with typical values for
+        the missing keys too.
+    expected : Expected
+        Expanded, with all of them: what a calibration would state first.
+    """
+
+    declared: tuple[str, ...]
+    missing: tuple[str, ...]
+    noise: float
+    with_declared: float
+    with_typical: float
+    expected: Expected
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry of plan.json."""
+        return {
+            'declared': list(self.declared),
+            'missing': list(self.missing),
+            'typical': list(TYPICAL),
+            'mean_grid_u_noise': self.noise,
+            'mean_grid_u_with_declared': self.with_declared,
+            'mean_grid_u_with_typical': self.with_typical,
+            **self.expected.to_dict(),
+        }
+
+
+def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
+    """Forecast the grid with declared contributions, and with typical ones for the others.
+
+    Parameters
+    ----------
+    planned : tuple of Observed, JointSolution, ErrorTables
+        See ``planned_solution``.
+    found : Forecast
+        Of the same plan.
+    """
+    run, done, tables = planned
+    rows = table_rows(found.unknowns, found.nodes)
+
+    def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
+        total = np.zeros_like(found.covariance)
+        states = piece_states(runs, done, tables) if sources else []
+        for free in systematic_sensitivities(sources, states, done):
+            change = rows @ free
+            total += change @ change.T
+        return total
+
+    def lengths(covariance: Array) -> Array:
+        free = grid_uncertainty(run.machine, found.nodes, covariance, found.grid)[1]
+        return np.asarray(np.linalg.norm(free, axis=1))
+
+    keys = missing_keys([run])
+    missing = [s for s in SYSTEMATIC if set(s.keys) & set(keys)]
+    declared = declared_sources([run])
+    own = found.covariance + added(declared, [run])
+    noise = np.linalg.norm(found.grid_u_free, axis=1)
+    stated = lengths(own) if declared else noise
+    whole = lengths(own + added(missing, typical_runs([run], keys))) if missing else stated
+    expected = Expected(
+        expanded=length_sizes(COVERAGE_FACTOR * whole),
+        observed=length_sizes(COVERAGE_FACTOR * noise),
+        k=COVERAGE_FACTOR,
+        assumed=tuple(s.source for s in missing),
+        nothing_declared=len(keys) == len(KEYS),
+    )
+    return PlannedSystematic(
+        tuple(s.source for s in declared),
+        expected.assumed,
+        found.mean_grid_u,
+        float(stated.mean()),
+        float(whole.mean()),
+        expected,
+    )
+
+
+# Runs that were measured already, beside a planned one: rows of all of them together.
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """A run that was measured.
+
+    Attributes
+    ----------
+    plan : Plan
+        As it was driven.
+    place : ndarray, shape (3,), m
+        Of the tracker.
+    """
+
+    plan: Plan
+    place: Array
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], where: str) -> MeasuredRun:
+        """Read an entry of gap.json; ConfigError if it is none."""
+        try:
+            points = np.array(data['path'], dtype=float)
+            feed = np.array(data['feed'], dtype=float)
+            place = np.array(data['tracker_place'], dtype=float)
+            plan = Plan(NominalPath(points), feed, np.zeros(len(points)))
+            if place.shape != (3,) or not np.all(np.isfinite(place)):
+                raise ValueError('tracker_place')
+        except (KeyError, TypeError, ValueError, OtfError) as error:
+            raise ConfigError(f'{where}: measured: cannot be read ({error})') from None
+        return cls(plan, place)
+
+    def observed(self, setup: Setup) -> Observed:
+        """What the run shows, by its path alone."""
+        own = setup.at(self.place)
+        return Observed(
+            machine=own.machine,
+            shape=straight_shape(self.plan.path.points),
+            pieces=forecast(self.plan, own).pieces,
+            pose=tracker_pose(own),
+            noise=own.noise,
+        )
+
+
+def joint_rows(planned: Planned, before: Sequence[Observed], limit: float) -> Rows:
+    """Rows of a planned run and of those before it, with zero deviations and common tables."""
+    observed, done, _ = planned
+    runs = [observed, *before]
+    unknowns = layout(done.unknowns.bases, len(runs))
+    solved = []
+    for number, run in enumerate(runs):
+        system = build_system(run.machine, run.pieces, run.pose, unknowns, run=number)
+        whitener = Whitener.of(system, run.pieces, run.noise)
+        solved.append(SolvedRun(run.pose, system, whitener, np.zeros_like(system.deviation)))
+    nothing = np.zeros(unknowns.full)
+    solution = Solution(
+        nothing, np.outer(nothing, nothing), done.solution.accepted, 0, np.zeros((0, 0))
+    )
+    joint = replace(done, unknowns=unknowns, solution=solution, runs=tuple(solved))
+    return rows_of(runs, joint, limit)

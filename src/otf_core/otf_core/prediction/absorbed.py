@@ -16,14 +16,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import motion_influence, squareness_influence, turned
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
-
-Array = NDArray[np.float64]
 
 COUNT = 5
 """Places per axis at which displacements are compared; as many as a cubic needs, and one."""

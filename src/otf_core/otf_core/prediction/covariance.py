@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from otf_core.model.machine import Machine
 
-Array = NDArray[np.float64]
-
 
 def pack_covariance(
     covariance: NDArray[np.float64], machine: Machine | None = None

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.tables import ErrorTables
-
-Array = NDArray[np.float64]
 
 FLAT = 1e-4
 """m; a hull that is thinner in some direction is taken as flat there."""

@@ -14,13 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predictor import Evaluated, Predictor
 from otf_core.prediction.table_prior import MotionPrior
-
-Array = NDArray[np.float64]
 
 ABSURD = 10.0
 """Points further outside than this many axis ranges are refused: another unit, most likely."""

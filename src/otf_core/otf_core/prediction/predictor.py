@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables
@@ -25,8 +26,6 @@ from otf_core.prediction.table_prior import (
 )
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import table_places
-
-Array = NDArray[np.float64]
 
 LONGEST_OFFSET = 10.0
 """m; as in machine.yaml."""
@@ -67,7 +66,6 @@ class Predictor:
     correlated : bool
         False if the file holds no covariance: nodes are taken as independent.
     prior : mapping of motion to MotionPrior
-    driven : DrivenVolume, optional
     not_seen : tuple of str
         Motions and squareness errors that the data did not see.
     holds : str
@@ -92,7 +90,6 @@ class Predictor:
 
         Parameters
         ----------
-        source : str, Path or TablesFile
         target_offset : ndarray, shape (3,), m, optional
             See ``predict.predict``.
 

@@ -33,15 +33,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import lever, motion_influence, squareness_influence, turned
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
-
-Array = NDArray[np.float64]
 
 PARTS = ('slope', 'intensity', 'sd', 'length')
 NO_LEVER = 1e-9

@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import motion_influence, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
 from otf_core.model.nodes import hat_matrix
-
-Array = NDArray[np.float64]
 
 
 def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:
@@ -20,7 +18,6 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
 
     Parameters
     ----------
-    machine : Machine
     nodes : mapping of motion name to ndarray, m
     q : ndarray, shape (n, k), m and rad
 
@@ -65,7 +62,6 @@ def prediction_uncertainty(
 
     Parameters
     ----------
-    machine : Machine
     nodes : mapping of motion name to ndarray, m
     covariance : ndarray, shape (m, m)
         Of squareness and nodes, in the order of ``prediction_rows``.

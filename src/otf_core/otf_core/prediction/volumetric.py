@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import free_rows, lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
 
 
 def table_places(tables: ErrorTables) -> dict[str, slice]:
@@ -80,7 +78,6 @@ class VolumetricError:
 
     Attributes
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
         Of squareness and nodes.
     prior : mapping of motion or squareness error to MotionPrior

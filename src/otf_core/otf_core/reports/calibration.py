@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
-
-``error_tables.json`` (holds the covariance in full precision, so that a copy
-of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
-(the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``,
-``report.html`` (all of it for a reader), ``certificate.html`` (two pages for print, on request).
-With effects taken off: ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
-"""
+"""What ``otf calibrate`` writes: report, certificate and all files of a calibration."""
 
 from __future__ import annotations
 
@@ -19,47 +12,73 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
-from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.machine_verdict import WHAT
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.effects.stated_effect import effects_to_list
-from otf_core.files.csv_points import tidy, write_csv
-from otf_core.files.writing import ensure_folder, whole_file, write_if_it_fits, write_text
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.files.writing import (
+    ensure_folder,
+    tidy,
+    whole_file,
+    write_csv,
+    write_if_it_fits,
+    write_text,
+)
+from otf_core.model.circumstances import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS
+from otf_core.model.expanded import figure, significant, with_expanded
+from otf_core.model.limits import UNCERTAINTY, VOLUMETRIC
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
-from otf_core.noise.fields import noise_to_fields
+from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import volumetric_error
-from otf_core.reports.budget_tables import BudgetLine, budget_lines, budget_to_dict, expanded
-from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.calibration_sections.conventions import (
-    conventions_section,
-    effects_section,
-    provenance_section,
+from otf_core.reports.calibration_facts import (
+    BudgetLine,
+    Facts,
+    budget_lines,
+    budget_to_dict,
+    expanded,
+    measured,
 )
 from otf_core.reports.calibration_sections.error_motions import (
     motions_section,
     nodes_section,
+    reversal_csv,
     reversal_section,
+    reversal_to_dict,
+    role,
     squareness_section,
 )
 from otf_core.reports.calibration_sections.first_screen import (
+    BOUND,
+    MOODS,
+    ErrorSize,
+    badges,
+    bound_words,
     calibration_summary,
+    error_sizes,
     heading,
     limits_section,
     overview_section,
+    running_words,
+    volume_pictures,
 )
 from otf_core.reports.calibration_sections.measurement import (
     conditions_section,
+    conventions_section,
     data_quality_section,
     drift_section,
+    effects_section,
     fit_section,
     path_section,
+    provenance_section,
 )
 from otf_core.reports.calibration_sections.uncertainty_budget import (
     budget_section,
@@ -70,13 +89,191 @@ from otf_core.reports.calibration_sections.volumetric_error import (
     diagonals_section,
     volume_section,
 )
-from otf_core.reports.certificate import certificate_html
-from otf_core.reports.page import page_html
-from otf_core.reports.reversal_tables import reversal_csv, reversal_to_dict
-from otf_core.reports.section import Section, sections_to_text
+from otf_core.reports.drawing.scene import SCRIPT
+from otf_core.reports.page import (
+    Cell,
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    micro_unit,
+    page_html,
+    place,
+    sections_to_text,
+)
 from otf_core.threads import in_one_thread
 
-Array = NDArray[np.float64]
+# Certificate of a calibration: two pages of A4 that a customer signs for and files.
+
+BLANK = '\N{HORIZONTAL ELLIPSIS}' * 10
+"""To be filled in by hand."""
+BY_HAND = ('number', 'customer', 'laboratory', 'operator', 'place')
+"""What a certificate leaves room for where machine.yaml does not state it."""
+HASH_LETTERS = 16
+"""Letters of a hash that identify a recording on paper; the whole one is in error_tables.json."""
+NAMED_RECORDINGS = 3
+"""Recordings that are named."""
+BETWEEN = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}
+
+
+def certificate_html(facts: Facts) -> str:
+    """Return the certificate as a page that prints on two sheets of A4."""
+    number = facts.machine.stated.certificate.get('number')
+    name = f'certificate {number}, ' if number else ''
+    heading = Heading(
+        f'Calibration certificate{f" {number}" if number else ""}',
+        '',
+        badges(facts.result.verdicts),
+        running=f'{name}{running_words(facts)}',
+    )
+    sections = [_subject(facts), _volume(facts), _errors(facts), _statement(facts), _signatures()]
+    return page_html(heading, sections)
+
+
+def _subject(facts: Facts) -> Section:
+    stated, machine = facts.machine.stated, facts.machine
+    ranges = ', '.join(
+        f'{a} {1e3 * axis.min:g} to {1e3 * axis.max:g}' for a, axis in machine.axes.items()
+    )
+    runs = facts.result.runs
+    given = {**stated.certificate, **stated.conditions}
+    words = {**CERTIFICATE, **{k: TEXTS[k] for k in ('operator', 'place')}}
+    parties = [
+        (said, str(given.get(key, BLANK)))
+        for key, said in words.items()
+        if key in given or key in BY_HAND
+    ]
+    subject = (
+        ('machine', f'{machine.name}, chain {machine.chain}'),
+        ('calibrated volume', f'{ranges} mm'),
+        ('target offset', '; '.join(dict.fromkeys(place(run.target_offset) for run in runs))),
+        ('measured', measured(facts.result.origin) or 'the stamps hold no date'),
+    )
+    own = stated.instrument
+    instrument = [
+        (said, own.get(key, 'not stated'))
+        for key, said in INSTRUMENT.items()
+        if key in own or key in ('model', 'serial')
+    ]
+    conditions = [
+        (said, f'{given[key]:g} {unit}')
+        for key, (said, unit, _, _) in NUMBERS.items()
+        if key in given
+    ]
+    if 'remark' in stated.conditions:
+        conditions.append((TEXTS['remark'], str(stated.conditions['remark'])))
+    tables = tuple(
+        Table(('', ''), tuple(rows), title=title)
+        for title, rows in (
+            ('Customer and place', parties),
+            ('Machine', subject),
+            ('Instrument: laser tracker', instrument),
+            ('Conditions', conditions or [('not stated', '')]),
+        )
+    )
+    return Section('subject', '', tables=tables)
+
+
+def _volume(facts: Facts) -> Section:
+    first = facts.result.headline
+    rows = (
+        ('as the machine stands', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
+         with_expanded(1e6 * first.error['max'], 1e6 * first.of_largest)),
+        ('expected after compensation with these tables: U, predicted, not measured',
+         *(significant(1e6 * first.expanded[s]) for s in ('mean', 'max'))),
+    )  # fmt: skip
+    head = ('Length of the error vector (um)', 'Mean', 'Largest')
+    picture = volume_pictures(facts)
+    still = Picture(picture.parts, 'Error vectors (left) and U of the vector as radius (right) at '
+                    'one scale.', picture.columns, key=picture.key)  # fmt: skip
+    return Section('certificate-volume', 'Volume before and after compensation', (),
+                   tables=(Table(head, rows, numbers=(1, 2)),), draw=lambda: (still,),
+                   script=SCRIPT)  # fmt: skip
+
+
+def _errors(facts: Facts) -> Section:
+    rows: list[tuple[Cell, ...]] = [_volume_limit(facts, name) for name in _volume_limits(facts)]
+    rows += [_row(facts, one) for one in error_sizes(facts)]
+    head = ('Error', 'Is', 'Value', 'U', 'Unit', 'Limit', 'State')
+    table = Table(head, tuple(rows), numbers=(2, 3, 5), stacked=True)
+    return Section('certificate-errors', 'All 21 errors', tables=(table,))
+
+
+def _volume_limits(facts: Facts) -> list[str]:
+    limits = facts.machine.limits
+    return [n for n in (VOLUMETRIC, UNCERTAINTY) if limits and n in limits.values]
+
+
+def _volume_limit(facts: Facts, name: str) -> tuple[Cell, ...]:
+    verdict = facts.result.machine_verdict
+    assert verdict is not None, 'limits are stated'
+    one = next(j for j in verdict.judged if j.name == name)
+    wide = significant(1e6 * one.U) if one.U else ''
+    value = figure(1e6 * one.value, 1e6 * (one.U or one.value))
+    return ('volume', WHAT[name], value, wide, micro_unit(one.unit), f'{1e6 * one.limit:g}',
+            State(one.state, MOODS[one.state]))  # fmt: skip
+
+
+def _row(facts: Facts, one: ErrorSize) -> tuple[Cell, ...]:
+    limit: Cell = '' if one.limit is None else f'{1e6 * one.limit:g}'
+    state: Cell = State(one.state, MOODS[one.state]) if one.state else ''
+    if one.name in SQUARENESS:
+        said, value = f'squareness of {BETWEEN[one.name]}', facts.tables.squareness[one.name].value
+    else:
+        motion = ErrorMotion.of(one.name)
+        said, value = f'{role(motion)} of {motion.axis}, span', one.value
+    name = f'{one.name}{BOUND}' if one.bound else one.name
+    if not one.known:
+        return name, said, 'not known', '', '', limit, state
+    wide = 1e6 * one.U
+    return (name, said, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
+            limit, state)  # fmt: skip
+
+
+def _statement(facts: Facts) -> Section:
+    first, about = facts.result.headline, facts.provenance
+    words = [
+        f'U is the expanded uncertainty by JCGM 100 (GUM): the combined standard uncertainty '
+        f'times the coverage factor k = {first.k:.3g}, which covers about 95 %; where 60 or fewer '
+        f"degrees of freedom stand behind it, k is Student's t. U holds noise and misfit of the "
+        f'measurement and {first.label}.',
+        'A limit is kept if value + U is at most the limit and broken if value - U is above it '
+        '(ISO 14253-1). Errors are actual minus nominal position of the target relative to the '
+        'table, names after ISO 230-1; the volumetric error is that of a regular grid, the best '
+        'rigid motion taken out. Results hold at the time, the target offset and the conditions '
+        'of the measurement and are not reduced to 20 °C.',
+    ]
+    words.append(bound_words(facts).strip())
+    hidden = facts.result.not_identifiable
+    if hidden:
+        words.append(f'Not known: {", ".join(hidden)}: these data do not show them.')
+    runs = about.get('runs', [])
+    hashes = [f'{r["name"]} {r["sha256"][:HASH_LETTERS]}'.strip() for r in runs]
+    named = ', '.join(hashes[:NAMED_RECORDINGS])
+    more = f' and {len(hashes) - NAMED_RECORDINGS} more' if len(hashes) > NAMED_RECORDINGS else ''
+    words.append(
+        f'Run {facts.result.run_id}, otf_core {about["software"]["version"]}, written '
+        f'{about["written"]}; SHA-256 of the recording begins: {named}{more}. '
+        f'All values, covariances and whole hashes: error_tables.json.'
+    )
+    said = tuple(line for line in words if line)
+    return Section('statement', 'Uncertainty and traceability', said)
+
+
+def _signatures() -> Section:
+    lines = ''.join(f'<div>{said}</div>' for said in ('Date', 'Measured by', 'Approved by'))
+    part = f'<div class="signatures">{lines}</div>'
+    return Section('signatures', '', draw=lambda: (Picture((part,), ''),))
+
+
+# What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
+#
+# ``error_tables.json`` (holds the covariance in full precision, so that a copy of it predicts with
+# honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv`` (the same, forward
+# and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``, ``report.html`` (all of
+# it for a reader), ``certificate.html`` (two pages for print, on request). With effects taken off:
+# ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
 
 SECTIONS: tuple[Callable[[Facts], Section | None], ...] = (
     overview_section,
@@ -293,6 +490,7 @@ def write_calibration(
     folder: str | Path,
     verb: str = 'calibrate',
     *,
+    residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
@@ -303,11 +501,12 @@ def write_calibration(
 
     Parameters
     ----------
-    result : CalibrationResult
     folder : str or Path
         Made if missing; files of the same names are replaced.
     verb : str
         Command that the files come from.
+    residuals : bool
+        Write residuals.npz.
     residuals_csv : bool
         Write the residuals as text too.
     report : bool
@@ -319,10 +518,6 @@ def write_calibration(
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json
         never is.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------
@@ -351,7 +546,8 @@ def write_calibration(
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE, certificate_html(facts)
         )
-    wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
+    if residuals:
+        wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
     if residuals_csv:
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(result.runs, folder)
     written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
@@ -390,6 +586,7 @@ def write_with_effects(
     done: EffectsCalibration,
     folder: str | Path,
     *,
+    residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
@@ -399,16 +596,13 @@ def write_with_effects(
 
     Without effects taken off there is no folder ``plain``: the tables are the plain ones.
     ``missing`` as of ``write_calibration``.
-
-    Returns
-    -------
-    list of Path
     """
     folder = Path(folder)
     files = []
     written = write_calibration(
         done.result,
         folder,
+        residuals=residuals,
         residuals_csv=residuals_csv,
         report=report,
         certificate=certificate,
@@ -426,7 +620,9 @@ def write_with_effects(
         if write_if_it_fits(
             missing,
             PLAIN_FOLDER,
-            lambda: write_calibration(done.plain, plain, report=report, missing=lost),
+            lambda: write_calibration(
+                done.plain, plain, residuals=residuals, report=report, missing=lost
+            ),
         ):
             files.append(plain / TABLES_FILE)
         for name, why in (lost or {}).items():
@@ -437,9 +633,16 @@ def write_with_effects(
 
 def write_reports(done: EffectsCalibration, folder: Path) -> None:
     """Write the reports that ``write_with_effects`` has left out."""
+    write_report(folder, facts_of(done.result))
     if done.applied[0]:
         write_report(folder / PLAIN_FOLDER, facts_of(done.plain))
-    write_report(folder, facts_of(done.result))
+
+
+def write_residuals_of_both(done: EffectsCalibration, folder: Path) -> None:
+    """Write residuals.npz where ``write_with_effects`` has left it out."""
+    write_residuals(done.result.runs, folder)
+    if done.applied[0]:
+        write_residuals(done.plain.runs, folder / PLAIN_FOLDER)
 
 
 def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:

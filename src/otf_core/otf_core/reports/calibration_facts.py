@@ -1,24 +1,210 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sections of a calibration's report share: the result, and what is computed once."""
+"""What the sections of a calibration report share: facts, budget and conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
+from otf_core.budget.budget import NAMES, TYPICAL_SOURCE, Budget
 from otf_core.budget.typical import TypicalSystematic
-from otf_core.calibration.result import CalibrationResult
-from otf_core.model.machine import Machine
+from otf_core.calibration.calibration_result import CalibrationResult, RunResult
+from otf_core.files.writing import tidy
+from otf_core.model.circumstances import INSTRUMENT, NUMBERS, TEXTS
+from otf_core.model.evaluation import driven_grid, free_rows
+from otf_core.model.expanded import COVERAGE_PROBABILITY
+from otf_core.model.machine import Machine, TrackerSpec
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.provenance import Origin, moment
 from otf_core.model.tables import ErrorTables
-from otf_core.prediction.volumetric import VolumetricError
-from otf_core.reports.budget_tables import BudgetLine
+from otf_core.noise.noise_model import QUANTITIES
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.prediction.volumetric import VolumetricError, table_places
+from otf_core.reports.page import Table, dof_words, listed, place, whole_dof
+from otf_core.threads import one_thread
 
-Array = NDArray[np.float64]
+# The budget as data and as text: expanded uncertainties, sources, correlations.
+
+GRID = 'grid'
+STRONG = 0.5
+"""Correlations at least as large are listed."""
+LISTED_PAIRS = 20
+SHORT = {
+    'smoothness': 'smooth',
+    'straight lines': 'lines',
+    'tracker scale': 'scale',
+    'tracker range offset': 'offset',
+    'tracker angles': 'angles',
+    'machine temperature': 'machine',
+    'target offset': 'target',
+    TYPICAL_SOURCE: 'typical',
+}
+"""Names of sources as heads of columns."""
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """One quantity of the budget.
+
+    Attributes
+    ----------
+    name : str
+        Squareness error, motion, or 'grid': length of the error vector on a regular grid over
+        the driven volume, the best rigid motion taken out.
+    unit : str
+        m or rad.
+    u : float
+        Standard uncertainty, root mean square over nodes (those that the gauge fixes left out)
+        or grid points.
+    parts : mapping of source to float
+        The same by source; their squares add up.
+    k, dof : float
+        Coverage factor for 95 % and effective degrees of freedom; infinite ones are possible.
+    """
+
+    name: str
+    unit: str
+    u: float
+    parts: dict[str, float]
+    k: float
+    dof: float
+
+
+def _line(
+    budget: Budget, name: str, unit: str, variances: Array, components: int = 1
+) -> BudgetLine:
+    known = variances[:, variances.sum(axis=0) > 0]
+    mean = np.sqrt(components * known.mean(axis=1)) if known.size else np.zeros(len(variances))
+    parts = {n: float(v) for n, v in zip(budget.names, mean, strict=True)}
+    return BudgetLine(name, unit, float(np.sqrt(np.sum(mean**2))), parts, *budget.expansion(known))
+
+
+def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
+    """Lines for everything that is identifiable, and for the grid.
+
+    Parameters
+    ----------
+    budget : Budget
+        Of the same nodes.
+    """
+    variances, lines = budget.variances(), []
+    for name, part in table_places(tables).items():
+        if variances[:, part].any():
+            unit = 'rad' if name in SQUARENESS else unit_of(name)
+            lines.append(_line(budget, name, unit, variances[:, part]))
+    grid = driven_grid(tables)
+    rows = prediction_rows(tables.machine, {m: tables.motions[m].position for m in MOTIONS}, grid)
+    with one_thread():
+        free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+        return [*lines, _line(budget, GRID, 'm', budget.variances(free), components=3)]
+
+
+def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str, Any]]:
+    """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
+    found: dict[str, dict[str, Any]] = {}
+    by_name = {line.name: line for line in lines}
+    for name in NAMES:
+        line = by_name.get(name)
+        k = line.k if line else 0.0
+        if name in SQUARENESS:
+            wide: Any = k * tables.squareness[name].u
+        else:
+            wide = (k * tables.motions[name].u).tolist()
+        found[name] = {
+            'U': wide,
+            'k': k if line else None,
+            'dof': whole_dof(line.dof) if line else None,
+        }
+    return found
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Strongest correlation between two tables: where, and the coefficient."""
+
+    between: tuple[str, str]
+    r: float
+
+
+def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
+    """Correlations of at least ``STRONG`` between squareness errors and motions.
+
+    Of two motions the pair of nodes with the strongest correlation counts.
+
+    Returns
+    -------
+    list of Correlation
+        Strongest first.
+    """
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)
+    r = covariance / np.outer(unit, unit)
+    places, found = table_places(tables), []
+    for one, other in combinations(NAMES, 2):
+        part = r[places[one], places[other]]
+        at = np.unravel_index(int(np.argmax(np.abs(part))), part.shape)
+        if abs(part[at]) >= STRONG:
+            names = [_at_node(tables, n, int(i)) for n, i in zip((one, other), at, strict=True)]
+            found.append(Correlation((names[0], names[1]), float(part[at])))
+    return sorted(found, key=lambda c: -abs(c.r))
+
+
+def _at_node(tables: ErrorTables, name: str, node: int) -> str:
+    if name in SQUARENESS:
+        return name
+    return f'{name} at {tidy(1e3 * float(tables.motions[name].position[node])):g} mm'
+
+
+def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:
+    """Budget and correlations as plain data; see docs/uncertainty.md."""
+    strong = correlations(tables, budget.covariance)
+    freedoms = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))
+    names = lines[-1].parts
+    return {
+        'budget': {
+            'coverage_probability': COVERAGE_PROBABILITY,
+            'dof': {n: whole_dof(freedoms.get(n, np.inf)) for n in names},
+            'not_stated': list(budget.not_stated),
+            'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
+        },
+        'correlations': {
+            'at_least': STRONG,
+            'strongest': [{'between': list(c.between), 'r': c.r} for c in strong[:LISTED_PAIRS]],
+            'more': max(0, len(strong) - LISTED_PAIRS),
+        },
+    }
+
+
+def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> str:
+    """Return the budget as text."""
+    sources = [name for name in lines[-1].parts if any(n.parts[name] for n in lines)]
+    head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)
+    text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
+    for line in lines:
+        parts = ''.join(f'{1e6 * line.parts[name]:>9.3f}' for name in sources)
+        text.append(
+            f'{line.name:<6}{"um" if line.unit == "m" else "urad":<6}k = {line.k:<6.2f}'
+            f'dof {dof_words(line.dof):<7}'
+            f'{1e6 * line.k * line.u:>10.3f}{1e6 * line.u:>10.3f}{parts}'
+        )
+    if budget.not_stated:
+        text.append(f'Not declared in machine.yaml, typical values stand for them: '
+                    f'{", ".join(budget.not_stated)}.')  # fmt: skip
+    strong = correlations(tables, budget.covariance)
+    if strong:
+        named = [f'{a}, {b}: {c.r:.2f}' for c in strong[:3] for a, b in [c.between]]
+        listed = '; '.join(named)
+        text.append(f'Correlations of at least {STRONG}: {len(strong)} pairs, strongest {listed}.')
+    return '\n'.join(text)
+
+
+# What the sections of a calibration's report share: the result, and what is computed once.
 
 
 @dataclass(frozen=True)
@@ -27,8 +213,6 @@ class Facts:
 
     Attributes
     ----------
-    result : CalibrationResult
-    lines : tuple of BudgetLine
     provenance : mapping
         Block of that name in error_tables.json.
     """
@@ -85,3 +269,64 @@ class Facts:
     def both_ways(self) -> bool:
         """True if forward and backward travel differ in this calibration."""
         return any(t.identifiable for t in self.result.reversal.motions.values())
+
+
+# Conditions and instrument of reports: what was driven, with what, what is not stated.
+
+
+def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
+    """Tables of what machine.yaml states, and words about what it does not."""
+    given = machine.stated
+    instrument = [(words, given.instrument.get(key)) for key, words in INSTRUMENT.items()]
+    about = [(words, given.conditions.get(key)) for key, words in TEXTS.items()]
+    for key, (words, unit, _, _) in NUMBERS.items():
+        value = given.conditions.get(key)
+        about.append((words, None if value is None else f'{value:g} {unit}'))
+    wished = [row for row in (*about, *instrument) if row[0] != TEXTS['remark']]
+    missing = [words for words, value in wished if value is None]
+    instrument.append(('specified standard uncertainties (k = 1)', _specified(machine.tracker)))
+    tables = [
+        Table(('', ''), tuple((w, str(v)) for w, v in rows if v is not None), title=title)
+        for title, rows in (('Conditions', about), ('Instrument', instrument))
+        if any(v is not None for _, v in rows)
+    ]
+    said = (f'Not stated: {listed(missing)}. machine.yaml has the sections conditions and '
+            f'instrument for it.',) if missing else ()  # fmt: skip
+    return tables, said
+
+
+def _specified(tracker: TrackerSpec) -> str:
+    preset = f' (preset {tracker.preset})' if tracker.preset else ''
+    return (
+        f'{1e6 * tracker.u_range:.2f} um along the beam, {1e6 * tracker.u_angle:.2f} urad of each '
+        f'angle{preset}'
+    )
+
+
+def measured(origins: Iterable[Origin]) -> str:
+    """First and last stamp as dates, in words; empty if the stamps tell none."""
+    dates = [moment(ns) for o in origins for ns in (o.first_ns, o.last_ns)]
+    known = sorted(d for d in dates if d is not None)
+    return f'{known[0][:19]}Z to {known[-1][:19]}Z' if known else ''
+
+
+def run_table(number: int, run: RunResult) -> Table:
+    """How a run was driven, and from where it was seen."""
+    pieces = run.pieces
+    noise = '; '.join(
+        f'{name} {1e6 * part.level:.2f} {"um" if name == QUANTITIES[0] else "urad"}'
+        for name, part in zip(QUANTITIES, run.noise, strict=True)
+    )
+    feeds = np.quantile(pieces.speed, (0.05, 0.5, 0.95)) * 6e4
+    rows = [
+        ('duration', f'{pieces.end or float(pieces.time.max()):.1f} s'),
+        ('samples', f'{run.samples}, {run.rate:.1f} Hz'),
+        ('path driven', f'{100 * run.coverage:.1f} %'),
+        ('tracker at', place(run.T_machine_tracker.translation)),
+        ('target offset', place(run.target_offset)),
+        ('noise of single samples, from the residuals (k = 1)', noise),
+    ]
+    if not pieces.standstill:
+        rows.insert(2, ('feed', f'{feeds[1]:.0f} mm/min, 90 % of the path between '
+                        f'{feeds[0]:.0f} and {feeds[2]:.0f}'))  # fmt: skip
+    return Table(('', ''), tuple(rows), title=f'Run {number} {run.name}'.strip())

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.direct_measurement import MotionReadings
@@ -21,26 +21,34 @@ from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import (
+from otf_core.reports.drawing.panel import (
     LEVELS,
+    Bar,
+    Key,
+    Panel,
     Scale,
     around,
+    bars,
     heat_classes,
     heat_key,
     heat_step,
     heat_words,
+    write_sheet,
 )
+from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
-from otf_core.reports.drawing.sheet import Key, write_sheet
 from otf_core.reports.drawing.style import text
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
-from otf_core.reports.wording import micro, micro_unit, place
-
-Array = NDArray[np.float64]
+from otf_core.reports.page import (
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    micro,
+    micro_unit,
+    page_html,
+    place,
+)
 
 HISTOGRAM_BINS = 31
 ARROW_SHARE = 0.12
@@ -223,7 +231,6 @@ def comparison_html(result: Comparison, convention: str, remarks: Sequence[str],
 
     Parameters
     ----------
-    result : Comparison
     convention : str
         In which both are compared.
     remarks : sequence of str
@@ -501,14 +508,8 @@ def write_comparison(
 
     Parameters
     ----------
-    result : Comparison
-    folder : str or Path
     about : mapping, optional
         Block ``provenance`` of the JSON file; what is known without it if not given.
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}

@@ -10,23 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.aside import shared_out
-from otf_core.diagnosis.measured import measured_run
+from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.gap_sections.causes import (
+from otf_core.reports.gap_sections.overview import (
     causes_section,
+    conditions_section,
     functions_section,
+    heading,
     hidden_section,
     next_section,
-    unexplained_section,
-)
-from otf_core.reports.gap_sections.overview import (
-    conditions_section,
-    heading,
     overview_section,
+    unexplained_section,
     where_section,
 )
 from otf_core.reports.gap_sections.residual_views import (
@@ -36,8 +34,7 @@ from otf_core.reports.gap_sections.residual_views import (
     time_section,
     travel_section,
 )
-from otf_core.reports.page import page_html
-from otf_core.reports.section import Section, sections_to_text
+from otf_core.reports.page import Section, page_html, sections_to_text
 from otf_core.threads import in_one_thread
 
 SECTIONS: tuple[Callable[[Diagnosis], Section], ...] = (
@@ -122,7 +119,6 @@ def write_diagnosis(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     folder : str or Path
         Made if missing.
     report : str

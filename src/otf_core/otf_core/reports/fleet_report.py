@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
-from otf_core.files.manifest import MANIFEST, write_manifest, written_files
+from otf_core.calibration.machine_verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
+from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
-from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict
-from otf_core.fleet.job import JobResult
-from otf_core.fleet.listed import listed_results
+from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
 from otf_core.model.expanded import figure, significant, with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.prediction.absorbed import offset_words
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, State, Table
+from otf_core.reports.page import Heading, Section, State, Table, page_html
 
 Row = list[str | State]
 STATES = {'pass': 'kept', 'fail': 'broken'}
@@ -118,7 +115,6 @@ def fleet_rows(
     ----------
     verb : str
         'calibrate' or 'diagnose'.
-    folder : Path
     outcomes : mapping of run to JobResult
     """
     done = list(listed_results(verb, folder, outcomes))
@@ -178,12 +174,7 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
 
 
 def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[Path]:
-    """Write fleet.json and fleet.html into the folder of a fleet.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write fleet.json and fleet.html into the folder of a fleet."""
     write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
     file = write_outcomes(verb, folder, outcomes, offset_warnings(verb, folder, outcomes))
     list_results(verb, folder)

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.files.writing import write_text
-from otf_core.history.change import Change
-from otf_core.history.drift import Due
-from otf_core.history.judged import History, Standing, Step
+from otf_core.history.control_chart import Change, Due, History, Standing, Step
 from otf_core.history.store import StoredEvent
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
@@ -28,12 +26,8 @@ from otf_core.model.expanded import (
 )
 from otf_core.model.motions import unit_of
 from otf_core.prediction.absorbed import OffsetBound
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import around, dates
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Cell, Picture, Section, State, Table
-
-Array = NDArray[np.float64]
+from otf_core.reports.drawing.panel import Panel, around, dates
+from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, page_html
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
@@ -508,12 +502,7 @@ def history_page(histories: Sequence[History]) -> str:
 
 
 def write_history(histories: Sequence[History], folder: Path) -> list[Path]:
-    """Write history.json and history.html; the folder exists.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write history.json and history.html; the folder exists."""
     data: Mapping[str, Any] = store_to_dict(histories)
     write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
     write_text(folder / PAGE, history_page(histories))

@@ -15,15 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.loop.circle import PROGRAM, VOLUME, Circle
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, State, Table
+from otf_core.reports.page import Heading, Section, State, Table, page_html
 
 STANDARD = 'ISO/TR 16907:2015'
 REPRESENTED = {
@@ -166,7 +165,6 @@ def loop_page(
     ----------
     data : mapping
         loop.json.
-    result : CalibrationResult
     path : NominalPath
         That was fitted.
     files : iterable of str
@@ -273,12 +271,7 @@ def format_loop(circle: Circle) -> str:
 
 
 def write_loop(circle: Circle, folder: str | Path) -> list[Path]:
-    """Write loop.json, the calibration, the bags, and what the control was given.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write loop.json, the calibration, the bags, and what the control was given."""
     folder = ensure_folder(folder)
     control = ensure_folder(folder / 'control')
     for name, content in circle.files.items():

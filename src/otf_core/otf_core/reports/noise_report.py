@@ -9,21 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
-from otf_core.noise.fields import noise_to_fields
-from otf_core.noise.model import QUANTITIES
+from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import decades
-from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
-
-Array = NDArray[np.float64]
+from otf_core.reports.drawing.panel import Panel, decades, write_sheet
+from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html
 
 NOISE_CAPTION = (
     'Above: root of the variogram, the scatter of the difference of two samples over root 2, '
@@ -93,7 +87,6 @@ def noise_html(
 
     Parameters
     ----------
-    report : NoiseReport
     name : str
         Of the recording.
     date : str
@@ -284,14 +277,8 @@ def write_noise(
 
     Parameters
     ----------
-    report : NoiseReport
-    folder : str or Path
     about : mapping, optional
         Block ``provenance`` of the JSON file; what is known without it if not given.
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     data = noise_to_dict(report) | {'provenance': about or provenance('noise')}

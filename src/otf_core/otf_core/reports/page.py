@@ -3,12 +3,168 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
+from typing import Any
 
+from otf_core.files.writing import tidy
 from otf_core.reports.drawing.style import STYLE, running_head, text
-from otf_core.reports.section import Cell, Picture, Section, State, Table
+
+# Numbers of reports as text: micrometres and microradians, positions in millimetres.
+
+INFINITE_DOF = 1e6
+"""Degrees of freedom that are given as infinite."""
+
+
+def micro(value: float, digits: int = 2) -> str:
+    """A value in millionths: um for m, urad for rad."""
+    return f'{1e6 * value + 0.0:.{digits}f}'
+
+
+def micro_unit(unit: str) -> str:
+    """Name of millionths of a unit."""
+    return 'um' if unit == 'm' else 'urad'
+
+
+def whole_dof(dof: float) -> int | None:
+    """Effective degrees of freedom, cut to the next lower integer (GUM G.4.1); None: infinite."""
+    return int(dof) if dof < INFINITE_DOF else None
+
+
+def dof_words(dof: float) -> str:
+    """The same in words."""
+    whole = whole_dof(dof)
+    return 'infinite' if whole is None else str(whole)
+
+
+def place(point: Iterable[float]) -> str:
+    """A point, m, in words, in mm."""
+    return ', '.join(f'{a} {millimetres(v)}' for a, v in zip('XYZ', point, strict=True)) + ' mm'
+
+
+def millimetres(value: float) -> str:
+    """A position, m, in mm to 0.1 mm, without zeros at its end."""
+    return f'{tidy(round(1e3 * value, 1)):g}'
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names with commas and a last 'and'."""
+    found = list(names)
+    return ' and '.join([', '.join(found[:-1]), found[-1]] if len(found) > 1 else found)
+
+
+# A section of a report: one object for page, terminal and ``--json``.
+
+
+@dataclass(frozen=True)
+class State:
+    """A state in words, in the colour of its mood: 'good', 'bad', 'open' or none."""
+
+    words: str
+    mood: str = ''
+
+
+Cell = str | tuple[str, ...] | State
+"""Plain text; of several lines the first is set off from the rest."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under heads, all plain text.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+        Columns that are set to the right.
+    folded : str
+        Not empty: shown on request, under these words.
+    stacked : bool
+        On a phone the cells of a row stand one below the other, each after its head.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    numbers: tuple[int, ...] = ()
+    title: str = ''
+    folded: str = ''
+    stacked: bool = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Pictures of one caption: markup that needs nothing from elsewhere.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        SVG elements or other markup, set side by side where there is room.
+    caption : str
+        Plain text.
+    columns : int
+        Parts side by side on a wide page.
+    key : str
+        What colours mean, as markup.
+    hint : str
+        What the reader can do on a screen; not printed.
+    """
+
+    parts: tuple[str, ...]
+    caption: str
+    columns: int = 1
+    title: str = ''
+    key: str = ''
+    hint: str = ''
+
+
+def no_pictures() -> Sequence[Picture]:
+    """Nothing to draw."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a report says about one thing.
+
+    Attributes
+    ----------
+    name : str
+        Key in ``--json``, and anchor in the page.
+    title : str
+        Heading; empty for the first screen.
+    words : tuple of str
+        Sentences of the page, plain text; ``um`` and ``urad`` are set as µm and µrad.
+    data : mapping
+        The same as numbers in SI units, plain data.
+    text : tuple of str
+        Lines for a terminal; empty where it shows nothing of this.
+    draw : callable
+        Returns the pictures; called for pages only.
+    script : str
+        JavaScript that the pictures want; the page is complete without it.
+    """
+
+    name: str
+    title: str
+    words: tuple[str, ...] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+    tables: tuple[Table, ...] = ()
+    text: tuple[str, ...] = ()
+    draw: Callable[[], Sequence[Picture]] = no_pictures
+    script: str = ''
+
+
+def sections_to_dict(sections: Iterable[Section]) -> dict[str, Any]:
+    """Return the data of sections by name, as ``--json`` shows them."""
+    return {s.name: dict(s.data) for s in sections if s.data}
+
+
+def sections_to_text(sections: Iterable[Section]) -> str:
+    """Return what a terminal shows."""
+    return '\n'.join(line for s in sections for line in s.text).rstrip('\n')
+
+
+# Sections to one HTML page that needs nothing else: no network, no fonts, no files.
 
 LONG = 400
 """Letters of a section's words from which they stand in two columns."""

@@ -17,26 +17,40 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.headline import Expected
-from otf_core.files.csv_points import tidy, write_csv
-from otf_core.files.writing import write_text
-from otf_core.inputs.plan_json import SCHEMA
+from otf_core.calibration.calibration_result import Expected
+from otf_core.files.writing import tidy, write_csv, write_text
+from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.noise.fields import noise_to_fields
+from otf_core.noise.noise_model import noise_to_fields
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
 from otf_core.planning.plan_report import PlanReport
 from otf_core.prediction.volumetric import length_sizes
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.scale import LEVELS, heat_classes, heat_key, heat_step, heat_words
+from otf_core.reports.drawing.panel import (
+    LEVELS,
+    Bar,
+    bars,
+    heat_classes,
+    heat_key,
+    heat_step,
+    heat_words,
+    write_sheet,
+)
 from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
-from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
-from otf_core.reports.wording import listed, millimetres, place
+from otf_core.reports.page import (
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    listed,
+    millimetres,
+    page_html,
+    place,
+)
 
 MILLIONTHS = {'m': 'um', 'rad': 'urad'}
 """Millionths of what errors are in."""
@@ -411,9 +425,6 @@ def write_report(
 
     Parameters
     ----------
-    report : PlanReport
-    folder : Path
-    dialect : Dialect, optional
     about : mapping, optional
         Block ``provenance`` of plan.json; of the machine alone if not given.
 

@@ -11,28 +11,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.files.csv_points import tidy
-from otf_core.files.writing import ensure_folder, write_if_it_fits, write_text
+from otf_core.arrays import Array
+from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_unit, micro_with_expanded, with_expanded
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
-from otf_core.noise.fields import noise_to_fields
+from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.reports.calibration_sections.error_motions import squareness_words
-from otf_core.reports.drawing.panel import Panel, polyline, svg
+from otf_core.reports.drawing.panel import Panel, Scale, around, polyline, svg
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table, sections_to_text
+from otf_core.reports.page import (
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    page_html,
+    sections_to_text,
+)
 from otf_core.rotary.calibrate import AxisCalibration, first_pose
 from otf_core.rotary.tabulation import evenly_spread, without_rigid
-
-Array = NDArray[np.float64]
 
 GAUGE = (
     'linear axes: positioning and rotations zero at axis position 0, else at the minimum, '

@@ -8,26 +8,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.direct_measurement import DirectMeasurement, motion_readings
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.provenance import provenance
-from otf_core.noise.model import path_frame
+from otf_core.noise.noise_model import path_frame
 from otf_core.reports.comparison import draw_motion, draw_volume, vectors
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.scale import heat_step, heat_words
+from otf_core.reports.drawing.panel import Bar, bars, heat_step, heat_words, write_sheet
 from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene
-from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.tracking.alignment import align
-from otf_core.validation.run import Validation
-from otf_core.validation.simulative import across_path
-from otf_core.validation.table import Row, format_rows, rows_to_dict
-
-Array = NDArray[np.float64]
+from otf_core.validation.paper import across_path
+from otf_core.validation.validate import Row, Validation, format_rows, rows_to_dict
 
 FIGURE_MOTIONS = ('EXX', 'EYX', 'ECX')
 """Figures 6, 7 and 8."""
@@ -157,14 +152,8 @@ def write_validation(
 
     Parameters
     ----------
-    found : Validation
     measurement : DirectMeasurement
         The direct one of the first cell.
-    folder : str or Path
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     files = draw_validation(found, measurement, folder)
@@ -178,8 +167,6 @@ def write_table(seeds: Sequence[int], rows: Sequence[Row], folder: Path) -> list
     ----------
     seeds : sequence of int
         Of the cells.
-    rows : sequence of Row
-    folder : Path
     """
     data = {
         'schema': SCHEMA,

@@ -5,15 +5,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import ConfigError, InputError
+from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, Machine
 from otf_core.model.nodes import table_nodes
@@ -28,9 +29,6 @@ from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
 from otf_core.rotary.tabulation import AxisTables, tabulate
 from otf_core.rotary.unknowns import bases_of, layout, place_block
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 MIN_COVERAGE = 0.8
 """Share of the path below which a calibration fails the quality gate."""

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath, position_at
 from otf_core.model.frames import RigidTransform, rigid_fit
@@ -24,9 +24,6 @@ from otf_core.model.joints import Seen, Sight
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.observation import Samples
 from otf_core.rotary.track import MOST, STEP, Curve, Track, by_length, follow
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BREAK = 1.9
 """s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.solving.basis import CUBIC, Basis
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from otf_core.arrays import Array, Index
+from otf_core.solving.unknowns import CUBIC, Basis
 
 
 @dataclass(frozen=True)

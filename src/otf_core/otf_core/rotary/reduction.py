@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.axis_path import position_at
@@ -23,11 +24,8 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.standstill import find_standstills
-from otf_core.pieces.outliers import outlying
+from otf_core.pieces.pieces import outlying
 from otf_core.rotary.matching import Matched, closest
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LEVER = 0.2
 """m; a rotation counts as travel on this radius where lengths of pieces and corners are meant."""

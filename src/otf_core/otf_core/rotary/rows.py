@@ -14,19 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Seen
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.rotary.matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.unknowns import place_block
 from otf_core.solving.unknowns import Unknowns, pose_block
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

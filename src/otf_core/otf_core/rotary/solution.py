@@ -7,7 +7,7 @@ until nothing changes; leave out pieces far from the solution, fit the noise, so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -16,25 +16,24 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
-from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
-from otf_core.pieces.outliers import GROSS, RAYLEIGH_MEDIAN
+from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
 from otf_core.rotary.unknowns import place_block
-from otf_core.solving.noise_fit import FittedNoise, fit_noise
+from otf_core.solving.joint import FittedNoise, fit_noise
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, solve
 from otf_core.solving.unknowns import Unknowns, pose_block
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 LEAST = 2e-6
 """m; pieces that are off by less are never left out."""

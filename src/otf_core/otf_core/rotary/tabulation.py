@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.joints import Sight, rotations
 from otf_core.model.machine import Machine
@@ -26,12 +27,9 @@ from otf_core.model.motions import DIRECTIONS, location_names, unit_of
 from otf_core.model.nodes import hat_matrix, table_nodes
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.rotary.solution import AxisSolution
-from otf_core.solving.positive import Positive
-from otf_core.solving.solution import TIE_BREAK, free_columns, smoothness
+from otf_core.solving.solution import TIE_BREAK, Positive, free_columns, smoothness
 from otf_core.solving.tabulate import projection
 from otf_core.solving.unknowns import reference_position
-
-Array = NDArray[np.float64]
 
 FRACTIONS = (1, 2, 3, 4, 6, 8)
 MOST_NODES = 1600

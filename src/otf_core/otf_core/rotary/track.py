@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.axis_path import along_legs, position_at
 from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PERIOD = 0.02
 """s; samples are averaged over this time before the arc length is taken."""

@@ -12,16 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array
 from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
 from otf_core.rotary.periodic import over_turn
-from otf_core.solving.basis import Basis, cubic
-from otf_core.solving.unknowns import POSE, Unknowns, motion_gauge, pose_block
-
-Array = NDArray[np.float64]
+from otf_core.solving.unknowns import POSE, Basis, Unknowns, cubic, motion_gauge, pose_block
 
 FEWEST, MOST = 8, 24
 """Parts of the range of an axis that its splines have."""

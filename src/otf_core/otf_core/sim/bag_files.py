@@ -12,13 +12,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from otf_core.bags.bag import BagContent, write_bag
-from otf_core.bags.bag_writer import FILE_NAME
+from otf_core.bags.bag import FILE_NAME, BagContent, write_bag
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST, is_as_listed, listed, write_manifest
-from otf_core.files.output import OutputFile, OutputFolder
+from otf_core.files.output_folder import (
+    MANIFEST,
+    OutputFile,
+    OutputFolder,
+    is_as_listed,
+    listed,
+    write_manifest,
+)
 from otf_core.model.plan import Plan
 from otf_core.sim.cell import SimulatedRun
 from otf_core.sim.truth import SIMULATION_FILE, TABLES_FILE, write_truth
@@ -75,10 +80,6 @@ class SimulatedBag:
 
         Parameters
         ----------
-        run : SimulatedRun
-        plan : Plan
-        config : SimulationConfig
-        effects : sequence of AppliedEffect
         files : mapping of str to path
             What was read, for the block ``provenance``.
         """

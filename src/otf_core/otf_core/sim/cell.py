@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
@@ -28,8 +28,6 @@ from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.signals import signal_courses, simulated_signals
 from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
 
-Array = NDArray[np.float64]
-
 EPOCH_NS = 1_700_000_000_000_000_000
 """ns; start of the simulated tracker clock, arbitrary."""
 MOST_SAMPLES = 50_000_000
@@ -42,8 +40,6 @@ class SimulatedRun:
 
     Attributes
     ----------
-    samples : Samples
-    truth : ErrorTables
     rotation, place : ndarray, shape (3, 3) and (3,), m
         Tracker point = rotation @ (machine point - place).
     signals : mapping of SignalSpec to Signal
@@ -71,14 +67,9 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
 
     Parameters
     ----------
-    machine : Machine
     size : float
         m; mean length of the error vectors once the best rigid motion is taken out.
     rng : numpy.random.Generator
-
-    Returns
-    -------
-    ErrorTables
     """
     motions: dict[str, MotionTable] = {}
     longest = float(np.max((machine.upper - machine.lower)[:3]))
@@ -114,9 +105,6 @@ def simulate(
 
     Parameters
     ----------
-    machine : Machine
-    plan : Plan
-    config : SimulationConfig
     tables : ErrorTables, optional
         Errors of the truth machine; drawn from the seed if not given.
     effects : sequence of AppliedEffect, optional
@@ -124,10 +112,6 @@ def simulate(
         all random numbers stay the same.
     tracker_place : ndarray, shape (3,), m, optional
         Beam origin in the machine frame; drawn from the seed if not given.
-
-    Returns
-    -------
-    SimulatedRun
 
     Raises
     ------

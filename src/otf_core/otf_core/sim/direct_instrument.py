@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,14 +56,8 @@ def measure_directly(
     ----------
     tables : ErrorTables
         Errors of the truth machine.
-    seed : int
     runs, positions : int
         Paper 2.3: five runs, forward and backward.
-    noise : InstrumentNoise, optional
-
-    Returns
-    -------
-    DirectMeasurement
     """
     rng = np.random.default_rng([seed, 77])
     noise = noise or InstrumentNoise()

@@ -6,9 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.plan import Plan
-
-Array = NDArray[np.float64]
 
 
 class Drive:
@@ -16,7 +15,6 @@ class Drive:
 
     Parameters
     ----------
-    plan : Plan
     acceleration : float
         m/s^2, along the path.
     """

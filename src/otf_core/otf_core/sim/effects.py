@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.catalogue.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.effects.state import state_on_path
@@ -20,10 +21,8 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
-
-Array = NDArray[np.float64]
 
 IMPLAUSIBLE = 0.01
 """m; no effect displaces the target by more."""
@@ -57,9 +56,6 @@ def run_state(
 
     Parameters
     ----------
-    machine : Machine
-    plan : Plan
-    drive : Drive
     time, clock : ndarray, shape (n,), s
         Since the start, true and by the clock of the tracker: effects go by the latter, as it
         is the only one that a recording knows.

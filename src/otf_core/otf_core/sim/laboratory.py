@@ -20,7 +20,7 @@ NOISELESS = TrackerSpec(1e-12, 1e-12)
 
 
 class SimulatedLaboratory:
-    """Simulated cell and direct instrument; see ``validation.laboratory.Laboratory``."""
+    """Simulated cell and direct instrument; see ``validation.paper.Laboratory``."""
 
     def __init__(self, config: SimulationConfig | None = None) -> None:
         self._config = config or SimulationConfig()

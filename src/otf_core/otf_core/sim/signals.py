@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect
 from otf_core.effects.free_form import FreeForm
 from otf_core.errors import ConfigError
@@ -19,8 +19,6 @@ from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import HEAD, PLAIN, USUAL, SignalSpec
 from otf_core.model.machine import Machine
 from otf_core.model.signals import Signal, lagged
-
-Array = NDArray[np.float64]
 
 STEP = 1.0
 """s; between messages."""

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dtbsv
 from scipy.spatial.transform import Rotation
 
+from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import Machine
-from otf_core.noise.model import NoiseComponent, NoiseModel
-
-Array = NDArray[np.float64]
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 
 PACKETS = 3.0
 """Packets per second: recorded trackers send a third of a second at once, whatever the rate."""
@@ -40,9 +39,7 @@ def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) 
 
     Parameters
     ----------
-    noise : NoiseComponent
     rng : numpy.random.Generator
-    n : int
     rate : float
         Samples per second.
 

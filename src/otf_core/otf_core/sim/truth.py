@@ -69,11 +69,8 @@ def write_truth(
 
     Parameters
     ----------
-    run : SimulatedRun
     plan : Plan
         What was driven.
-    config : SimulationConfig
-    effects : sequence of AppliedEffect
     folder : Path
         Exists.
     name : str
@@ -82,10 +79,6 @@ def write_truth(
         What was read, for the block ``provenance``.
     prefix : str
         Begins the names of both files.
-
-    Returns
-    -------
-    list of Path
     """
     block = provenance(
         'simulate',

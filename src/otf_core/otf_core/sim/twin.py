@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
@@ -22,8 +21,6 @@ from otf_core.noise.departure import as_simulated
 from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
 from otf_core.tracking.matching import OFF_PATH
-
-Array = NDArray[np.float64]
 
 
 def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: int) -> Recording:
@@ -37,7 +34,6 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
         Tracker to machine.
     tables : ErrorTables
         As fitted to the real run.
-    seed : int
 
     Returns
     -------

@@ -7,16 +7,14 @@ The tracker has a clock of its own: another rate, another start than that of the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.sim.cell import EPOCH_NS
 from otf_core.sim.tracker import measure, specified_noise
-
-Array = NDArray[np.float64]
 
 
 def watched(
@@ -42,10 +40,6 @@ def watched(
     config : SimulationConfig
         Rate, clock and colour of the noise.
     rng : numpy.random.Generator
-
-    Returns
-    -------
-    Samples
     """
     step = 1.0 / (config.rate * (1.0 + config.clock_drift))
     moments = np.arange(time[0] + step * rng.uniform(), time[-1], step)

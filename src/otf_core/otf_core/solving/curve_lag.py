@@ -16,14 +16,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.pieces.observed import AnyRun, Observed
-from otf_core.solving.columns import across, sensitivity
+from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.joint import JointSolution
-from otf_core.solving.reversal_choice import ReversalSolution
-
-Array = NDArray[np.float64]
+from otf_core.solving.model_choice import ReversalSolution
+from otf_core.solving.sensitivity import across, sensitivity
 
 SIGNIFICANT = 6.0
 """Standard deviations; curves share slow noise, so that these are somewhat too small."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Derivatives of the rows of all pieces by the unknowns, never all of them at once.
+"""Design matrix: derivatives of the rows of all pieces by the unknowns, never all at once.
 
 A row is a . J(q) for the direction a of the row: motions of one axis share the splines of its
 position, and a rotation acts as r . (L x a) for its lever arm L. So products with a vector need
-the error vector of every piece only, and dense rows are made for a few legs at a time.
+the error vector of every piece only, and dense rows are formed for a few legs at a time.
 """
 
 from __future__ import annotations
@@ -14,25 +14,156 @@ from functools import cached_property
 from itertools import chain, cycle
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.model.kinematics import lever, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.solving.axis_parts import (
-    AxisPart,
-    ReversalPart,
-    crossed,
-    reaching_alike,
-    six_motions,
-    turned_by,
-)
 from otf_core.solving.reversal import reversal_weights
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+
+@dataclass(frozen=True)
+class AxisPart:
+    """What the motions of one axis do at some places.
+
+    Attributes
+    ----------
+    first : ndarray of int64, shape (p,)
+        First spline that is reached at each place.
+    weight : ndarray, shape (p, n)
+        Values of this and the following ones.
+    lever : ndarray, shape (p, 3) or (p, n, 3), m
+        Lever arm of the rotations, for every spline where they differ.
+    starts : ndarray of int64, shape (6,)
+        Places of the blocks of the three translations and three rotations, full vector.
+    size : int
+        Splines of the axis.
+    """
+
+    first: Index
+    weight: Array
+    lever: Array
+    starts: Index
+    size: int
+
+    @cached_property
+    def splines(self) -> sparse.csr_array:
+        """Values of all splines, shape (p, size)."""
+        count, width = self.weight.shape
+        small = np.int32 if count * width < np.iinfo(np.int32).max else np.int64
+        places = (self.first[:, None] + np.arange(width)).ravel().astype(small)
+        ends = np.arange(0, count * width + 1, width, dtype=small)
+        shape = (count, self.size)
+        return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
+
+    @property
+    def places(self) -> Index:
+        """Place of every spline of every block, full vector, shape (size, 6)."""
+        return self.starts + np.arange(self.size)[:, None]
+
+    @property
+    def reached(self) -> Index:
+        """Places of the splines that any of the places reaches, full vector, shape (k, 6)."""
+        mask = np.zeros(self.size, dtype=bool)
+        for step in range(self.weight.shape[1]):
+            mask[self.first + step] = True
+        return self.places[mask]
+
+    def columns(self, kept: Index) -> Index:
+        """Places of the splines of some blocks at every place, full vector, shape (p, k, n)."""
+        splines = self.first[:, None] + np.arange(self.weight.shape[1])
+        return np.asarray(splines[:, None, :] + self.starts[kept][:, None])
+
+    def at(self, place: Index | slice) -> AxisPart:
+        """Return the part at some of the places."""
+        return replace(
+            self, first=self.first[place], weight=self.weight[place], lever=self.lever[place]
+        )
+
+
+@dataclass(frozen=True)
+class ReversalPart:
+    """What the reversal of the motions of one axis does at some places.
+
+    Attributes
+    ----------
+    weight : ndarray, shape (p, k)
+        What the polynomials come to, see ``reversal.reversal_weights``.
+    lever : ndarray, shape (p, 3), m
+        Lever arm of the rotations.
+    places : ndarray of int64, shape (k, 6)
+        Places of the coefficients of the three translations and three rotations, full vector.
+    """
+
+    weight: Array
+    lever: Array
+    places: Index
+
+    @property
+    def splines(self) -> Array:
+        """Values of all polynomials, shape (p, k)."""
+        return self.weight
+
+    @property
+    def reached(self) -> Index:
+        """Places of all coefficients."""
+        return self.places
+
+    def columns(self, kept: Index) -> Index:
+        """Places of the coefficients of some motions, full vector, shape (1, k, n)."""
+        return self.places.T[None, kept]
+
+    def at(self, place: Index | slice) -> ReversalPart:
+        """Return the part at some of the places."""
+        return replace(self, weight=self.weight[place], lever=self.lever[place])
+
+
+def crossed(one: Array, other: Array) -> Array:
+    """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
+    a, b, c = one[..., 0], one[..., 1], one[..., 2]
+    x, y, z = other[..., 0], other[..., 1], other[..., 2]
+    first = b * z - c * y
+    found = np.empty((*first.shape, 3))
+    found[..., 0], found[..., 1], found[..., 2] = first, c * x - a * z, a * y - b * x
+    return found
+
+
+def turned_by(arms: Array, forces: Array) -> Array:
+    """Vector products of arms (p, 3) with k forces each, shape (p, 3, k)."""
+    x, y, z = (arms[:, i, None] for i in range(3))
+    found = np.empty_like(forces)
+    np.subtract(y * forces[:, 2], z * forces[:, 1], out=found[:, 0])
+    np.subtract(z * forces[:, 0], x * forces[:, 2], out=found[:, 1])
+    np.subtract(x * forces[:, 1], y * forces[:, 0], out=found[:, 2])
+    return found
+
+
+def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
+    """Parts of one axis at all shifts, each with all the splines that any of them reaches."""
+    first = np.minimum.reduce([part.first for part in parts])
+    width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
+    first, row, found = (
+        np.minimum(first, parts[0].size - width),
+        np.arange(len(first))[:, None],
+        [],
+    )
+    for part in parts:
+        weight = np.zeros((len(first), width))
+        weight[row, (part.first - first)[:, None] + np.arange(part.weight.shape[1])] = part.weight
+        found.append(replace(part, first=first, weight=weight))
+    return found
+
+
+def six_motions(direction: Array, arm: Array) -> Array:
+    """Rows (p, 6, 1 or n) of three translations and three rotations along directions (p, 3)."""
+    if arm.ndim == 2:
+        return np.concatenate([direction, crossed(arm, direction)], axis=1)[:, :, None]
+    turned = np.swapaxes(crossed(arm, direction[:, None, :]), 1, 2)
+    moved = np.broadcast_to(direction[:, :, None], turned.shape)
+    return np.concatenate([moved, turned], axis=1)
+
 
 Parts = Sequence[AxisPart | ReversalPart]
 """Motions of one axis, or their reversal, at every shift."""
@@ -49,8 +180,6 @@ class Design:
 
     Attributes
     ----------
-    machine : Machine
-    unknowns : Unknowns
     run : int
         Which pose block the rows belong to.
     q, points : ndarray, shape (p, 3), m
@@ -160,13 +289,21 @@ class Design:
         """Pieces, some at a time."""
         return (slice(low, low + size) for low in range(0, len(self.q), size))
 
+    def parts_of_motions(self) -> list[AxisPart]:
+        """What the motions of every axis do at the centres of the pieces."""
+        return [self._part(k, self.q) for k in range(3)]
+
+    def squareness_rows(self, pieces: Index | slice = slice(None)) -> Array:
+        """Rows per unit of the squareness errors, linear in a piece, shape (c, m, 3), m/rad."""
+        angles = [squareness_influence(name, self.q[pieces]) for name in SQUARENESS]
+        turned = np.einsum('cpi,pik->cpk', self.axes[:, pieces], np.stack(angles, axis=2))
+        return np.asarray(turned)
+
     def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
         """Places (k,) and rows (c, m, k) of pose and squareness."""
-        axes, q = self.axes[:, pieces], self.q[pieces]
-        # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
-        angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
-        turned = np.einsum('cpi,pik->cpk', axes, angles)
-        rows = [-axes, -crossed(self.points[pieces], axes), turned]
+        axes = self.axes[:, pieces]
+        # a . (dr x p) = dr . (p x a)
+        rows = [-axes, -crossed(self.points[pieces], axes), self.squareness_rows(pieces)]
         return np.concatenate([self._pose, self._angles]), np.concatenate(rows, axis=2)
 
     def released(self) -> Design:

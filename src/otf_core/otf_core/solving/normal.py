@@ -1,9 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Normal equations of whitened rows (generalised least squares).
 
-Each leg's rows are freed of the correlation of their noise and added to the normal equations: the
-cost grows linearly with the path, and only the normal matrix is kept. With independent samples
-this is the paper's weighting (Eq. 4-6).
+The rows of each leg are whitened and added to the normal equations: the cost grows linearly with
+the path, and only the normal matrix is kept. With independent samples this is the paper's
+weighting (Eq. 4-6).
+
+Rows of a line are the same in every lap, but for where in a piece its samples happen to lie (half
+a step between samples at most). If they were the same, nothing would be lost of l passes with
+deviations y_l and inverse covariances W_l in
+
+    W = sum_l W_l,    y = W^-1 sum_l W_l y_l,
+    sum_l (y_l - v)^T W_l (y_l - v) = (y - v)^T W (y - v) + sum_l y_l^T W_l y_l - y^T W y
+
+and sums over rows would grow with the path, not with the time that it is driven. Comparisons of
+models and iterations use these sums.
 """
 
 from __future__ import annotations
@@ -14,17 +24,79 @@ from functools import reduce
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.solving.repeated_lines import weigh_repeated_lines
+from otf_core.arrays import Array, Index
 from otf_core.solving.system import System
-from otf_core.solving.triangular import lower_times
 from otf_core.solving.unknowns import Unknowns
 from otf_core.solving.whitener import Whitener
 from otf_core.threads import side_by_side
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+STRIP = 32
+"""Rows of a matrix, about, that are multiplied at a time."""
+
+
+def _strips(size: int) -> Iterator[slice]:
+    ends = np.linspace(0, size, max(1, round(size / STRIP)) + 1).astype(int).tolist()
+    return map(slice, ends[:-1], ends[1:])
+
+
+def lower_times(lower: Array, values: Array, out: Array) -> None:
+    """Multiply values (c, m, k) by lower triangular matrices (c, m, m), into another array."""
+    for strip in _strips(lower.shape[1]):
+        np.matmul(lower[:, strip, : strip.stop], values[:, : strip.stop], out=out[:, strip])
+
+
+def turned_times(lower: Array, values: Array) -> None:
+    """Multiply values (c, m, k) by the transposes of such matrices, in place."""
+    upper = np.swapaxes(lower, 1, 2)
+    for strip in _strips(lower.shape[1]):
+        values[:, strip] = upper[:, strip, strip.start :] @ values[:, strip.start :]
+
+
+@dataclass(frozen=True)
+class Once:
+    """Rows of lines with the weight of all passes.
+
+    Attributes
+    ----------
+    system : System
+        Of the first pass over every line, with deviations y.
+    whitener : Whitener
+        For W.
+    pieces : ndarray of int64
+        Their places among all pieces.
+    square : float
+        What the passes differ, weighted sum of squares.
+    rows : int
+        Of all passes.
+    """
+
+    system: System
+    whitener: Whitener
+    pieces: Index
+    square: float
+    rows: int
+
+
+def weigh_repeated_lines(system: System, whitener: Whitener) -> Once:
+    """Take every line once with the weight of all passes over it."""
+    rows, once = system.deviation.size, whitener.once
+    if once is whitener:
+        return Once(system, whitener, np.arange(len(system.q)), 0.0, rows)
+    lines, line = np.unique(whitener.first, return_inverse=True)
+    several = np.bincount(line) > 1
+    pieces = np.concatenate([np.arange(*whitener.bounds[leg]) for leg in lines.tolist()])
+    # whatever is treated together with repeated lines costs less than to set these apart
+    pulled = whitener.beside(several[line]).weighted(system.deviation)
+    pulled[:, ~np.repeat(several[line], [high - low for low, high in whitener.bounds])] = 0.0
+    place = np.concatenate([np.arange(*once.bounds[k]) for k in line.tolist()])
+    pull = np.array([np.bincount(place, own) for own in pulled], dtype=float)
+    mean = system.deviation[:, pieces]
+    again = np.repeat(several, [high - low for low, high in once.bounds])
+    mean[:, again] = once.beside(several).covaried(pull)[:, again]
+    square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
+    return Once(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)
+
 
 Batch = TypeVar('Batch')
 
@@ -44,7 +116,6 @@ class NormalEquations:
     right : ndarray, shape (k,)
     square : float
         Sum of the squared whitened deviations.
-    rows : int
     """
 
     matrix: Array
@@ -107,9 +178,6 @@ def sum_groups(
 
     Parameters
     ----------
-    system : System
-    unknowns : Unknowns
-    whitener : Whitener
     group : ndarray of int, shape (legs,)
         Group of each entry of ``whitener.bounds``, from 0.
     extra : ndarray, shape (c, p, k), optional
@@ -119,10 +187,6 @@ def sum_groups(
     blocks : collection of str, optional
         What is solved for: sums of motions that are not among it stay zero. They cost as much as
         others, and with one target offset a fifth of the motions is not identifiable.
-
-    Returns
-    -------
-    list of NormalEquations
     """
     groups = max(groups, int(group.max()) + 1)
     further = system.deviation[:, :, None]
@@ -204,7 +268,6 @@ def white_rows(
 
     Parameters
     ----------
-    system : System
     inverses : sequence of ndarray, shape (c, m, m), 1/m
         What whitens the rows of every leg, see ``Whitener.inverses``.
     legs : sequence of slice

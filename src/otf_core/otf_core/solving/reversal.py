@@ -16,8 +16,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.catalogue.direction_dependent_tables import ORDER, polynomials
 from otf_core.effects.position import scaled_position
@@ -28,8 +28,6 @@ from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.model.quantities import quantity
 from otf_core.model.tables import ErrorTables
 from otf_core.solving.unknowns import Unknowns, reversal_block
-
-Array = NDArray[np.float64]
 
 MODELS = {'none': 0, 'constant': 1, 'tables': ORDER + 1}
 """Polynomials per motion in every model, the simplest first."""
@@ -83,7 +81,7 @@ class Reversal:
     model : str
         A name of ``MODELS``.
     evidence : mapping of str to number or text
-        Why this model: see ``reversal_choice.choose``.
+        Why this model: see ``model_choice.choose``.
     motions : mapping of motion name to ReversalTable
         Empty for the model 'none'.
     held : bool
@@ -111,7 +109,6 @@ def reversal_weights(
 
     Parameters
     ----------
-    machine : Machine
     q, direction : ndarray, shape (n, 3), m and 1
         Positions and unit directions of travel or approach; a zero vector where unknown.
     side : ndarray, shape (n, 3)
@@ -142,7 +139,6 @@ def reversal_tables(
     ----------
     tables : ErrorTables
         With the nodes.
-    unknowns : Unknowns
     estimate, covariance : ndarray, shape (full,) and (full, full), m and rad
     accepted : collection of str
         Blocks that were solved for.

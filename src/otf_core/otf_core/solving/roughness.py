@@ -31,15 +31,12 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.motions import MOTIONS, ErrorMotion, is_motion, unit_of
-from otf_core.solving.basis import Basis
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.positive import Positive
-from otf_core.solving.unknowns import Unknowns, reference_position
-
-Array = NDArray[np.float64]
+from otf_core.solving.solution import Positive
+from otf_core.solving.unknowns import Basis, Unknowns, reference_position
 
 START = (np.log(0.1), np.log(0.15), np.log(0.01))
 """Logarithms of s^2 and k in units of the squared limit, and of l, to start from."""
@@ -203,8 +200,6 @@ class Search:
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
     accepted : sequence of str
         Blocks that are solved for.
     limit : float
@@ -297,7 +292,6 @@ def precision_like_others(
 
     Parameters
     ----------
-    motion : ErrorMotion
     basis : Basis
         Of its axis.
     logs : mapping of motion to ndarray, shape (3,)
@@ -319,7 +313,6 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
 
     Parameters
     ----------
-    unknowns : Unknowns
     limit : float
         m and rad.
     size : float

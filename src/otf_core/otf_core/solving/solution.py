@@ -3,8 +3,9 @@
 
 The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
 without information is dropped and its motion reported as not identifiable. 'Undetermined' has a
-physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What
-single places of an accepted motion lack in data, its smoothness supplies (``roughness``).
+physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What single
+places of an accepted motion lack in data, its smoothness supplies (``roughness``). Symmetric
+positive definite matrices are scaled to a diagonal of ones before they are factored.
 """
 
 from __future__ import annotations
@@ -16,13 +17,67 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.linalg.lapack import dpotrf, dpotri
 
+from otf_core.arrays import Array, Index
 from otf_core.model.motions import is_motion
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.positive import Positive
 from otf_core.solving.unknowns import Unknowns, is_reversal
 
-Array = NDArray[np.float64]
+RIDGES = (0.0, 1e-14, 1e-12, 1e-10)
+"""Added to the diagonal of ones, the next one where rounding has made the matrix indefinite."""
+
+
+class Positive:
+    """Cholesky factor of a matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If it is not positive definite by more than rounding.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        self._scale = 1.0 / np.sqrt(np.diag(matrix))
+        unit = matrix * self._scale[:, None]
+        unit *= self._scale
+        for ridge in RIDGES:
+            _diagonal(unit)[:] += ridge
+            self._factor, failed = dpotrf(unit, lower=1)
+            if not failed:
+                return
+        raise linalg.LinAlgError('matrix is not positive definite')
+
+    def solve(self, right: Array) -> Array:
+        """Solve for right sides of shape (n,) or (n, k)."""
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        inner = linalg.cho_solve((self._factor, True), right * scale, check_finite=False)
+        return np.asarray(inner * scale)
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse matrix, shape (n, n)."""
+        half = dpotri(self._factor, lower=1)[0]  # of zeros above the diagonal
+        whole = np.asarray(half + half.T)
+        _diagonal(whole)[:] *= 0.5
+        whole *= self._scale[:, None]
+        whole *= self._scale
+        return whole
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant."""
+        return 2.0 * float(np.sum(np.log(np.diag(self._factor)) - np.log(self._scale)))
+
+
+def _diagonal(matrix: Array) -> Array:
+    """View of the diagonal of a contiguous matrix, shape (n,)."""
+    return np.asarray(matrix.reshape(-1, order='A')[:: len(matrix) + 1])
+
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
@@ -80,7 +135,6 @@ def identifiable_blocks(
     ----------
     normal : NormalEquations
         Of a system built with ``nodal_lever``.
-    unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
         below 1 means undetermined.
@@ -117,13 +171,13 @@ def identifiable_blocks(
     return tuple(accepted)
 
 
-def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]:
+def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> Index:
     """Places of blocks in the free vector."""
     parts = (unknowns.free_blocks[n] for n in blocks)
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def estimated(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
+def estimated(normal: NormalEquations, use: Index, prior: Array) -> Array:
     """Solve for some columns of normal equations, all others zero; see ``solve``.
 
     Parameters
@@ -156,18 +210,12 @@ def solve(
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``.
     accepted : tuple of str
         Blocks to solve for.
     prior : ndarray, shape (free, free), 1 / (m, rad)^2
         Inverse covariance before any data, see ``roughness.Roughness``.
-
-    Returns
-    -------
-    Solution
     """
     use = free_columns(unknowns, accepted)
     data = normal.matrix[np.ix_(use, use)] * limit**2
@@ -193,9 +241,6 @@ def determined_by_data(
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
-    accepted : tuple of str
     limit : float
         m and rad; ``unidentifiable_above``.
     rows : ndarray, shape (m, full)

@@ -10,22 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
 from otf_core.solving.unknowns import Unknowns
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class System:
     rows : Design
         Derivatives of the deviations.
     shares : ndarray, shape (3, c, p)
-        Of the noise of range and angles in the deviations, see ``noise.beam_shares``.
+        Of the noise of range and angles in the deviations, see ``noise_model.beam_shares``.
     """
 
     q: Array
@@ -83,10 +80,8 @@ def nominal_positions(
 
     Parameters
     ----------
-    pieces : Pieces
     points : ndarray, shape (p, 3), m
         Measured points in the machine frame.
-    tables : ErrorTables, optional
 
     Returns
     -------
@@ -106,7 +101,7 @@ def nominal_positions(
     return q
 
 
-def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
+def row_directions(pieces: Pieces, pose: RigidTransform) -> Array:
     """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them."""
     beam, horizontal, vertical = (pose.rotate(d) for d in beam_frame(pieces.xyz)[1:])
     if not pieces.standstill:
@@ -117,10 +112,12 @@ def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
 def deviations(pieces: Pieces, pose: RigidTransform) -> Array:
     """Deviations across the path under a pose, before any tables, shape (c, p), m."""
     points = pose.apply(pieces.xyz)
-    return _across(_axes(pieces, pose), points - nominal_positions(pieces, points, None))
+    return components(
+        row_directions(pieces, pose), points - nominal_positions(pieces, points, None)
+    )
 
 
-def _across(axes: Array, offset: Array) -> Array:
+def components(axes: Array, offset: Array) -> Array:
     """Components (c, p) of offsets (p, 3) along the rows."""
     return np.asarray(np.einsum('kij,ij->ki', axes, offset))
 
@@ -139,11 +136,8 @@ def build_system(
 
     Parameters
     ----------
-    machine : Machine
-    pieces : Pieces
     pose : RigidTransform
         Tracker to machine, good to the errors sought.
-    unknowns : Unknowns
     tables : ErrorTables, optional
         Tables of the last iteration, for the positions along the path.
     run : int
@@ -154,14 +148,10 @@ def build_system(
         instead of differing by what a spline times the travel is off a spline; and a turn of
         the tracker is one of the nominal positions, not of points that large errors move: for
         judging what is identifiable.
-
-    Returns
-    -------
-    System
     """
     points = pose.apply(pieces.xyz)
     q = nominal_positions(pieces, points, tables)
-    axes = _axes(pieces, pose)
+    axes = row_directions(pieces, pose)
     # a piece is a mean over samples, not the value at its centre: from a curved motion the two
     # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
     shifts: tuple[Array, ...] = (np.zeros(3),)
@@ -171,7 +161,7 @@ def build_system(
     return System(
         q=q,
         axes=axes,
-        deviation=_across(axes, points - q),
+        deviation=components(axes, points - q),
         rows=Design(
             machine,
             unknowns,
@@ -193,8 +183,6 @@ def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
 
     Parameters
     ----------
-    machine : Machine
-    unknowns : Unknowns
     q : ndarray, shape (n, 3), m
 
     Returns

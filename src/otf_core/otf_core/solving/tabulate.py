@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From smooth functions to tables: nodes fine enough that straight lines between them cost little.
+"""From smooth functions to tables, and priors of what the data do not show.
 
 Node values are those of the table that is nearest to the function in the mean square over the
 range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
-(``table_pitch``), or at a whole fraction of it where the straight lines would cost more than
-``WORTH`` of the uncertainty of the grid.
+(``table_pitch``), or at a whole fraction of it where the straight lines between them would cost
+more than ``WORTH`` of the uncertainty of the grid.
+
+Beyond the ends of its table a motion continues with its mean slope (tables are constant there) and
+with waves of the size and length that its own data show. Motions and squareness errors that the
+data do not show are taken to be as large as those that they show; translations of an axis that
+does not move (a single plane) grow with the distance from its position.
 """
 
 from __future__ import annotations
@@ -17,19 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
 from otf_core.model.kinematics import motion_influence, turned
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-from otf_core.solving.basis import Basis, linear
+from otf_core.prediction.table_prior import MotionPrior
 from otf_core.solving.joint import JointSolution
+from otf_core.solving.roughness import waves_of
 from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
-from otf_core.solving.unknowns import Unknowns, motion_gauge
-
-Array = NDArray[np.float64]
+from otf_core.solving.unknowns import Basis, Unknowns, linear, motion_gauge
 
 WORTH = 0.3
 """Share of the mean uncertainty of the grid that straight lines between nodes may cost."""
@@ -210,16 +215,10 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
 
     Parameters
     ----------
-    machine : Machine
-    done : JointSolution
     grid_u : float
         m; mean uncertainty of the grid, which decides how fine the tables are.
     limit : float
         m and rad; ``unidentifiable_above``.
-
-    Returns
-    -------
-    Tabulation
     """
     low, high = _ends(machine, done.unknowns)
     costs: dict[int, TableCost] = {}
@@ -268,8 +267,6 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
 
     Parameters
     ----------
-    machine : Machine
-    unknowns : Unknowns
     covariance : ndarray, shape (full, full)
     """
     grid = _inner_places(*_ends(machine, unknowns))
@@ -282,3 +279,69 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
 def _ends(machine: Machine, unknowns: Unknowns) -> tuple[Array, Array]:
     own = [unknowns.knots[a] for a in machine.axis_names]
     return np.array([knots[0] for knots in own]), np.array([knots[-1] for knots in own])
+
+
+USUAL = 2e-5
+"""rad; size of rotations, squareness errors and slopes where none is seen at all."""
+
+
+def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str, MotionPrior]:
+    """Size of all motions where no data hold them.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+        Of it.
+    limit : float
+        m and rad; ``unidentifiable_above``.
+
+    Returns
+    -------
+    mapping of motion or squareness error to MotionPrior
+        All motions; of squareness errors those that are not seen.
+    """
+    found: dict[str, MotionPrior] = {
+        m: _seen(done, tables, m, limit) for m in MOTIONS if m in done.roughness.logs
+    }
+    rotations = [m for m in MOTIONS if m in found and not m.is_translation]
+    size = _root_mean_square([v for m in rotations for v in tables.motions[m].value])
+    slope = _root_mean_square([found[m].slope for m in rotations])
+    translations = {m: found[m] for m in MOTIONS if m in found and m.is_translation}
+    for motion in MOTIONS:
+        if motion not in found and not motion.is_translation:
+            found[motion] = MotionPrior(slope=slope, sd=size or USUAL)
+        elif motion not in found:
+            found[motion] = _alike(translations, motion)
+    tilts = [tables.squareness[n].value for n in SQUARENESS if n in done.solution.accepted]
+    for name in SQUARENESS:
+        if name not in done.solution.accepted:
+            found[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL)
+    return found
+
+
+def _alike(seen: dict[ErrorMotion, MotionPrior], motion: ErrorMotion) -> MotionPrior:
+    """Translation that is not seen, like those that are."""
+    if not seen:
+        return MotionPrior(slope=USUAL)
+    slopes = [p.slope for m, p in seen.items() if m.is_positioning]
+    return MotionPrior(
+        0.0 if motion.is_straightness else _root_mean_square(slopes) or USUAL,
+        _root_mean_square([p.intensity for p in seen.values()]),
+        _root_mean_square([p.sd for p in seen.values()]),
+        float(np.median([p.length for p in seen.values()])),
+    )
+
+
+def _root_mean_square(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else 0.0
+
+
+def _seen(
+    done: JointSolution, tables: ErrorTables, motion: ErrorMotion, limit: float
+) -> MotionPrior:
+    knots, table = done.unknowns.knots[motion.axis], tables.motions[motion]
+    waves = waves_of(done.roughness.logs[motion], knots, limit)
+    slope = 0.0  # that of a straightness lies in squareness, which goes on
+    if not motion.is_straightness:
+        slope = abs(float(table.value[-1] - table.value[0])) / float(knots[-1] - knots[0])
+    return MotionPrior(slope, waves.intensity, waves.sd, waves.length)

@@ -5,32 +5,260 @@ Rough: ``matching``. Fine: each point's nearest point on its own leg, then the r
 minimises the distances perpendicular to the legs, repeated to a stop criterion. The paper fits
 point to point; point to line is the same problem without the sliding along the path, and settles
 in three or four steps instead of hundreds (docs/formulation.md).
+
+A motion u + w x l moves a point l along its line d by [d, l x d] . [u, w], which costs nothing;
+all else counts. Points of one line differ in l alone, so a line needs no more of them than their
+moments up to the second.
+
+A control in continuous-path mode leaves one line before its end and meets the next after its
+start. The lines themselves are still driven; where two of them meet is the corner of the path.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
-from otf_core.tracking.curves import SHORT_CURVE, Lines, PathShape, straight_shape
-from otf_core.tracking.driven_path import Driven, as_planned, driven_path, sample_chords, visits
-from otf_core.tracking.driving_order import FORWARD, OFF_PATH, Match, follow
-from otf_core.tracking.guide import Guide
-from otf_core.tracking.line_step import line_step
-from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
+from otf_core.tracking.curves import (
+    SHORT_CURVE,
+    Bulge,
+    Lines,
+    PathShape,
+    bulge_of,
+    straight_shape,
+    with_arcs,
+)
+from otf_core.tracking.driving_order import (
+    FORWARD,
+    OFF_PATH,
+    Driven,
+    Match,
+    as_planned,
+    driven_path,
+    follow,
+    sample_chords,
+    visits,
+)
+from otf_core.tracking.matching import ENOUGH, LEAST, Guide, cut_track
+from otf_core.tracking.measured_track import HOP, Track, measured_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
-from otf_core.tracking.rounding import rounded_ends, sharpened
-from otf_core.tracking.track import Track, measured_track
 
-Array = NDArray[np.float64]
+
+def line_step(
+    points: Array, origin: Array, direction: Array, weight: Array, line: Index
+) -> tuple[Array, Array]:
+    """One least-squares step of a rigid motion towards lines.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), m
+        Measured points in the machine frame.
+    origin, direction : ndarray, shape (m, 3)
+        A point (m) and the unit direction of each line.
+    weight : ndarray, shape (n,)
+    line : ndarray of int64, shape (n,)
+        Line of each point.
+
+    Returns
+    -------
+    translation : ndarray, shape (3,), m
+    rotation_vector : ndarray, shape (3,), rad
+        About the origin of the machine frame.
+
+    Raises
+    ------
+    InputError
+        If the lines leave a motion free, such as turning about a single line.
+    """
+    centre = np.ones(len(points)) @ points / len(points)
+    local = np.subtract(points.T, centre[:, None], order='C')
+    size = float(np.sqrt(np.vdot(local, local) / len(points))) or 1.0
+    local /= size
+    away, unit = np.ascontiguousarray((centre - origin).T), np.ascontiguousarray(direction.T)
+    moments = _moments(local, weight / weight.sum(), line, len(origin))
+    normal, right = _line_sums(*moments, away, unit, size)
+    if np.linalg.eigvalsh(normal)[0] < 1e-7:
+        raise InputError(
+            'the driven lines do not fix the place of the tracker (all parallel or too few); '
+            'record the whole path'
+        )
+    motion = np.linalg.solve(normal, right)
+    rotation_vector = motion[3:] / size
+    return np.asarray(motion[:3] - np.cross(rotation_vector, centre)), np.asarray(rotation_vector)
+
+
+def _moments(local: Array, share: Array, line: Index, lines: int) -> tuple[Array, Array, Array]:
+    """Sums over the points (3, n) of every line of 1, l and l l^T: (m,), (3, m), (3, 3, m)."""
+    passages = np.flatnonzero(np.diff(line, prepend=-1))  # points in a row on the same line
+    passed = line[passages]
+
+    def of_lines(values: Array) -> Array:
+        sums = np.bincount(passed, np.add.reduceat(values, passages), lines)
+        return sums.astype(np.float64, copy=False)
+
+    square = np.empty((3, 3, lines))
+    weighted = local * share
+    for i in range(3):
+        for j in range(i + 1):
+            square[i, j] = square[j, i] = of_lines(weighted[i] * local[j])
+    return of_lines(share), np.stack([of_lines(row) for row in weighted]), square
+
+
+def _line_sums(
+    total: Array, mean: Array, square: Array, away: Array, unit: Array, size: float
+) -> tuple[Array, Array]:
+    """Normal matrix (6, 6) and right side (6,) of ``line_step`` from the moments of lines.
+
+    ``away`` (3, m) leads from a point of each line to the centre of all points, m.
+    """
+    off, turned = size * mean + away * total, _cross(square, unit)
+    along = np.stack([unit * total, _cross(mean, unit)]).reshape(6, -1) @ unit.T
+    normal = np.zeros((6, 6))
+    normal[:3, :3] = total.sum() * np.eye(3) - along[:3]
+    normal[3:, :3] = -along[3:] - np.cross(mean.sum(axis=1), np.eye(3))
+    normal[:3, 3:] = normal[3:, :3].T
+    whole = square.sum(axis=2)
+    normal[3:, 3:] = np.trace(whole) * np.eye(3) - whole
+    normal[3:, 3:] -= _cross(np.swapaxes(turned, 0, 1), unit).sum(axis=2)
+    across = away - unit * np.sum(unit * away, axis=0)
+    turn = _cross(mean, across) - size * np.einsum('ikm,km->im', turned, unit)
+    shift = off - unit * np.sum(unit * off, axis=0)
+    return normal, -np.concatenate([shift.sum(axis=1), turn.sum(axis=1)])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of vectors (3, ..., m) with vectors (3, m)."""
+    rest = ((1, 2), (2, 0), (0, 1))
+    return np.stack([a[i] * b[j] - a[j] * b[i] for i, j in rest])
+
+
+FEWEST = 11
+"""Hops of a leg of which roundings can be told."""
+LINE = 0.05
+"""m; shorter measured legs may be part of a rounding."""
+REACH = 0.08
+"""m; a rounding begins no further from its corner."""
+PARALLEL = 0.05
+"""Sine of the angle below which two lines have no corner."""
+DEVIATION = 1e-4
+"""m; where a measured leg departs from its own line by more, it is rounded."""
+BOW = 15.0
+"""A leg that is bent all along departs at its ends by less, as a multiple of its middle."""
+CUT, MISSED = 5e-4, 3e-3
+"""m; a corner was rounded if its end departs from the line by one or stays away by the other."""
+TAIL = 1.2
+"""A rounding begins before it can be told: it departs with the square of the path length."""
+
+
+def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
+    """Where the lines of two measured legs meet beyond them; None if they do not."""
+    (p, q), (u, v) = (values[[i, j]] for values in track.lines)
+    normal = np.cross(u, v)
+    sine = float(np.linalg.norm(normal))
+    if sine < PARALLEL or abs(float((q - p) @ normal)) / sine > tolerance:
+        return None
+    s = float(np.cross(q - p, v) @ normal) / sine**2
+    t = float(np.cross(q - p, u) @ normal) / sine**2
+    corner = 0.5 * (p + s * u + q + t * v)
+    past, due = float((corner - track.ends[i]) @ u), float((track.starts[j] - corner) @ v)
+    if not (-tolerance < past < REACH and -tolerance < due < REACH):
+        return None
+    return np.asarray(corner)
+
+
+def sharpened(track: Track, tolerance: float) -> Track | None:
+    """Track with the rounding of its corners taken off; None if there is none.
+
+    Parameters
+    ----------
+    tolerance : float
+        m; corners that are rounded less stay.
+    """
+    lengths = track.lengths
+    long = np.flatnonzero(lengths >= LINE)
+    points, gone = track.points.copy(), np.zeros(len(track.start), dtype=bool)
+    start, stop = track.start.copy(), track.stop.copy()
+    for i, j in pairwise(long.tolist()):
+        if not track.joined[i + 1 : j + 1].all() or lengths[i + 1 : j].sum() > 2 * REACH:
+            continue
+        if max(lengths[[i, j]] / (track.stop[[i, j]] - track.start[[i, j]])) > 10 * HOP:
+            continue  # no track but jumps
+        corner = _meeting(track, i, j, tolerance)
+        if corner is None:
+            continue
+        between = np.arange(track.stop[i], track.start[j] + 1)
+        off = np.linalg.norm(track.points[between] - corner, axis=1)
+        if off.min() < tolerance:
+            continue
+        hop = int(between[np.argmin(off)])
+        points[hop], stop[i], start[j] = corner, hop, hop
+        gone[i + 1 : j] = True
+    if np.array_equal(points, track.points):
+        return None
+    keep = ~gone
+    return replace(
+        track, points=points, start=start[keep], stop=stop[keep], joined=track.joined[keep]
+    )
+
+
+def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Array:
+    """Length at both ends of measured legs that is rounded, shape (k, 2), m.
+
+    Zero where that is less than ``least`` or the measured leg is too short to tell. A leg is
+    rounded where it departs from its own line, or ends far from the corner, and the track goes on.
+
+    Parameters
+    ----------
+    legs : ndarray of int64, shape (k,)
+        Measured legs, each on one leg of the path.
+    corners : ndarray, shape (k, 2, 3), m
+        Ends of that leg of the path, tracker frame.
+    least : float
+        m.
+    """
+    found, points = np.zeros((len(legs), 2)), track.points
+    centre, unit = (values[legs] for values in track.lines)
+    first, last = track.start[legs], track.stop[legs]
+    outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
+    beyond, hop = _length(outer - corners), _length(outer - inner)
+    off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
+    told = (last - first >= FEWEST) & (_length(outer[:, 1] - outer[:, 0]) >= LINE)
+    goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
+    doubtful = goes_on & ((off >= CUT) | (beyond >= np.maximum(MISSED, 2 * hop)))
+    for k, side in np.argwhere(doubtful & told[:, None]).tolist():
+        way = points[first[k] : last[k] + 1][:: -1 if side else 1]
+        found[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
+    return found
+
+
+def _rounding_length(way: Array, centre: Array, unit: Array, corner: Array, least: float) -> float:
+    """Length of the rounding at the start of points (n, 3) of a leg, m; zero if there is none."""
+    off, quarter = _across(way - centre, unit), len(way) // 4
+    limit = max(DEVIATION, BOW * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
+    straight = np.flatnonzero(off[1 : 2 * quarter] < limit)
+    if not len(straight):
+        return 0.0
+    length = float(_length(way[straight[0]] - corner))
+    return TAIL * length + 1e-3 if least < length < REACH else 0.0
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _across(vectors: Array, unit: Array) -> Array:
+    """Length of vectors (..., 3) across unit vectors."""
+    return _length(vectors - np.sum(vectors * unit, axis=-1, keepdims=True) * unit)
+
 
 DOUBTFUL = 0.9
 """If a smaller share does, the track may be mirrored."""
@@ -46,7 +274,6 @@ class Alignment:
 
     Attributes
     ----------
-    T_machine_tracker : RigidTransform
     corners : ndarray, shape (m + 1, 3), m
         Corner points of the path as driven, straight-through points removed; leg j runs from j
         to j + 1. That is the published path, unless legs were repeated or driven backward.
@@ -73,7 +300,7 @@ class Alignment:
     coverage: float
     last_leg_driven: bool
     curves: PathShape | None = None
-    published: NDArray[np.int64] | None = None
+    published: Index | None = None
     rounded: Array | None = None
     bulge: Bulge | None = None
 
@@ -117,7 +344,7 @@ def _refine(
     return pose
 
 
-def _hop_legs(match: Match) -> NDArray[np.int64]:
+def _hop_legs(match: Match) -> Index:
     """Measured leg of every hop of the track, ``OFF_PATH`` if it belongs to no leg of the path."""
     legs = np.full(len(match.track.hops), OFF_PATH, dtype=np.int64)
     pairs = zip(match.track.start, match.track.stop, match.leg, strict=True)
@@ -176,13 +403,8 @@ class Followed:
 
     Attributes
     ----------
-    measured : Track
-    path : NominalPath
-    config : CalibrationConfig
-    guide : Guide
     match : Match
         With the track as it was matched.
-    driven : Driven
     rounded : ndarray, shape (m, 2), m
         See ``Alignment``.
     pose : RigidTransform
@@ -216,15 +438,8 @@ def align(
 
     Parameters
     ----------
-    samples : Samples
-    path : NominalPath
-    config : CalibrationConfig
     seen : Followed, optional
         Of the same run before its last samples; saves time if the target has not moved since.
-
-    Returns
-    -------
-    Alignment
 
     Raises
     ------
@@ -268,7 +483,7 @@ def followed(
         if image is not None and image.explained > match.explained + CLEARLY:
             raise InputError(f'samples do not follow the path: {MIRRORED}')
     driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
-    track, rounded = match.track, _rounded(match, driven, config)
+    track, rounded = match.track, _rounding_of_legs(match, driven, config)
     for _ in range(2):
         pose = _refine(match, driven, rounded, config)
         whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
@@ -280,7 +495,7 @@ def followed(
                 f'{why_no_match(samples, track, guide, tolerance)}'
             )
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
-        rounded = _rounded(match, driven, config)
+        rounded = _rounding_of_legs(match, driven, config)
     pose = _refine(match, driven, rounded, config)
     return Followed(measured, path, config, guide, match, driven, rounded, pose)
 
@@ -309,7 +524,7 @@ def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
     )
 
 
-def _rounded(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
+def _rounding_of_legs(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
     """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
     found = np.zeros((len(driven.shape.stretch), 2))
     legs = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))

@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.matching import OFF_PATH
-
-Array = NDArray[np.float64]
 
 SHORT, LONG = 2e-5, 5e-3
 """m; stretch of a leg whose samples tell when it began."""
@@ -37,12 +36,10 @@ def leg_starts(
 
     Parameters
     ----------
-    samples : Samples
     pose : RigidTransform
         Tracker to machine.
     leg : ndarray of int32, shape (n,)
         Of every sample, ``OFF_PATH`` where there is none.
-    lines : Lines
     """
     found, seen = np.full(len(lines.length), np.nan), lines.seen_from(pose)
     first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))

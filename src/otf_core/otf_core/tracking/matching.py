@@ -4,27 +4,123 @@
 The paper (1.2.3) uses start point, end point and centroid, which fails where the recording holds
 more or less than the path. Here short runs of measured corner points are compared with runs of
 nominal ones by their mutual distances; each agreement proposes a pose, and the pose under which
-the whole track follows the path (``driving_order``) wins. Where corners do not decide, points at
-equal distances along track and path take their place (``arc_windows``).
+the whole track follows the path (``driving_order``) wins.
+
+Circles and smooth curves have no corners, and a path driven backward shares no run of them. There,
+points at equal lengths along track and path take their place: they have the same mutual distances,
+and the length along the path does not depend on the frame. The published path is matched with its
+corners as they are and its curves thinned (``Guide``).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
+from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.tracking.arc_windows import dense_points, propose
+from otf_core.model.path import Legs, NominalPath
+from otf_core.tracking.curves import PathShape, shape_of
 from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
 from otf_core.tracking.driving_order import Match as Match
 from otf_core.tracking.driving_order import follow as follow
 from otf_core.tracking.driving_order import follow_within
-from otf_core.tracking.track import Track
+from otf_core.tracking.measured_track import Track
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+WIDTH = 6
+"""Points of a window."""
+SPANS = (2.0, 1.0, 0.4)
+"""Lengths of windows, in extents of the path."""
+STARTS = 20_000
+"""Windows of the path at most."""
+TRIES = 12
+"""Windows of the track per length."""
+
+
+def dense_points(corners: Array, step: float) -> tuple[Array, Array]:
+    """Points along a polyline at most ``step`` m apart, and their path lengths, m."""
+    done = Legs(corners).reach
+    along = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / step)) + 1))
+    return at_length(corners, done, along), along
+
+
+def at_length(points: Array, done: Array, along: Array) -> Array:
+    """Points of a polyline at path lengths, shape (n, 3), m."""
+    return np.stack([np.interp(along, done, points[:, k]) for k in range(3)], axis=1)
+
+
+def _mutual(windows: Array) -> Array:
+    first, second = np.triu_indices(windows.shape[1], 1)
+    return np.asarray(np.linalg.norm(windows[:, first] - windows[:, second], axis=2))
+
+
+def _path_windows(corners: Array, span: float, step: float) -> Array:
+    points, along = dense_points(corners, step)
+    starts = along[along <= along[-1] - span]
+    place = starts[:, None] + np.linspace(0.0, span, WIDTH)
+    return at_length(points, along, place.ravel()).reshape(-1, WIDTH, 3)
+
+
+def _track_windows(track: Track, span: float) -> Array:
+    """Windows of the track without a gap inside, those of largest extent first."""
+    bounds = np.concatenate([np.flatnonzero(~track.joined), [len(track.joined)]])
+    windows = [np.empty((0, WIDTH, 3))]
+    for low, high in pairwise(bounds):
+        points = track.points[track.start[low] : track.stop[high - 1] + 1]
+        done = Legs(points).reach
+        starts = np.linspace(0.0, done[-1] - span, 8 * TRIES) if done[-1] > span else np.empty(0)
+        place = starts[:, None] + np.linspace(0.0, span, WIDTH)
+        windows.append(at_length(points, done, place.ravel()).reshape(-1, WIDTH, 3))
+    found = np.concatenate(windows)
+    if not len(found):
+        return found
+    spread = np.linalg.svd(found - found.mean(axis=1, keepdims=True), compute_uv=False)
+    # the widest of every part of the run: a part that was driven otherwise must not take all
+    parts = np.array_split(np.argsort(np.arange(len(found)), kind='stable'), TRIES)
+    best = [int(p[np.argmax(spread[p, 1] + spread[p, 2])]) for p in parts if len(p)]
+    order = np.argsort(-(spread[best, 1] + spread[best, 2]), kind='stable')
+    return np.asarray(found[np.array(best)[order]])
+
+
+def _hits(difference: Array, limit: float) -> list[int]:
+    """Places where the difference is below the limit and least among its neighbours."""
+    low = np.flatnonzero(difference < limit)
+    runs = np.split(low, np.flatnonzero(np.diff(low) > 1) + 1) if len(low) else []
+    return [int(r[np.argmin(difference[r])]) for r in runs]
+
+
+def propose(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:
+    """Poses under which some stretch of the track has the shape of some stretch of the path.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 3), m
+    tolerance : float
+        m.
+    """
+    extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    total = float(Legs(corners).length.sum())
+    step = max(tolerance, total / STARTS)
+    limit = 3 * tolerance + step
+    poses: list[RigidTransform] = []
+    for span in (s * extent for s in SPANS):
+        windows = _track_windows(track, span)
+        if span > total or not len(windows):
+            continue
+        for path in (corners, corners[::-1]):
+            nominal = _path_windows(path, span, step)
+            distances = _mutual(nominal)
+            for window in windows:
+                difference = np.abs(distances - _mutual(window[None])).max(axis=1)
+                for k in _hits(difference, limit):
+                    pose = rigid_fit(window, nominal[k])
+                    if np.abs(pose.apply(window) - nominal[k]).max() < limit:
+                        poses.append(pose)
+    return poses
+
 
 _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000
@@ -114,14 +210,12 @@ def distinct_poses(
 
     Parameters
     ----------
-    poses : list of RigidTransform
     score : ndarray, shape (n,)
         Higher is better.
     points : ndarray, shape (k, 3), m
         Points that two different poses move apart.
     apart : float
         m.
-    most : int
     """
     probe = points[:: max(1, len(points) // 50)]
     found: list[RigidTransform] = []
@@ -141,7 +235,6 @@ def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> 
 
     Parameters
     ----------
-    track : Track
     pose : RigidTransform
         Tracker to machine.
     cuts : ndarray, shape (c, 3), m
@@ -242,7 +335,6 @@ def find_match(
 
     Parameters
     ----------
-    track : Track
     corners : ndarray, shape (n, 3), m
         Nominal corner points, straight-through points removed.
     tolerance : float
@@ -273,3 +365,48 @@ def find_match(
     if best is None or (other is not None and other.explained > best.explained + 0.01):
         return other
     return best
+
+
+@dataclass(frozen=True)
+class Guide:
+    """What is matched.
+
+    Attributes
+    ----------
+    vertex : ndarray of int64, shape (v,)
+        Corner points that are matched: curves are thinned.
+    """
+
+    shape: PathShape
+    vertex: Index
+
+    @classmethod
+    def of(cls, path: NominalPath, tolerance: float) -> Guide:
+        """Find corners and curves of a path."""
+        corners, _ = path.corners()
+        if len(corners) < 3:
+            raise InputError('path: a single straight line cannot be aligned; it needs corners')
+        shape = shape_of(corners)
+        return cls(shape, shape.vertices(0.5 * tolerance))
+
+    @property
+    def vertices(self) -> Array:
+        """Points of ``vertex``, shape (v, 3), m."""
+        return self.shape.corners[self.vertex]
+
+    @property
+    def curve(self) -> Index:
+        """Curve, numbered from 0, of the leg between successive vertices, shape (v - 1,)."""
+        stretch = self.shape.stretch[self.vertex[:-1]]
+        return np.asarray(np.unique(stretch, return_inverse=True)[1], dtype=np.int64)
+
+    @property
+    def cuts(self) -> Array:
+        """Vertices on curves, shape (c, 3), m."""
+        curved = self.shape.curved
+        on = np.concatenate([curved[:1], curved]) | np.concatenate([curved, curved[-1:]])
+        return np.asarray(self.shape.corners[self.vertex[on[self.vertex]]])
+
+    def find(self, track: Track, tolerance: float, by_length: bool = True) -> Match | None:
+        """Match a track without any prior knowledge, see ``find_match``."""
+        return find_match(track, self.vertices, tolerance, self.cuts, by_length)

@@ -6,17 +6,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.guide import Guide
-from otf_core.tracking.matching import OFF_PATH, Match, cut_track, follow
-from otf_core.tracking.track import Track, measured_track
-
-Array = NDArray[np.float64]
+from otf_core.tracking.matching import OFF_PATH, Guide, Match, cut_track, follow
+from otf_core.tracking.measured_track import Track, measured_track
 
 WIDER = (2.5, 5.0, 10.0)
 """Multiples of the tolerance that are tried to say what is wrong."""
@@ -154,7 +151,6 @@ def check_partial(
 
     Parameters
     ----------
-    samples : Samples
     path : NominalPath
         As published.
     pose : RigidTransform

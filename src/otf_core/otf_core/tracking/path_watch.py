@@ -9,7 +9,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.threads import in_one_thread
 from otf_core.tracking.alignment import Followed, followed
-from otf_core.tracking.track import HOP
+from otf_core.tracking.measured_track import HOP
 
 END_STANDSTILL = 1.0
 """s; a standstill so long is looked at: it ends the run if it is at the end point."""
@@ -33,11 +33,6 @@ class PathWatcher:
     that arrive after later ones are left out of both: they would count as ways there and back.
 
     Which samples a run has follows from stamps and points alone, not from when somebody looks.
-
-    Parameters
-    ----------
-    path : NominalPath
-    config : CalibrationConfig
 
     Attributes
     ----------

@@ -16,10 +16,9 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import plan_for_path
 from otf_core.sim.cell import random_tables
-from otf_core.tracking.alignment import align
-from otf_core.tracking.line_step import line_step
+from otf_core.tracking.alignment import align, line_step
 from otf_core.tracking.matching import OFF_PATH
-from otf_core.tracking.track import simplify
+from otf_core.tracking.measured_track import simplify
 
 CONFIG = CalibrationConfig()
 # m; thousands of samples with 2 um of noise place the tracker far better, errors of the machine

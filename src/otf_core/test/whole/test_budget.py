@@ -11,9 +11,15 @@ import yaml
 from core_cells import some_machine
 from nature_tracker import beam_frame
 
-from otf_core.budget.budget import NAMES, Budget, Source, make_budget
-from otf_core.budget.freedom import welch_satterthwaite
-from otf_core.budget.noise import noise_parts, slow_amplitudes
+from otf_core.budget.budget import (
+    NAMES,
+    Budget,
+    Source,
+    make_budget,
+    noise_parts,
+    slow_amplitudes,
+    welch_satterthwaite,
+)
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
@@ -22,14 +28,14 @@ from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.motions import MOTIONS
-from otf_core.noise.model import MISFIT_TIME, NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.budget_tables import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.reports.calibration import format_result, result_to_dict
+from otf_core.reports.calibration_facts import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.sim.tracker import measure
-from otf_core.solving.columns import across, piece_state, sensitivity
 from otf_core.solving.joint import settled, solve_jointly, tables_of
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
+from otf_core.solving.sensitivity import across, piece_state, sensitivity
 from otf_core.solving.unknowns import layout
 
 DECLARED = {

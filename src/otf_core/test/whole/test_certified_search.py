@@ -19,11 +19,11 @@ from test_certified import CONFIG, EXPECTED, RUN, SEEN, recording
 
 from otf_core.calibration.calibrate import assemble, calibrate_runs
 from otf_core.diagnosis.diagnose import diagnose
+from otf_core.diagnosis.engine.gap_sizes import simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import build_rows
-from otf_core.diagnosis.twin_residual import simulated_residual_um
 from otf_core.pieces.runs import prepare_runs
 from otf_core.sim.twin import twin_recording
-from otf_core.solving.reversal_choice import solve_with_reversal
+from otf_core.solving.model_choice import solve_with_reversal
 from otf_core.solving.roughness import SETTLED, Search
 
 NODES = table_nodes(RUN)

@@ -10,7 +10,7 @@ from bag_cells import PATH_MESSAGE, point_messages, write_mcap
 from cli_cells import run
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.bags.topics import PATH
+from otf_core.bags.rosbag2_metadata import PATH
 from otf_core.checking.checks import check
 from otf_core.model.observation import Samples
 

@@ -12,7 +12,7 @@ import pytest
 from cli_cells import run, write_points
 
 from otf_core.cli import _parser
-from otf_core.cli.completion import fish_script, script
+from otf_core.cli.parser import fish_script, script
 from otf_core.cli.verbs import EXAMPLES, VERBS
 
 ROOM = Path(__file__).resolve().parents[4] / 'bags/y-carries-the-table'

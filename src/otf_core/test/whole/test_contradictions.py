@@ -27,7 +27,7 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions import quick_model, tracker_moves
-from otf_core.contradictions.table_worth import check_worth, volumetric
+from otf_core.contradictions.table_checks import check_worth, volumetric
 from otf_core.errors import InputError
 from otf_core.model.machine import Axis, Chain, TrackerSpec
 from otf_core.model.observation import Samples

@@ -12,7 +12,6 @@ from contradiction_cells import recorded, stepped
 from core_cells import some_machine
 from effect_cells import applied, some_plan
 
-from otf_core.calibration import solved
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
@@ -79,7 +78,7 @@ def test_contradictions_are_reported_before_a_solution_that_fails(monkeypatch):
     def fails(*_):
         raise np.linalg.LinAlgError('singular')
 
-    monkeypatch.setattr(solved, 'solve_with_reversal', fails)
+    monkeypatch.setattr('otf_core.calibration.calibrate.solve_with_reversal', fails)
     with pytest.raises(InputError, match='not of one machine'):
         calibrate_runs([recorded(), replace(recorded(seed=2), name='run 2')], CONFIG)
     with pytest.raises(np.linalg.LinAlgError, match='singular'):

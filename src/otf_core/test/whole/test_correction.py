@@ -10,11 +10,11 @@ from core_cells import some_machine
 from nature import Cell, Extra
 from numpy.testing import assert_allclose
 
-from otf_core.calibration.correction import corrected, estimates, missing_in_tables
+from otf_core.calibration.with_effects import corrected, estimates, missing_in_tables
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis import calibrate_with_effects as above
-from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
+from otf_core.diagnosis import diagnose as above
 from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, _to_take, with_causes
+from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.removable_effect import taken
 from otf_core.effects.state import probe_state
@@ -22,10 +22,10 @@ from otf_core.effects.stated_effect import FILE, FOUND, format_effects
 from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
-from otf_core.solving.columns import piece_state
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.reversal import Backlash, Reversal
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.sensitivity import piece_state
 from otf_core.solving.unknowns import free_values, layout
 
 CONFIG = CalibrationConfig(piece_length=0.02)

@@ -10,8 +10,7 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.blind.natures import UNKNOWN_EFFECTS
-from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.residual_rows import build_rows
@@ -23,7 +22,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
 from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.cell import simulate
 from otf_core.sim.twin import twin_recording

@@ -28,14 +28,14 @@ from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, run_state
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import sum_groups
-from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener

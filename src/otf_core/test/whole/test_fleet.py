@@ -18,9 +18,8 @@ from cli_cells import run
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
-from otf_core.fleet import job
-from otf_core.fleet.call import call_job
-from otf_core.fleet.run_list import read_list
+from otf_core.fleet import fleet as fleet_module
+from otf_core.fleet.fleet import call_job, read_list
 from otf_core.model.tables import load_tables
 from otf_core.reports.fleet_report import fleet_rows
 
@@ -80,7 +79,7 @@ pathlib.Path(out).mkdir(parents=True, exist_ok=True)
 def plant(tmp_path, monkeypatch):
     """Six listed runs, two of them broken, done by a stand-in for the command."""
     (tmp_path / 'stub.py').write_text(STUB)
-    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    monkeypatch.setattr(fleet_module, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
     monkeypatch.setenv('CALLS', str(tmp_path / 'calls'))
     monkeypatch.chdir(tmp_path)
     rows = ['name,bag,machine']
@@ -138,7 +137,7 @@ def test_the_run_of_a_killed_worker_is_done_again(plant, monkeypatch):
                 killed.append(self.pid)
                 self.send_signal(signal.SIGKILL)
 
-    monkeypatch.setattr(job.subprocess, 'Popen', Killing)
+    monkeypatch.setattr(fleet_module.subprocess, 'Popen', Killing)
     fleet('out')
     assert killed
     assert told(plant / 'out') == told(plant / 'whole')
@@ -151,7 +150,7 @@ def test_a_run_that_is_killed_each_time_fails_alone(plant, monkeypatch):
             if 'b.mcap' in command[4]:
                 self.send_signal(signal.SIGKILL)
 
-    monkeypatch.setattr(job.subprocess, 'Popen', Killing)
+    monkeypatch.setattr(fleet_module.subprocess, 'Popen', Killing)
     fleet('out')
     data = told(plant / 'out')
     assert data['done'] == 3
@@ -245,9 +244,9 @@ def dask(plant, monkeypatch):
     (plant / 'killing.py').write_text(KILLING + STUB)
     stub = (sys.executable, str(plant / 'killing.py'))
     (plant / 'as_stub.py').write_text(
-        f'from otf_core.fleet import job\n\njob.COMMAND = {stub!r}\n'
+        f'from otf_core.fleet import fleet\n\nfleet.COMMAND = {stub!r}\n'
     )
-    places = (str(Path(job.__file__).parents[2]), os.environ.get('PYTHONPATH', ''))
+    places = (str(Path(fleet_module.__file__).parents[2]), os.environ.get('PYTHONPATH', ''))
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(places))
     common = ['--scheduler-file', 'dask.json', '--no-dashboard']
     words = [[sys.executable, '-m', 'distributed.cli.dask_scheduler', '--port', '0', *common]]
@@ -288,7 +287,7 @@ def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):
 def sealed_cells(tmp_path, monkeypatch):
     """Stand-in for what draws and diagnoses: cell 003 cannot be drawn, 001 not diagnosed."""
     (tmp_path / 'stub.py').write_text(BLIND_STUB)
-    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    monkeypatch.setattr(fleet_module, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
     monkeypatch.setenv('CALLS', str(tmp_path / 'calls'))
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -341,7 +340,7 @@ out.mkdir(exist_ok=True)
 @pytest.mark.parametrize('workers', [1, 3])
 def test_cells_of_a_validation_come_together_in_one_table(tmp_path, capsys, monkeypatch, workers):
     (tmp_path / 'stub.py').write_text(CELL_STUB)
-    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    monkeypatch.setattr(fleet_module, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
     words = ('--seed', 6, '--trials', 4, '--out', tmp_path / 'out', '--workers', workers)
     assert run('fleet', 'validate', *words) == 4
     said = capsys.readouterr()
@@ -383,7 +382,7 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     }  # fmt: skip
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
-    done = {'flat': job.JobResult(0, '', 'digest')}
+    done = {'flat': fleet_module.JobResult(0, '', 'digest')}
     columns, (row,), _ = fleet_rows('calibrate', tmp_path, done)
     shown = dict(zip(columns, row, strict=True))
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
@@ -393,9 +392,11 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
 
 def test_a_function_by_its_name_is_a_run(tmp_path):
     wrong = call_job('w', 'math:sqrt', {}, tmp_path / 'w')
-    assert job.run_job(wrong).message.startswith('TypeError')
-    done = call_job('d', 'otf_core.files.manifest:file_digest', {'path': __file__}, tmp_path / 'd')
-    assert job.run_job(done).message == ''
+    assert fleet_module.run_job(wrong).message.startswith('TypeError')
+    done = call_job(
+        'd', 'otf_core.files.output_folder:file_digest', {'path': __file__}, tmp_path / 'd'
+    )
+    assert fleet_module.run_job(done).message == ''
     text = (tmp_path / 'd/result.json').read_text()
     assert json.loads(text) == hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 

@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 from nature import NAMES, Cell
 
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import solve_recordings
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.short_waves import rows_to_diagnose
+from otf_core.diagnosis.engine.diagnosed_rows import rows_to_diagnose
+from otf_core.diagnosis.engine.search import search, tried_effects
 from otf_core.effects import REGISTRY
-from otf_core.solving.basis import LINEAR
-from otf_core.solving.shape_choice import is_finer
+from otf_core.solving.model_choice import is_finer
+from otf_core.solving.unknowns import LINEAR
 
 CONFIG = CalibrationConfig(piece_length=0.015, reversal='none')
 PITCH = 0.05

@@ -19,19 +19,17 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.plan import plan_for_path
-from otf_core.noise.fields import read_noise
-from otf_core.noise.model import NoiseComponent, NoiseModel
-from otf_core.planning.drive_time import drive_times
-from otf_core.planning.forecast import Setup, beside, forecast
-from otf_core.planning.job import PlanRequest, make_plan, read_place
-from otf_core.planning.observability import chain_shows, findings
-from otf_core.planning.tracker_places import (
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel, read_noise
+from otf_core.planning.findings import chain_shows, findings
+from otf_core.planning.follow_up import (
     beam_lengths,
     candidate_places,
     check_place,
     compare_places,
     judge_places,
 )
+from otf_core.planning.forecast import Setup, beside, drive_times, forecast
+from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.drive import Drive

@@ -10,14 +10,13 @@ from core_cells import some_machine
 from effect_cells import driven_state
 from engine_cells import holding, noise, solved_rows
 
-from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.empirical_structure import (
     find_another,
     find_structure,
     try_structures,
 )
-from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.search import search, tried_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.action import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data

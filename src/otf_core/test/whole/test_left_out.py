@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from core_cells import record, small_plan, some_machine, some_pose
 
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import solve_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording

@@ -14,8 +14,8 @@ from nature import table_rows
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate
-from otf_core.calibration.headline import headline_of
-from otf_core.calibration.verdict import Verdicts, judge
+from otf_core.calibration.calibration_result import headline_of
+from otf_core.calibration.machine_verdict import Verdicts, judge
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.limits import KEYS, Limits

@@ -17,12 +17,10 @@ from core_cells import some_machine
 from otf_core.bags.bag import read_bag
 from otf_core.errors import ConfigError, InputError
 from otf_core.exports import export_format
-from otf_core.exports.base import Request
+from otf_core.exports.format import Request
 from otf_core.loop import circle, control
-from otf_core.loop import control_files as files
-from otf_core.loop.check_lines import check_plan
-from otf_core.loop.corrected import corrected, corrected_program, in_parts
-from otf_core.loop.judged import on_path
+from otf_core.loop import control as files
+from otf_core.loop.circle import check_plan, corrected, corrected_program, in_parts, on_path
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan

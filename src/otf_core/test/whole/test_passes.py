@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from core_cells import record, small_plan, some_machine, some_pose
 
-from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.passes import FEWEST, Unfollowed, unfollowed
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
+from otf_core.calibration.lack_of_fit import FEWEST, Unfollowed, unfollowed
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording

@@ -10,11 +10,9 @@ from otf_core.config import PlannerConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.errors import ConfigError
-from otf_core.planning.creator import plan_path
 from otf_core.planning.follow_up import Question, answered, open_questions, plan_after
-from otf_core.planning.forecast import Setup, forecast
-from otf_core.planning.measured_runs import MeasuredRun, joint_rows
-from otf_core.planning.planned_budget import planned_solution
+from otf_core.planning.forecast import MeasuredRun, Setup, forecast, joint_rows, planned_solution
+from otf_core.planning.path_creation import plan_path
 
 MACHINE = some_machine(pitch=0.1)
 LAG = AppliedEffect(REGISTRY['servo_mismatch'], {'T_X': 1.6e-5, 'T_Y': -8e-6})

@@ -18,14 +18,19 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import plan_for_path
-from otf_core.noise.model import NoiseModel
-from otf_core.planning.candidate_lines import candidate_lines, lattice_points
-from otf_core.planning.drive_time import drive_times
-from otf_core.planning.forecast import Setup, forecast
-from otf_core.planning.line_allocation import allocate, judge, total, variance
-from otf_core.planning.observability import chain_shows
-from otf_core.planning.path_optimiser import PathOptimiser
-from otf_core.planning.walk_search import best_walk
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.planning.findings import chain_shows
+from otf_core.planning.forecast import Setup, drive_times, forecast
+from otf_core.planning.path_optimiser import (
+    PathOptimiser,
+    allocate,
+    best_walk,
+    candidate_lines,
+    judge,
+    lattice_points,
+    total,
+    variance,
+)
 from otf_core.sim.cell import random_tables, simulate
 
 CONFIG = PlannerConfig(feed=0.2, corner_dwell=0.1, end_dwell=1.0, margin=0.01)

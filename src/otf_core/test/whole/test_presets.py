@@ -17,11 +17,16 @@ from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
-from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
+from otf_core.planning.forecast import (
+    Setup,
+    forecast,
+    grid_uncertainty,
+    planned_solution,
+    planned_systematic,
+)
 from otf_core.planning.plan_report import PlanReport
-from otf_core.planning.planned_budget import planned_solution, planned_systematic
-from otf_core.reports.budget_tables import budget_lines
 from otf_core.reports.calibration import format_result, result_to_dict
+from otf_core.reports.calibration_facts import budget_lines
 from otf_core.reports.plan_files import format_report, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]

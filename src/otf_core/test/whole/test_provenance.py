@@ -19,14 +19,14 @@ from otf_core import cli
 from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.blind.seal import KEY, seal
 from otf_core.errors import ConfigError
-from otf_core.files.csv_points import tidy
+from otf_core.files.writing import tidy
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
 from otf_core.model.tables import load_tables
-from otf_core.planning.nc.base import words
+from otf_core.planning.nc.dialect import words
 from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.calibration_sections.error_motions import squareness_words
 

@@ -21,18 +21,18 @@ from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
-from otf_core.exports.travel import half_reversal
+from otf_core.exports.lattice import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import load_tables
+from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
-from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.reports.calibration import format_result, write_calibration
 from otf_core.sim.cell import simulate
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import normal_equations
-from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import is_reversal, layout

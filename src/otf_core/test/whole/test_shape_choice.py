@@ -7,11 +7,11 @@ from nature import LETTERS, NAMES, Cell
 from nature_forms import DENSE, Curve
 
 from otf_core.config import CalibrationConfig
+from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import prepare_runs
-from otf_core.pieces.standstill_method import prepare_stops
-from otf_core.planning.standstill_plan import edge_points, spread_points
-from otf_core.solving.basis import CUBIC, LINEAR
-from otf_core.solving.shape_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
+from otf_core.planning.path_creation import edge_points, spread_points
+from otf_core.solving.model_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
+from otf_core.solving.unknowns import CUBIC, LINEAR
 
 CONFIG = CalibrationConfig(piece_length=0.015)
 SIZE = (0.3, 0.25, 0.2)

@@ -11,19 +11,19 @@ from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
-from otf_core.files.csv_points import write_csv
+from otf_core.files.writing import write_csv
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording
-from otf_core.pieces.standstill_method import (
+from otf_core.pieces.methods import (
     align_stops,
     find_stops,
     match_in_order,
     prepare_stops,
 )
-from otf_core.planning.standstill_plan import edge_points, spread_points, standstill_plan
+from otf_core.pieces.runs import Recording
+from otf_core.planning.path_creation import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate
 from otf_core.tracking.matching import OFF_PATH

@@ -15,10 +15,9 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.pieces.runs import prepare_runs
 from otf_core.sim.cell import random_tables
-from otf_core.solving.basis import cubic, linear
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.tabulate import (
     FRACTIONS,
     MOST_NODES,
@@ -30,7 +29,7 @@ from otf_core.solving.tabulate import (
     tabulate,
     unseen_bends,
 )
-from otf_core.solving.unknowns import layout, reference_position
+from otf_core.solving.unknowns import cubic, layout, linear, reference_position
 
 LIMIT = 1e-4
 RANGE = np.array([0.0, 1.0])

@@ -10,11 +10,15 @@ from core_cells import some_machine
 from otf_core.config import SimulationConfig
 from otf_core.reports.validation import write_validation
 from otf_core.sim.laboratory import SimulatedLaboratory
-from otf_core.validation.laboratory import Scale, paper_machine, scale
-from otf_core.validation.reference_points import calibration_points, reference_points
-from otf_core.validation.run import validate
-from otf_core.validation.simulative import across_path
-from otf_core.validation.table import Row, format_rows
+from otf_core.validation.paper import (
+    Scale,
+    across_path,
+    calibration_points,
+    paper_machine,
+    reference_points,
+    scale,
+)
+from otf_core.validation.validate import Row, format_rows, validate
 
 FAST = 0.25
 

@@ -60,7 +60,6 @@ class Backend(ABC):
 
     Parameters
     ----------
-    common : CommonConfig
     own : Parameters
         Of the class that ``parameters`` names.
 

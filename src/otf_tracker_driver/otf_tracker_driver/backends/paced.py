@@ -25,7 +25,6 @@ class PacedBackend(Backend):
     common : CommonConfig
         Its ``time_scale`` is lowered so that not more than ``max_rate`` samples per second are
         handed out.
-    own : Parameters
     clock : callable, optional
         Monotonic seconds.
 

@@ -33,10 +33,6 @@ class Arrivals:
     Nothing can have arrived before the socket was last found empty: an age beyond is that of a
     time of day that was set meanwhile. So an age holds however long this process stood still.
 
-    Parameters
-    ----------
-    opened : socket
-
     Attributes
     ----------
     dropped : int

@@ -135,7 +135,6 @@ def beneath(
         Increasing.
     delay_ns : ndarray of int64, shape (n,), ns
         Arrival minus device time.
-    known : Known
 
     Returns
     -------

@@ -60,9 +60,6 @@ class Tracker:
 
     Attributes
     ----------
-    name, version, reflector : str
-    serial : int
-    reflectors : tuple of str
     environment : tuple of float or None
         Temperature, C; pressure, mbar; relative humidity, %.
     warnings : tuple of str
@@ -105,8 +102,6 @@ async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]
 
     Parameters
     ----------
-    link : Link
-    wanted : Wanted
     initialising : callable
         Called before the tracker is initialised, which takes a while.
 

@@ -19,10 +19,6 @@ class LinkError(TrackerError, Unreachable):
 class Refused(TrackerError):
     """The tracker answered a command with an error.
 
-    Parameters
-    ----------
-    command, status : int
-
     Attributes
     ----------
     status : int

@@ -25,7 +25,6 @@ class Intake:
 
     Parameters
     ----------
-    state : SessionState
     deliver : callable
         Takes samples.
     """

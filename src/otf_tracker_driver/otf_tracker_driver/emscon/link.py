@@ -40,7 +40,6 @@ class Link:
 
     Parameters
     ----------
-    wire : Wire
     unasked : callable
         Takes packets that answer nothing, and when their first byte arrived, ns; returns at once.
     now_ns : callable

@@ -75,8 +75,6 @@ class Session:
 
     Parameters
     ----------
-    address : Address
-    wanted : Wanted
     find : bool
         Whether the tracker may search for the reflector by itself.
     deliver : callable

@@ -25,10 +25,8 @@ class SessionState:
         One of the names above.
     hindrance : Hindrance or None
         What keeps samples from flowing just now, in a stream; why there is no connection, without.
-    beam : Beam
     tracker : Tracker or None
         None until configured.
-    clock : ClockState
     environment : tuple of float or None
         Temperature, C; pressure, mbar; relative humidity, %; of the last packet.
     packets, samples : int
@@ -45,7 +43,6 @@ class SessionState:
         Connections made; times that the stream broke off and went on.
     gaps : tuple of Gap
         The latest interruptions.
-    last_event : str
     """
 
     phase: str = CONNECTING

@@ -35,8 +35,6 @@ class SessionThread:
 
     Parameters
     ----------
-    address : Address
-    wanted : Wanted
     find : bool
         Whether the tracker may search for the reflector by itself.
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 TICK = 1e-3
@@ -23,7 +23,6 @@ class Cell:
 
     Parameters
     ----------
-    machine : Machine
     planning : PlannerConfig
         The path is that of a path planner with the same parameters.
     seed : int

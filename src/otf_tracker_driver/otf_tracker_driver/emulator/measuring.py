@@ -56,13 +56,8 @@ class Measuring:
 
     Parameters
     ----------
-    device : Device
-    cell : Cell
-    drive : Drive
     drift : float
         Rate of the tracker's clock, less one.
-    faults : Faults
-    rng : random.Random
     put : callable
         Sends a packet.
     record : callable, optional

@@ -35,8 +35,6 @@ class EmulatedTracker:
 
     Parameters
     ----------
-    cell : Cell
-    faults : Faults
     seed : int
         Of the faults.
     drift : float

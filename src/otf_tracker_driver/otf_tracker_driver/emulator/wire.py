@@ -17,14 +17,7 @@ MOST_WAITING = 1000
 
 
 class Wire:
-    """Sends in the order given; ``put`` never waits.
-
-    Parameters
-    ----------
-    writer : asyncio.StreamWriter
-    faults : Faults
-    rng : random.Random
-    """
+    """Sends in the order given; ``put`` never waits."""
 
     def __init__(self, writer: asyncio.StreamWriter, faults: Faults, rng: random.Random) -> None:
         self._writer, self._faults, self._rng = writer, faults, rng

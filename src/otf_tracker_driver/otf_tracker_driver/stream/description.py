@@ -61,7 +61,6 @@ class Description:
 
     Attributes
     ----------
-    source : Source
     format : str
         'text' or 'json'.
     separator : str
@@ -70,7 +69,6 @@ class Description:
         Of numbers in text: '.' or ','.
     point : tuple
         Places of x, y, z; or of azimuth, zenith and distance if ``spherical``.
-    spherical : bool
     clockwise : bool
         Azimuth grows clockwise, seen from above.
     stamp : int, str or None

@@ -50,7 +50,6 @@ class Reader:
 
     Parameters
     ----------
-    how : Description
     transport : Transport
         Open.
 

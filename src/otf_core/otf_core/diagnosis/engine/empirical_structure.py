@@ -1,12 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
+"""Structure of a gap that no effect explains, and the rival that it is to the causes.
+
+Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
 
 Smooth functions of every input, and of every two, are compared; a cycle in time or along an axis,
 a moment, a place or a direction of the beam is an input where there is a clear one
-(``input_search``). A score test screens them (``score``). The best are fitted exactly, and their
+(``input_search``). A score test screens them. The best are fitted exactly, and their
 parameters are penalised as those of effects are; then the way to act, the same for all until then,
 is chosen in the same way. Looking at many costs the logarithm of their number. What a structure
 leaves may depend on another input besides.
+
+Something else: what speaks against the named causes is not only the rest of the catalogue.
+
+The rival of the causes is the likeliest smooth function of one or two inputs, whatever its cause,
+priced as an effect is and by the number of functions looked at. With E_c the evidence of the
+causes together, E_s that of the rival, both for the noise that the better of them leaves,
+
+    P(causes) : P(something else) = exp(E_c) : exp(E_s).
+
+A function that leaves the trace of the causes is no rival: it is what they do, in other words.
+Unless they shift all places alike in the course of time, and it is likelier and says that the
+place, or what else, matters: then they only come near.
+
+The odds that an effect needs before it is named are odds of "nothing, and noise other than
+assumed"; they count in its confidence as well.
 """
 
 from __future__ import annotations
@@ -16,15 +33,20 @@ from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.candidates import Pool
-from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
-from otf_core.diagnosis.engine.input_search import find_inputs
+from otf_core.diagnosis.engine.effect_products import Pool, Tried, tried_shapes
+from otf_core.diagnosis.engine.evidence import log_evidence
+from otf_core.diagnosis.engine.input_search import Scores, find_inputs
 from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.diagnosis.engine.score import Scores
-from otf_core.diagnosis.engine.search import Cause, noise_variance
+from otf_core.diagnosis.engine.search import (
+    NEEDED_EVIDENCE,
+    Cause,
+    fit_jointly,
+    noise_variance,
+)
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
@@ -44,9 +66,8 @@ from otf_core.effects.located_inputs import (
     found_kind,
     head_of,
     plain_names,
+    stands_for,
 )
-
-Array = NDArray[np.float64]
 
 INPUTS = (
     'time', 'x', 'y', 'z', 'sense_x', 'sense_y', 'sense_z', 'feed', 'acceleration', 'since_stop',
@@ -82,7 +103,6 @@ class Structure:
     ----------
     cause : Cause
         As a cause without a name.
-    effect : FreeForm
     """
 
     cause: Cause
@@ -106,8 +126,6 @@ class Structures:
 
     Attributes
     ----------
-    rows : Rows
-    ranked : tuple of Tried
     looked : float
         Logarithm of the number of structures that were looked at.
     """
@@ -290,3 +308,96 @@ def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:
     left, size, _ = np.linalg.svd(per, full_matrices=False)
     main = left[:, 0] * (np.sign(left[np.argmax(np.abs(left[:, 0])), 0]) or 1.0)
     return main, float(size[0] ** 2 / max(float(np.sum(size**2)), 1e-300))
+
+
+NEXT_TO_NOTHING = 1e-4
+"""Share of the largest singular value."""
+THE_SAME = 0.1
+"""Share of the squared trace of the causes up to which a structure may leave another one and is
+no rival: a rougher or smoother form of what they do."""
+RIVALS = 3
+"""Structures, the likeliest first, whose traces are looked at."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The likeliest structure that is not what the causes do.
+
+    Attributes
+    ----------
+    odds : float
+        Logarithm of the odds of it against the causes; minus infinity if there is none.
+    inputs : tuple of str
+    """
+
+    odds: float = -np.inf
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def wins(self) -> bool:
+        """Whether it has the odds against the causes that a name needs."""
+        return self.odds > NEEDED_EVIDENCE
+
+    def confidence(self, cause: Cause) -> float:
+        """Probability of a cause among the effects, something else, and nothing."""
+        against = np.logaddexp.reduce([0.0, self.odds, NEEDED_EVIDENCE - cause.score])
+        return cause.confidence * float(np.exp(-against))
+
+
+def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
+    """Weigh the causes of a gap against something else.
+
+    Parameters
+    ----------
+    causes : sequence of Cause
+        Not empty.
+    structures : Structures
+        Fitted to the same rows.
+    """
+    rows = structures.rows
+    own = np.concatenate([c.option.own for c in causes], axis=1)
+    trace = own @ fit_jointly(causes, rows).value
+    variance = noise_variance(rows, rows.residual - trace)
+    likeliest = sorted(structures.ranked, key=lambda t: -structures.score(t, variance))
+    for tried in likeliest[:RIVALS]:
+        other = tried.trace(np.arange(len(tried.size)), variance)
+        least = min(variance, noise_variance(rows, rows.residual - other))
+        odds = structures.score(tried, least) - together(causes, rows, least)
+        found = Rival(odds, inputs_of(tried))
+        if not _same(trace, other) or (found.wins and _says_more(found.inputs, causes)):
+            return found
+    return Rival()
+
+
+def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
+    """Evidence of causes together: of each on what those before it leave."""
+    residual, total = rows.residual, 0.0
+    basis = np.zeros((len(residual), 0))
+    for cause in causes:
+        option = cause.option
+        white = option.own - basis @ (basis.T @ option.own)
+        orders = np.array(option.terms.orders)
+        total += log_evidence(
+            white.T @ white,
+            white.T @ residual,
+            option.size,
+            variance,
+            orders[option.take] if len(orders) else orders,
+        )
+        taken = linalg.orth(white, NEXT_TO_NOTHING)
+        basis = np.concatenate([basis, taken], axis=1)
+        residual = residual - taken @ (taken.T @ residual)
+    return total
+
+
+def _says_more(inputs: Sequence[str], causes: Sequence[Cause]) -> bool:
+    """Tell whether a function of time and more stands against shifts by free functions of time."""
+    effects = [c.option.effect for c in causes]
+    alike = all(isinstance(e, FreeForm) and e.form.acts is vector for e in effects)
+    return alike and not all(stands_for(n) == ('time',) or n.startswith(SIGNAL) for n in inputs)
+
+
+def _same(trace: Array, other: Array) -> bool:
+    """Tell whether two explanations take away the same."""
+    rest = trace - other
+    return float(rest @ rest) < THE_SAME * float(trace @ trace)

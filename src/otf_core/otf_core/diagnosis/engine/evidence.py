@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg import lapack
 
+from otf_core.arrays import Array
 from otf_core.effects import Effect, Shape, Terms
-
-Array = NDArray[np.float64]
 
 SPREADS = (5e-7, 2e-6, 8e-6)
 """m; sizes of the displacement that an effect may have, each as likely as the other."""
@@ -46,8 +45,6 @@ class Option:
 
     Attributes
     ----------
-    effect : Effect
-    shape : mapping of str to float
     terms : Terms
         Of all runs; columns of one point of the first.
     take : ndarray of int, shape (k,)

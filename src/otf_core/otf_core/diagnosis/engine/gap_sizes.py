@@ -1,20 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes of the gap: residuals of path pieces with and without causes, on legs not fitted on."""
+"""Sizes of the gap: of the runs, of their simulation, and of noise other than specified."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
+from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.evidence import estimate
-from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows, left_by
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.solving.folds import FOLDS, leg_numbers
-
-Array = NDArray[np.float64]
+from otf_core.effects import REGISTRY, Effect
+from otf_core.effects.catalogue.tracker_noise import TrackerNoise
+from otf_core.live.stages import silent
+from otf_core.model.frames import RigidTransform
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.departure import Departure, as_simulated, noise_departure
+from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
+from otf_core.noise.standstill import find_standstills, standstill_noise
+from otf_core.pieces.runs import Recording, Run, reduced
+from otf_core.solving.joint import Start, settled, solve_robustly
+from otf_core.solving.residuals import FOLDS, leg_numbers
+from otf_core.tracking.matching import OFF_PATH
 
 JACKKNIFE = 20
 """Groups of legs."""
@@ -60,8 +71,6 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
 
     Parameters
     ----------
-    rows : Rows
-    causes : sequence of Cause
     held_out : bool
         Each leg is judged with coefficients fitted without the legs of its fold; tables and
         poses are fitted to all legs with the weights of the calibration without the causes.
@@ -119,3 +128,170 @@ def shrink_interval(
     low = whole - float(np.hypot(2 * u, min(0.0, *levels)))
     high = whole + float(np.hypot(2 * u, max(0.0, *levels)))
     return max(0.0, low), min(100.0, high)
+
+
+NAMED = 0.5
+"""Probability from which on a departure is named: the more likely of two."""
+SURE = 0.95
+"""The same of slow noise: it makes no gap, as the simulation has the colour of the run's own
+standstills, so nothing calls for a name."""
+SLOW, CORRELATED = 'correlation_time', 'correlated over'
+"""Slow noise as a parameter of the effect, and in words."""
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """Noise other than specified.
+
+    Attributes
+    ----------
+    parameters : dict
+        Of the effect: what departs from the specification.
+    confidence : float
+        Probability of what departs most clearly; see ``noise.departure``.
+    variance_ratio : float
+        Mean variance of the rows with the measured levels over that with the specified ones.
+    words : str
+    """
+
+    parameters: dict[str, float]
+    confidence: float
+    variance_ratio: float
+    words: str
+
+    @property
+    def level(self) -> float:
+        """Mean standard deviation over the specified one."""
+        return float(np.sqrt(self.variance_ratio))
+
+    @property
+    def effect(self) -> Effect:
+        """The effect that stands for it."""
+        return REGISTRY[TrackerNoise.name]
+
+
+def _parameters(seen: Departure) -> dict[str, tuple[float, float]]:
+    """Value and probability of every parameter of the effect."""
+    # the effect has one factor for both angles
+    angle = float(np.sqrt(np.mean(seen.level[1:] ** 2)))
+    return {
+        'level_range': (float(seen.level[0]), float(seen.of_level[0])),
+        'level_angle': (angle, float(seen.of_level[1:].max())),
+        'correlation_time': (seen.time, seen.of_time),
+        'dof': (seen.dof, seen.of_dof),
+    }
+
+
+def _words(seen: Departure) -> list[str]:
+    found = [
+        f'noise of the {name} {level:.2f} times as specified'
+        for name, level, p in zip(QUANTITIES, seen.level, seen.of_level, strict=True)
+        if p > NAMED
+    ]
+    if seen.of_time > SURE:
+        found.append(f'{CORRELATED} {seen.time:.1f} s')
+    if seen.of_dof > NAMED:
+        found.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
+    return found
+
+
+def check_noise(
+    rows: Rows, speed: float, exclude: Sequence[str] = (), *, gap: bool = True
+) -> NoiseFinding | None:
+    """Compare the noise in standstills with machine.yaml; None if it is as specified.
+
+    Without a ``gap``, and no louder than specified, only slow noise is looked for: the simulation
+    has the colour of the run's own standstills, so slow noise makes no gap. Tails are of no
+    consequence then.
+    """
+    gap = gap or any(np.any(run.noise.level > _specified(run)) for run in rows.runs)
+    if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
+        return None
+    found: dict[str, tuple[float, float]] = {}
+    words: list[str] = []
+    for run in rows.runs:
+        seen = noise_departure(run.recording.samples, run.machine.tracker, speed)
+        if seen is None:
+            continue
+        for name, (value, probability) in _parameters(seen).items():
+            if not gap and name != SLOW:
+                continue
+            least = SURE if name == SLOW else NAMED
+            if probability > max(least, found.get(name, (0.0, 0.0))[1]):
+                found[name] = (value, probability)
+        words += [w for w in _words(seen) if gap or w.startswith(CORRELATED)]
+    if not found:
+        return None
+    return NoiseFinding(
+        {name: value for name, (value, _) in found.items()},
+        max(probability for _, probability in found.values()),
+        _variance_ratio(rows),
+        '; '.join(dict.fromkeys(words)),
+    )
+
+
+def with_measured_noise(run: Run, speed: float) -> Run:
+    """Return a run with the noise of its standstills where that is clearly louder than specified.
+
+    Up to ``noise.departure.LEVEL`` it passes as specified, and a solution takes it as specified;
+    but what is left of a gap has to be compared with the noise that was there.
+    """
+    samples = run.recording.samples
+    seen = noise_departure(samples, run.machine.tracker, speed)
+    measured = standstill_noise(samples, find_standstills(samples, speed))
+    if seen is None or measured is None:
+        return run
+    parts = zip(run.noise, measured.noise, seen.least > 1.0, strict=True)
+    return replace(run, noise=NoiseModel(*(own if loud else old for old, own, loud in parts)))
+
+
+def _specified(run: Run) -> Array:
+    tracker = run.machine.tracker
+    return np.array([tracker.u_range, tracker.u_angle, tracker.u_angle])
+
+
+def _variance_ratio(rows: Rows) -> float:
+    measured, specified = 0.0, 0.0
+    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+        shares = solved.system.shares
+        measured += float(sample_variance(run.noise, shares).sum())
+        spec = as_simulated(run.noise, run.machine.tracker)
+        specified += float(sample_variance(spec, shares).sum())
+    return measured / specified
+
+
+Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
+"""Simulates a run with these tables: its samples on the path, at the same moments."""
+
+
+def simulated_residual_um(
+    rows: Rows, nodes: Mapping[str, Array], config: CalibrationConfig, twin: Twin, seed: int = 1
+) -> float:
+    """Residual that the calibration leaves on the twins of runs, um.
+
+    The functions of the motions are those chosen for the runs: the twins have their tables.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of the runs.
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    config : CalibrationConfig
+    twin : callable
+        ``sim.twin.twin_recording``.
+    seed : int
+        Of the noise in the first twin; the others follow.
+    """
+    runs = []
+    for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
+        recording = twin(run, solved.pose, rows.tables, seed + k)
+        leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
+        again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
+        runs.append(replace(again, late=run.late))
+    start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
+    _, done = solve_robustly(runs, unknowns, config, silent, start)
+    done = settled(done, config.unidentifiable_above)
+    left = left_by(done, [solved.system.deviation for solved in done.runs])
+    square = np.concatenate([np.sum(part**2, axis=0) for part in left])
+    return float(1e6 * np.sqrt(square.mean()))

@@ -1,43 +1,137 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whitened rows of all runs: tables and poses, effects, deviations.
 
+Functions of time times a way to act: many shapes, which share what they act with.
+
+Lines that touch the same unknowns, and the whitened columns of these on them.
+
+A line touches the splines along it: on a run of three axes half of the unknowns, mean over its
+pieces. Products with the columns of effects leave out the rest.
+
 With W the inverse Cholesky factor of the noise covariance (``normal.Whitener``): A holds the
 columns of poses and tables, E those of an effect, y the deviations, all multiplied by W, so that
 independent noise of unit variance is left in y. What an effect adds beyond the tables is what
 remains of E once A is projected out. Columns of effects are made where they are asked for and not
 kept: all of them together are many times as large as A.
+
+Products of whitened columns of effects, with each other and with those of tables and poses.
+
+What happens for some time only has columns that are zero on most lines: there they are left out,
+as are unknowns that a line does not touch.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.diagnosis.engine.line_groups import Touched, touched
-from otf_core.diagnosis.engine.time_products import InTime
+from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, Shape, State, Terms
+from otf_core.effects.action import Acting
 from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.observed import Observed
-from otf_core.pieces.runs import Run
-from otf_core.solving.columns import name_in_run, piece_state, sensitivity
-from otf_core.solving.folds import fold_of, leg_numbers
+from otf_core.pieces.runs import Observed, Run
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
+from otf_core.solving.residuals import (
+    SampleResiduals,
+    fold_of,
+    leg_numbers,
+    sample_residuals,
+    sample_state,
+)
 from otf_core.solving.roughness import precision_like_others
-from otf_core.solving.sample_states import SampleResiduals, sample_residuals, sample_state
+from otf_core.solving.sensitivity import name_in_run, piece_state, sensitivity
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+
+class InTime(Effect):
+    """Functions of time times a way to act; each run has its own."""
+
+    heads: ClassVar[tuple[str, ...]]
+    """Of the names of the coefficients, one for every function."""
+    own_per_run: ClassVar[bool] = True
+
+    @property
+    def acts(self) -> Acting:
+        """What the functions are multiplied with: the first of those in which it may switch."""
+        return self.switches[0]
+
+    @abstractmethod
+    def course(self, state: State, shape: Shape) -> Array:
+        """Return the functions of time, shape (n, m)."""
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return every term of the way to act times every function, one after the other."""
+        base, course = self.acts(state, {}), self.course(state, shape)
+        names = tuple(f'{head}_{name}' for name in base.names for head in self.heads)
+        units = tuple(unit for unit in base.units for _ in self.heads)
+        columns = base.columns[:, :, :, None] * course[:, None, None, :]
+        return Terms(names, units, ('',) * len(names), columns.reshape(len(state), 3, -1))
+
+    def products(self, state: State, shapes: Sequence[Shape], other: Array) -> Array:
+        """Products of displacements with others (n, 3, q), shape (s, q, k) for k terms."""
+        acts = np.moveaxis(self.acts(state, {}).columns, 2, 0)
+        courses = np.concatenate([self.course(state, shape) for shape in shapes], axis=1)
+        found = np.stack([np.einsum('ni,niq->qn', one, other) @ courses for one in acts])
+        parts = found.reshape(*found.shape[:2], len(shapes), -1)
+        return parts.transpose(2, 1, 0, 3).reshape(len(shapes), other.shape[2], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Touched:
+    """Some lines of a run.
+
+    Attributes
+    ----------
+    lines : list of int
+    unknowns : ndarray of int64, shape (b,)
+        Those that the lines touch.
+    base : ndarray, shape (c m, b)
+        Their whitened columns on the m pieces of the lines, component by component.
+    """
+
+    lines: list[int]
+    unknowns: Index
+    base: Array
+
+
+def touched(base: Array, bounds: Sequence[tuple[int, int]]) -> list[Touched]:
+    """Sort lines by the unknowns that they touch.
+
+    Parameters
+    ----------
+    base : ndarray, shape (c, p, b)
+        Whitened columns of all unknowns on the pieces of a run.
+    bounds : sequence of (int, int)
+        First piece and one past the last of every line.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for line, touches in enumerate(acts_on_lines(base, bounds)):
+        alike.setdefault(touches.tobytes(), []).append(line)
+    found = []
+    for touches, lines in alike.items():
+        unknowns = np.flatnonzero(np.frombuffer(touches, np.bool_))
+        pieces = np.concatenate([np.arange(*bounds[line]) for line in lines])
+        own = base[:, pieces[:, None], unknowns]
+        found.append(Touched(lines, unknowns, own.reshape(-1, len(unknowns))))
+    return found
+
+
+def acts_on_lines(values: Array, bounds: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Tell which columns (c, p, k) are not zero on a line, shape (lines, k)."""
+    starts = [low for low, _ in bounds]
+    return np.logical_or.reduceat((values != 0.0).any(axis=0), starts, axis=0)
 
 
 ROWS = 4_000
@@ -75,7 +169,6 @@ class Rows:
 
     Attributes
     ----------
-    observed : tuple of Observed
     done : JointSolution
         Of the calibration, without reversal: its residuals are the gap.
     whiteners : tuple of Whitener
@@ -358,7 +451,6 @@ def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> 
 
     Parameters
     ----------
-    observed : sequence of Observed
     done : JointSolution
         Of the same runs, without reversal.
     limit : float
@@ -387,3 +479,51 @@ def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> 
         limit=limit,
         use=use,
     )
+
+
+MOST = 0.6
+"""Share of the columns, mean over the lines, from which all of them are taken everywhere."""
+
+
+def add_products(rows: Rows, run: int, values: Array, cross: Array, square: Array) -> None:
+    """Add the products of columns of one run to those of other runs.
+
+    Parameters
+    ----------
+    rows : Rows
+    run : int
+    values : ndarray, shape (c, p, k)
+        The columns, not yet whitened.
+    cross : ndarray, shape (b, k)
+        A'E.
+    square : ndarray, shape (k, k)
+        E'E.
+    """
+    whitener = rows.whiteners[run]
+    for some, acting in _acting(rows, run, values):
+        white = _whitened(whitener, values, some.lines, acting)
+        cross[np.ix_(some.unknowns, acting)] += (white.T @ some.base).T  # faster than reversed
+        square[np.ix_(acting, acting)] += white.T @ white
+
+
+def _acting(rows: Rows, run: int, values: Array) -> Iterator[tuple[Touched, Index]]:
+    """Yield lines, and the columns of values (c, p, k) that are not zero on all of them."""
+    acts = acts_on_lines(values, rows.whiteners[run].bounds)
+    acts |= acts.mean() > MOST
+    for some in rows.touched[run]:
+        acting = np.flatnonzero(acts[some.lines].any(axis=0))
+        if acting.size:
+            yield some, acting
+
+
+def _whitened(whitener: Whitener, values: Array, lines: Sequence[int], take: Index) -> Array:
+    """Whiten some of the columns (c, p, k) on the m pieces of some lines, shape (c m, k)."""
+    parts = [values[:, slice(*whitener.bounds[line])] for line in lines]
+    if len(take) < values.shape[2]:
+        parts = [part[:, :, take] for part in parts]
+    found = np.empty((len(values), sum(part.shape[1] for part in parts), len(take)))
+    start = 0
+    for line, part in zip(lines, parts, strict=True):
+        np.matmul(whitener.inverses[line], part, out=found[:, start : start + part.shape[1]])
+        start += part.shape[1]
+    return found.reshape(-1, len(take))

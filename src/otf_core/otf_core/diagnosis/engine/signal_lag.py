@@ -18,15 +18,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.candidates import Beside
-from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.arrays import Array
+from otf_core.diagnosis.engine.effect_products import Beside, Tried, tried_shapes
 from otf_core.effects.free import follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
 from otf_core.model.courses import Courses, lag_of
 from otf_core.model.signals import LAGS
-
-Array = NDArray[np.float64]
 
 SHORTEST = 2.0
 """s; a shorter lag is none."""
@@ -64,7 +62,6 @@ def preferred(tried: Sequence[Tried], worth: Array, *, formula: NDArray[np.bool_
 
     Parameters
     ----------
-    tried : sequence of Tried
     worth : ndarray, shape (k,)
         Their scores.
     formula : ndarray of bool, shape (k,)

@@ -18,12 +18,12 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from otf_core.arrays import Array
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
 from otf_core.model.path import TRAVELS
-from otf_core.solving.sample_states import SampleResiduals
+from otf_core.solving.residuals import SampleResiduals
 
-Array = NDArray[np.float64]
 Peak = tuple[float, float]
 """Frequency in Hz or period in m of a line, and its score."""
 
@@ -200,7 +200,6 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
 
     Parameters
     ----------
-    residuals : SampleResiduals
     effects : sequence of Effect
         Those that make no lines are passed over.
     """

@@ -14,7 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Maybe, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.path import MOVING

@@ -12,7 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Coefficients, Effect, Shape, Size, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, Trial, Uniform
 from otf_core.effects.free import Free
 

@@ -15,7 +15,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.catalogue.backlash import HELD, SOMETIMES_HELD, travel_sign
 from otf_core.effects.drawing import Either, Normal, Number, OfMachine, Some, Trial
 from otf_core.effects.free import Free

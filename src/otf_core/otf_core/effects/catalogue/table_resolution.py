@@ -17,7 +17,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import BetweenNodes, Number, Some, Trial
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence

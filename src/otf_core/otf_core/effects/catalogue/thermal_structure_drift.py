@@ -10,9 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects import drift
 from otf_core.effects.action import Acting, vector
-from otf_core.effects.base import Array, Coefficients, Shape, Size, State, Terms
+from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import vector_size

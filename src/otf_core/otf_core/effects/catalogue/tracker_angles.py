@@ -17,7 +17,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Contribution, Effect, Shape, State, Terms
+from otf_core.arrays import Array
+from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
 from otf_core.effects.beam import Beam, beam_of
 from otf_core.effects.drawing import Number, Share, Some, Trial
 

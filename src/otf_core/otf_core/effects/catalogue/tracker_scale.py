@@ -16,16 +16,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import (
-    Array,
-    Coefficients,
-    Contribution,
-    Effect,
-    Shape,
-    Size,
-    State,
-    Terms,
-)
+from otf_core.arrays import Array
+from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, OneOf, Trial
 
 PER_KELVIN = 0.93e-6

@@ -11,7 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Coefficients, Effect, Shape, Size, State, Terms, Wave
+from otf_core.arrays import Array
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms, Wave
 from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.frames import XYZ

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.planning.nc.base import Array, Dialect, plain, words
+from otf_core.arrays import Array
+from otf_core.planning.nc.dialect import Dialect, plain, words
 
 
 class Fanuc(Dialect):

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.planning.nc.base import Array, Dialect, words
+from otf_core.arrays import Array
+from otf_core.planning.nc.dialect import Dialect, words
 
 
 class Heidenhain(Dialect):

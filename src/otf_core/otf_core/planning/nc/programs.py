@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.planning.nc.base import Array, Dialect, comment_lines
+from otf_core.planning.nc.dialect import Dialect, comment_lines
 
 INCREMENT = 1e-6
 """m; resolution of the positions in a program."""
@@ -27,7 +28,6 @@ def on_increment(plan: Plan, low: Array, high: Array) -> Plan:
 
     Parameters
     ----------
-    plan : Plan
     low, high : ndarray, shape (3,), m
         Ends of the axis ranges.
     """
@@ -68,15 +68,10 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
 
     Parameters
     ----------
-    dialect : Dialect
     plan : Plan
         Positions on the increment of the dialect, see ``on_increment``.
     header : sequence of str
         Comments, each of one line or more.
-
-    Returns
-    -------
-    str
 
     Raises
     ------

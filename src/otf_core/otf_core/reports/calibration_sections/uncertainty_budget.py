@@ -6,39 +6,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
     MISFIT,
     NOISE,
     SMOOTHNESS,
     STRAIGHT,
+    SYSTEMATIC,
     TYPICAL_SOURCE,
 )
-from otf_core.budget.systematic import SYSTEMATIC
 from otf_core.model.declared import KEYS
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL
 from otf_core.model.quantities import quantity, scaled
 from otf_core.prediction.volumetric import table_places
-from otf_core.reports.budget_tables import (
+from otf_core.reports.calibration_facts import (
     GRID,
     LISTED_PAIRS,
     STRONG,
     BudgetLine,
+    Facts,
     correlations,
     format_budget,
 )
-from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import svg
+from otf_core.reports.drawing.panel import Bar, bars, svg
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.style import text
-from otf_core.reports.section import Picture, Section, Table
-from otf_core.reports.wording import dof_words, listed, micro
-
-Array = NDArray[np.float64]
+from otf_core.reports.page import Picture, Section, Table, dof_words, listed, micro
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
 """Evaluated from the observations (GUM 2.3.2); all others are type B."""

@@ -11,19 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from otf_core.arrays import Array
 from otf_core.model.expanded import figure, micro_figure, micro_significant, significant
 from otf_core.model.frames import XYZ
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.volumetric import table_rows, table_values
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.first_screen import contributions
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.section import Picture, Section, Table
-from otf_core.reports.wording import micro, micro_unit, millimetres
-
-Array = NDArray[np.float64]
+from otf_core.reports.drawing.panel import Bar, Panel, Scale, around, bars
+from otf_core.reports.page import Picture, Section, Table, micro, micro_unit, millimetres
 
 COMPONENT_BINS = 24
 DIAGONAL_POINTS = 21

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.reports.drawing.panel import arrow_path, svg, words
-from otf_core.reports.drawing.scale import round_below
-
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
+from otf_core.reports.drawing.panel import arrow_path, round_below, svg, words
 
 WIDTH, HEIGHT, MARGIN = 480.0, 320.0, 22.0
 SIDE = 100.0
@@ -37,7 +34,6 @@ class Strokes:
 
     Attributes
     ----------
-    kind : str
     ends : ndarray, shape (n, 2, 3), m
     arrows : bool
         With a head at the second end.
@@ -54,7 +50,6 @@ class Dots:
 
     Attributes
     ----------
-    kind : str
     points : ndarray, shape (n, 3), m
     radius : float, m
         As they are drawn, magnified if they are; 0: the size of the class.
@@ -72,7 +67,6 @@ class Label:
     Attributes
     ----------
     point : ndarray, shape (3,), m
-    text : str
     kind : str
         Classes, such as 'end' or 'middle'.
     dx, dy : float, px
@@ -273,7 +267,6 @@ def scene(
     low, high : ndarray, shape (3,), m
     title : str
         For readers who cannot see it.
-    turns : bool
     shown : Magnification, optional
         Of arrows and radii among the items; stated with an arrow of reference.
     """

@@ -1,27 +1,349 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Overview: which cause, how large, where the gap lies, and in which recordings."""
+"""Which cause, how large, where the gap lies, what stays open, what to measure next."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from itertools import combinations
 
-from otf_core.diagnosis.place.separation import TIME, VOLUME, groupings_by_view
+import numpy as np
+
+from otf_core.diagnosis.cause_parameters import SCALES, Curve, at_words
+from otf_core.diagnosis.corrected_calibration import in_reversal_tables
+from otf_core.diagnosis.place.placement import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
+from otf_core.effects import REGISTRY, BelongsTo
+from otf_core.effects.inputs import label_of
+from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.provenance import moment
-from otf_core.reports.condition_tables import measured, run_table, stated
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.gap_sections.causes import effect_name
+from otf_core.model.quantities import quantity
+from otf_core.reports.calibration_facts import measured, run_table, stated
+from otf_core.reports.drawing.panel import Bar, Panel, Scale, around, bars
 from otf_core.reports.gap_sections.residual_views import (
     groups_side_by_side,
     size_pictures,
     volume_picture,
 )
-from otf_core.reports.page import Heading
-from otf_core.reports.section import Picture, Section, State, Table
-from otf_core.reports.wording import listed
+from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, listed
 from otf_core.version import __version__
+
+# Causes of the gap: what was found, its functions, what stays open, what to measure next.
+
+DRAWN_CURVES = 6
+"""Curves of one cause that are drawn, the largest first."""
+HIDDEN_TITLE = 'What these data cannot show'
+CONFIDENCE_WORDS = (
+    (0.99, 'practically certain'),
+    (0.95, 'very likely'),
+    (0.8, 'likely'),
+    (0.5, 'more likely than not'),
+    (0.0, 'doubtful'),
+)
+SHOWN_PARAMETERS = 8
+"""Of longer lists the most significant ones are shown."""
+
+
+def causes_section(diagnosis: Diagnosis) -> Section:
+    """The causes that were found, ranked, with their parameters."""
+    held = [w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))]
+    lines = [line for cause in diagnosis.causes for line in _cause_lines(cause)]
+    text = (*lines, *held, '') if lines else ()
+    if not diagnosis.causes:
+        reason = {
+            'none': 'None: the run shows no more than its simulation.',
+            'unknown': 'None named: no effect of the catalogue explains the gap.'
+            + ('' if diagnosis.unnamed else f' Its structure: {diagnosis.unexplained_where}.'),
+        }.get(diagnosis.verdict, 'None found.')
+        return Section('causes', 'Causes', (reason, *_unnamed_words(diagnosis)), text=text)
+    words: tuple[str, ...] = ()
+    if diagnosis.table_change_um > 0:
+        words = (
+            f'With the causes in the calibration the error tables change the predicted volumetric '
+            f'error by {diagnosis.table_change_um:.2f} um on average over the volume.',
+        )
+    words = (*words, *held)
+    rows = tuple(_cause_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
+    head = ('', 'Cause', 'Axes', 'Parameters, U with k = 2', 'Gap (um)', 'Confidence')
+    tables = (Table(head, rows, numbers=(4,)), *_meaning_tables(diagnosis))
+    return Section('causes', 'Causes', words, tables=tables, text=text)
+
+
+def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
+    """What the reversal tables of the calibration hold of a cause; empty of any other."""
+    known = REGISTRY.get(cause.effect)
+    if known is None or known.belongs_to is not BelongsTo.REVERSAL:
+        return ''
+    held = in_reversal_tables(diagnosis.calibration.plain.reversal, cause.axes)
+    name = effect_name(cause.effect)
+    return f'The reversal tables of the calibration hold {name} as well{held}.' if held else ''
+
+
+def _meaning_tables(diagnosis: Diagnosis) -> tuple[Table, ...]:
+    """What the parameters stand for, effect by effect."""
+    named = dict.fromkeys(c.effect for c in diagnosis.causes)
+    found = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
+    head = ('Cause', 'Displacement of the target', 'Parameters')
+    return (Table(head, tuple(found), title='What the parameters are'),) if found else ()
+
+
+def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """What is known of a cause without a name."""
+    unnamed = diagnosis.unnamed
+    if unnamed is None:
+        return ()
+    low, high = unnamed.shrink_interval_percent
+    return (
+        f'It {unnamed.words}.',
+        f'An empirical effect of these inputs takes the gap from {unnamed.before_um:.2f} um to '
+        f'{unnamed.after_um:.2f} um on legs that it was not fitted to (95 % interval of the '
+        f'shrink: {low:.0f} % to {high:.0f} %). It stands in effects.yaml for simulate and '
+        f'calibrate.',
+    )
+
+
+def _cause_row(rank: int, cause: NamedCause) -> tuple[Cell, ...]:
+    about = effect_cause(cause.effect)
+    rivals = ' or '.join(effect_name(r) for r in cause.indistinguishable_from)
+    named = [effect_name(cause.effect), *([about] if about else [])]
+    sure = [confidence_words(cause.confidence)]
+    if cause.departs:
+        named.append(f'Departs from the formula: {cause.departs}')
+    if rivals:
+        named.append(f'In these data indistinguishable from {rivals}')
+        sure.append('that it is one of these')
+    names, more, weak = shown_parameters(cause)
+    parameters = [
+        _unbroken(f'{n} {quantity(cause.parameters[n], cause.u[n], cause.units.get(n, ""))}')
+        for n in names
+    ]
+    shape = shape_words(cause)
+    rest = left_out_words(more, weak)
+    return (
+        str(rank),
+        tuple(named),
+        ', '.join(cause.axes) or '–',
+        ('', *parameters, *rest, *([shape] if shape else [])),
+        (f'{cause.before_um:.2f} → {cause.after_um:.2f}',
+         f'shrinks by {cause.shrink_percent:.0f} %'),
+        tuple(sure) if rivals else sure[0],
+    )  # fmt: skip
+
+
+def _unbroken(words: str) -> str:
+    return words.replace(' +/- ', '\u00a0±\u00a0').replace(' ', '\u00a0')
+
+
+def _cause_lines(cause: NamedCause) -> list[str]:
+    axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
+    lines = [
+        f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> {cause.after_um:.2f} um, '
+        f'confidence {100 * cause.confidence:.0f} %'
+    ]
+    names, more, weak = shown_parameters(cause)
+    for name in names:
+        shown = quantity(cause.parameters[name], cause.u[name], cause.units.get(name, ''))
+        lines.append(f'    {name} = {shown} (k = 2)')
+    rest = (shape_words(cause), *left_out_words(more, weak))
+    lines += [f'    {words}' for words in rest if words]
+    if cause.departs:
+        lines.append(f'    departs from the formula: {cause.departs}')
+    if cause.indistinguishable_from:
+        lines.append(f'    indistinguishable from {", ".join(cause.indistinguishable_from)}')
+    return lines
+
+
+def effect_name(effect: str) -> str:
+    """Name of an effect in words."""
+    return effect.replace('_', ' ')
+
+
+def effect_cause(effect: str) -> str:
+    """What causes an effect; empty for a name that is not in the catalogue."""
+    known = REGISTRY.get(effect)
+    return known.cause if known else ''
+
+
+def effect_meaning(effect: str) -> tuple[str, str]:
+    """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
+    known = REGISTRY.get(effect)
+    return (known.equation, known.coefficients) if known else ('', '')
+
+
+def confidence_words(confidence: float) -> str:
+    """Confidence in words and as a number."""
+    word = next(word for least, word in CONFIDENCE_WORDS if confidence >= least)
+    number = '>\u00a099.9\u00a0%' if confidence > 0.999 else f'{100 * confidence:.3g}\u00a0%'
+    return f'{word} ({number})'
+
+
+def shown_parameters(cause: NamedCause) -> tuple[list[str], int, int]:
+    """Estimated parameters worth showing; how many more are significant, and how many are not.
+
+    Significant is what is larger than its expanded uncertainty.
+    """
+
+    def strength(name: str) -> float:
+        u = cause.u[name]
+        return abs(cause.parameters[name]) / u if u > 0 else math.inf
+
+    estimated = [n for n in cause.parameters if n in cause.u]
+    significant = [n for n in estimated if strength(n) > COVERAGE_FACTOR]
+    kept = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
+    shown = [n for n in significant if n in kept]
+    return shown, len(significant) - len(shown), len(estimated) - len(significant)
+
+
+def left_out_words(more: int, weak: int) -> list[str]:
+    """What is not listed of the parameters of a cause."""
+    words = [f'{more} more significant ones in gap.json'] if more else []
+    if weak:
+        verb = 'is' if weak == 1 else 'are'
+        words.append(f'{weak} further {verb} not significant (|value| < U), in gap.json')
+    return words
+
+
+def shape_words(cause: NamedCause) -> str:
+    """Parameters that were chosen, not estimated; empty if there are none."""
+    chosen = [
+        f'{name} {quantity(value, None, cause.units.get(name, ""))}'
+        for name, value in cause.parameters.items()
+        if name not in cause.u
+    ]
+    return f'chosen: {", ".join(chosen)}' if chosen else ''
+
+
+def functions_section(diagnosis: Diagnosis) -> Section:
+    """Functions found, with their bands; empty where everything follows a formula."""
+    unnamed = diagnosis.unnamed
+    shown = [(effect_name(c.effect), c.departs, c.curves) for c in diagnosis.causes if c.curves]
+    if unnamed is not None:
+        shown.append(('Cause without a name', unnamed.words, unnamed.curves))
+    if not shown:
+        return Section('functions', '')
+    words = tuple(f'{effect_name(c.effect)}: {c.departs}.' for c in diagnosis.causes if c.curves)
+    return Section(
+        'functions',
+        'Functions found',
+        words,
+        draw=lambda: [_curve_picture(name, curves) for name, _, curves in shown],
+    )
+
+
+def _curve_picture(name: str, curves: Sequence[Curve]) -> Picture:
+    caption = (
+        f'{name}: the function that the data show; the band is that of k = 2, without what tables '
+        f'and the place of the tracker hold as well.'
+    )
+    return Picture(
+        tuple(_curve_panel(c) for c in curves[:DRAWN_CURVES]), caption, columns=2, title=name
+    )
+
+
+def _curve_panel(curve: Curve) -> str:
+    factor, unit = SCALES.get(curve.unit, (1.0, curve.unit))
+    across, of_input = (1e3, 'mm') if curve.input_unit == 'm' else (1.0, curve.input_unit)
+    at = across * np.array(curve.at)
+    value, u = factor * np.array(curve.value), factor * np.array(curve.u)
+    low, high = value - 2.0 * u, value + 2.0 * u
+    label = label_of(curve.input) + (f' ({of_input})' if of_input else '')
+    ends = float(at[0]), max(float(at[-1]), float(at[0]) + 1e-9)
+    panel = Panel(
+        Scale(*ends, label),
+        around(np.concatenate([[0.0], low, high]), unit.replace('u', 'µ', 1)),
+    )
+    marks = [
+        panel.level(0.0, 'soft'),
+        panel.band(at, low, high, 'after band'),
+        panel.line(at, value, 'after'),
+    ]
+    held = ', '.join(at_words(n, v) for n, v in curve.held.items())
+    heading = f'{curve.term}, {held}' if held else curve.term
+    return panel.draw(marks, f'{curve.term} against {label_of(curve.input)}', heading)
+
+
+def unexplained_section(diagnosis: Diagnosis) -> Section:
+    """What stays unexplained."""
+    where = diagnosis.unexplained_where
+    words = f'{diagnosis.unexplained_um:.2f} um (root mean square)' + (
+        f': {where}.' if where else '.'
+    )
+    data = {'rms_um': diagnosis.unexplained_um, 'where': where}
+    size = f'left: {diagnosis.unexplained_um:.2f} um'
+    told = diagnosis.unnamed is not None  # in the sentence of the first screen
+    text = (size if told or not where else f'{size}, {where}', '')
+    return Section('unexplained', 'What stays unexplained', (words,), data, text=text)
+
+
+def hidden_section(diagnosis: Diagnosis) -> Section:
+    """What these data cannot show."""
+    if not diagnosis.not_visible:
+        words = 'Every effect of the catalogue would have left a trace in these data.'
+        return Section('hidden', HIDDEN_TITLE, (words,))
+    rows = tuple(((effect_name(e), effect_cause(e)), needs) for e, needs in diagnosis.not_visible)
+    words = 'These effects leave no trace in these data, so they are neither found nor absent.'
+    text = tuple(f'not visible: {e}; needs {n}' for e, n in diagnosis.not_visible)
+    return Section('hidden', HIDDEN_TITLE, (words,), tables=(Table(('Effect', 'Shown by'), rows),),
+                   text=text)  # fmt: skip
+
+
+def next_section(diagnosis: Diagnosis) -> Section:
+    """What to measure next."""
+    lines = next_measurements(diagnosis) or ['Nothing more is needed for this question.']
+    return Section('next', 'What to measure next', tuple(lines), {'measure': lines})
+
+
+def _needed_for(effect: str) -> str:
+    known = REGISTRY.get(effect)
+    return known.needs if known else ''
+
+
+def next_measurements(diagnosis: Diagnosis) -> list[str]:
+    """What to measure next, plain text, most useful first."""
+    wishes: list[tuple[str, str]] = []
+    for cause in diagnosis.causes:
+        rivals = cause.indistinguishable_from
+        if rivals:
+            others = ' or '.join(r.replace('_', ' ') for r in rivals)
+            reason = f'to tell {cause.effect.replace("_", " ")} from {others}'
+            wishes += [
+                (n, reason) for n in dict.fromkeys(map(_needed_for, (cause.effect, *rivals))) if n
+            ]
+    if diagnosis.verdict in ('unknown', 'partly_explained'):
+        wishes.append(
+            (
+                'the same path once more, also backwards and at a second feed, and from a second '
+                'tracker place',
+                'to see whether what stays unexplained belongs to time, travel or tracker',
+            )
+        )
+    for effect, needs in diagnosis.not_visible:
+        wishes.append((needs, effect.replace('_', ' ')))
+    return _merged_wishes(wishes, {e.replace('_', ' ') for e, _ in diagnosis.not_visible})
+
+
+def _merged_wishes(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
+    """One line for wishes that begin alike: what is wanted, details, what for."""
+    grouped: dict[str, tuple[list[str], list[str]]] = {}
+    for wish, reason in wishes:
+        head, *rest = re.split(r'[,;:] ', wish, maxsplit=1)
+        details, reasons = grouped.setdefault(head, ([], []))
+        details += [r for r in rest if r not in details]
+        reasons.append(reason)
+    lines = []
+    for head, (details, reasons) in grouped.items():
+        own = [r for r in reasons if r not in hidden]
+        unseen = [r for r in reasons if r in hidden]
+        if unseen:
+            own.append('to see ' + listed(unseen))
+        detail = f' ({"; ".join(details)})' if details else ''
+        lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
+    return lines
+
+
+# Overview: which cause, how large, where the gap lies, and in which recordings.
 
 GAP_TITLE = 'Gap between run and simulation'
 VERDICT_WORDS = {

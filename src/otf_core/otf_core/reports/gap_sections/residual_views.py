@@ -7,23 +7,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.diagnosis.place import groupings as by
-from otf_core.diagnosis.place.bands import Bands, band_groups
-from otf_core.diagnosis.place.groupings import Grouping
-from otf_core.diagnosis.place.groups import Group, partition
-from otf_core.diagnosis.place.views import RunView
+from otf_core.arrays import Array
+from otf_core.diagnosis.place import groups as by
+from otf_core.diagnosis.place.groups import Bands, Group, Grouping, RunView, band_groups, partition
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
-from otf_core.reports.drawing.bars import LETTER, Bar, bars
-from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.panel import (
+    LETTER,
+    Bar,
+    Panel,
+    Scale,
+    around,
+    bars,
+    heat_classes,
+    heat_key,
+    heat_step,
+)
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import Scale, around, heat_classes, heat_key, heat_step
-from otf_core.reports.section import Picture, Section
-from otf_core.reports.wording import listed
-
-Array = NDArray[np.float64]
+from otf_core.reports.page import Picture, Section, listed
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""

@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Types of arrays in annotations; shapes and units stand in the docstrings. Loads no numpy."""
+
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    import numpy
+    import numpy.typing
+
+Array: TypeAlias = 'numpy.typing.NDArray[numpy.float64]'
+Index: TypeAlias = 'numpy.typing.NDArray[numpy.int64]'

@@ -1,0 +1,640 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Result of a calibration: tables, uncertainties, fit, headline, predictions and their display.
+
+The headline is the volumetric error on one grid (``evaluation.lattice`` over the whole volume,
+best rigid motion taken out) with one coverage factor, mean beside mean and largest beside largest.
+Its uncertainty includes the systematic contributions: those of machine.yaml, and typical values
+for what it does not declare. pandas and matplotlib are used by ``to_frame`` and ``plot`` alone.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.budget.budget import OBSERVED, Budget
+from otf_core.budget.typical import TypicalSystematic, with_typical
+from otf_core.calibration.machine_verdict import Verdict, Verdicts
+from otf_core.config import CalibrationConfig
+from otf_core.effects.stated_effect import StatedEffect
+from otf_core.errors import ConfigError
+from otf_core.files.writing import tidy
+from otf_core.model.evaluation import driven_grid
+from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
+from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import displacement
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.presets import TYPICAL
+from otf_core.model.provenance import Origin
+from otf_core.model.tables import ErrorTables
+from otf_core.model.volume import VolumeErrors
+from otf_core.noise.noise_model import Misfit, NoiseModel
+from otf_core.noise.standstill import Lost
+from otf_core.pieces.pieces import Pieces
+from otf_core.prediction.absorbed import OffsetBound, offset_bound
+from otf_core.prediction.table_prior import MotionPrior
+from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
+from otf_core.solving.reversal import Reversal
+from otf_core.solving.tabulate import TableCost
+
+DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Expanded uncertainty of the error vectors on a grid: what compensation will leave.
+
+    Attributes
+    ----------
+    expanded : mapping of 'mean', 'p95', 'max' to float, m
+        Systematic contributions included.
+    observed : mapping of the same, m
+        Nothing systematic: what is seen to scatter.
+    k : float
+        Coverage factor of both.
+    assumed : tuple of str
+        Contributions for which typical values stand, as the budget calls them.
+    nothing_declared : bool
+        True if machine.yaml declares no contribution at all.
+    """
+
+    expanded: Mapping[str, float]
+    observed: Mapping[str, float]
+    k: float
+    assumed: tuple[str, ...]
+    nothing_declared: bool
+
+    @property
+    def systematic(self) -> str:
+        """'declared', 'typical' or 'partly typical': where systematic contributions come from."""
+        if not self.assumed:
+            return DECLARED
+        return ASSUMED if self.nothing_declared else PARTLY
+
+    @property
+    def label(self) -> str:
+        """The same in a few words."""
+        return {
+            DECLARED: 'systematic contributions as declared',
+            PARTLY: f'systematic contributions as declared; {", ".join(self.assumed)} typical, '
+            f'not declared',
+            ASSUMED: 'systematic contributions typical, not declared in machine.yaml',
+        }[self.systematic]
+
+    @property
+    def expanded_words(self) -> str:
+        """What is to be expected after compensation."""
+        return (
+            f'expected after compensation: {self._sizes(self.expanded)} '
+            f'(U, k = {self.k:.3g}; {self.label})'
+        )
+
+    @property
+    def observed_words(self) -> str:
+        """The part that holds nothing systematic."""
+        return f'noise and misfit of this run alone: {self._sizes(self.observed)} (U)'
+
+    @property
+    def forecast_words(self) -> str:
+        """The same part before anything is measured."""
+        return f'noise of the tracker alone: {self._sizes(self.observed)} (U)'
+
+    def _sizes(self, sizes: Mapping[str, float]) -> str:
+        return ', '.join(
+            f'{word} {micro_significant(sizes[name])}'
+            for word, name in (('mean', 'mean'), ('largest', 'max'))
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, SI."""
+        return {
+            'expected_after_compensation': {
+                'U': dict(self.expanded),
+                'k': self.k,
+                'systematic': self.systematic,
+                'typical_for': list(self.assumed),
+                'presets': list(TYPICAL) if self.assumed else [],
+            },
+            'noise_and_misfit_alone': {'U': dict(self.observed), 'k': self.k},
+        }
+
+
+@dataclass(frozen=True)
+class Headline(Expected):
+    """Volumetric error and its expanded uncertainty on one grid.
+
+    Attributes
+    ----------
+    points : int
+        Of the grid over the whole volume.
+    error : mapping of 'mean', 'p95', 'max' to float, m
+        Lengths of the error vectors as the machine stands.
+    of_largest : float, m
+        Expanded uncertainty of the length of the largest error vector.
+    """
+
+    points: int
+    error: Mapping[str, float]
+    of_largest: float
+
+    @property
+    def error_words(self) -> str:
+        """The volumetric error as the machine stands."""
+        mean = micro_figure(self.error['mean'], self.expanded['mean'])
+        largest = micro_with_expanded(self.error['max'], self.of_largest)
+        return f'volumetric error as the machine stands: mean {mean}, largest {largest}'
+
+    @property
+    def words(self) -> tuple[str, str, str]:
+        """Three lines: error, uncertainty, noise alone."""
+        return self.error_words, self.expanded_words, self.observed_words
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry ``headline`` of error_tables.json, SI."""
+        return {
+            'unit': 'm',
+            'points': self.points,
+            'rigid_motion': 'taken out',
+            'error': dict(self.error),
+            'U_of_largest': self.of_largest,
+            **super().to_dict(),
+        }
+
+
+def headline_of(
+    volume: VolumetricError, budget: Budget, typical: TypicalSystematic | None
+) -> Headline:
+    """Work out the headline of a calibration.
+
+    Parameters
+    ----------
+    volume : VolumetricError
+        Of the tables; what they do not hold beyond the driven range counts in all uncertainties.
+    budget : Budget
+        With typical contributions where nothing is declared, see ``typical.with_typical``.
+    typical : TypicalSystematic, optional
+        None if all is declared.
+    """
+    variances = budget.variances(volume.rows)
+    k, _ = budget.expansion(variances)
+    own = np.array([name in OBSERVED for name in budget.names])
+    at = int(np.argmax(volume.length))
+    longest = budget.variances(volume.length_rows[[at]]).sum() + volume.length_beyond[at]
+
+    def sizes(parts: Array) -> dict[str, float]:
+        variance = parts.sum(axis=0).reshape(-1, 3) + volume.beyond
+        return length_sizes(k * np.sqrt(variance.sum(axis=1)))
+
+    return Headline(
+        expanded=sizes(variances),
+        observed=sizes(variances[own]),
+        k=k,
+        assumed=typical.missing if typical else (),
+        nothing_declared=typical is not None and typical.nothing_declared,
+        points=len(volume.grid),
+        error=volume.sizes(),
+        of_largest=k * float(np.sqrt(longest)),
+    )
+
+
+COLUMNS = (
+    'error', 'axis', 'position', 'value', 'unit', 'u', 'identifiable', 'U', 'k', 'U_with_typical',
+    'target_offset',
+)  # fmt: skip
+WIDTH, HEIGHT = 2.6, 2.2
+"""inch; of a panel of the figure."""
+
+
+def _optional(module: str, needs: str) -> Any:
+    """A module that the package does without; ConfigError if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        name = module.partition('.')[0]
+        raise ConfigError(
+            f'{needs} needs the package {name}, which is not installed: pip install {name}'
+        ) from None
+
+
+def coverage_factors(tables: ErrorTables, budget: Budget) -> dict[str, float]:
+    """Coverage factor of every motion and squareness error; NaN where nothing is known."""
+    variances, found = budget.variances(), {}
+    for name, part in table_places(tables).items():
+        own = variances[:, part]
+        known = own[:, own.sum(axis=0) > 0]
+        found[name] = budget.expansion(known)[0] if known.size else math.nan
+    return found
+
+
+def one_line(result: CalibrationResult) -> str:
+    """Machine, both verdicts, error and expanded uncertainty."""
+    head, verdicts = result.headline, result.verdicts
+    words = (verdicts.measurement_words, verdicts.machine_words)
+    return (
+        f'<CalibrationResult {result.tables.machine.name}: {head.error_words}; '
+        f'{head.expanded_words}; {"; ".join(words)}>'
+    )
+
+
+def table_html(result: CalibrationResult) -> str:
+    """The same as rows, and squareness; what else there is in a line."""
+    head, verdicts = result.headline, result.verdicts
+    lines = [*head.words[:2], verdicts.measurement_words, verdicts.machine_words]
+    rows = []
+    for name in SQUARENESS:
+        value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
+        seen = name not in result.not_identifiable
+        shown = micro_with_expanded(value, wide, 'rad') if seen else 'not seen'
+        bound = result.offset_bound.words(name)
+        rows.append((f'squareness {name}', f'{shown}, {bound}' if bound else shown))
+    unseen = [n for n in result.not_identifiable if n not in SQUARENESS]
+    if unseen:
+        rows.append(('not seen', ', '.join(unseen)))
+    offset = ', '.join(f'{1e3 * v:.1f}' for v in result.tables.machine.target_offset)
+    rows.append(('target offset', f'({offset}) mm'))
+    cells = ''.join(f'<tr><th>{_typeset(a)}</th><td>{_typeset(b)}</td></tr>' for a, b in rows)
+    words = '<br>'.join(map(_typeset, lines))
+    return (
+        f'<p><b>{_typeset(result.tables.machine.name)}</b><br>{words}</p><table>{cells}</table>'
+        '<p>All errors: <code>to_frame()</code>, <code>plot()</code></p>'
+    )
+
+
+def _typeset(text: str) -> str:
+    """Escaped for HTML, with proper signs."""
+    plain = text.replace('+/-', '±').replace(' um', ' µm').replace(' urad', ' µrad')
+    return html.escape(plain)
+
+
+def data_frame(result: CalibrationResult) -> Any:
+    """All nodes and squareness errors, a row each; see ``CalibrationResult.to_frame``."""
+    module = _optional('pandas', 'CalibrationResult.to_frame()')
+    tables, rows = result.tables, list[tuple[Any, ...]]()
+    factors = coverage_factors(tables, result.budget)
+    for motion in MOTIONS:
+        table, k = tables.motions[motion], factors[motion]
+        known = table.node_identifiable
+        flags = np.ones(len(table.position), bool) if known is None else known
+        rows += [
+            (
+                str(motion),
+                motion.axis,
+                tidy(p),
+                v,
+                motion.unit,
+                u,
+                bool(seen),
+                _expanded(k, u),
+                k,
+                float(whole),
+                _offset(result, motion),
+            )
+            for p, v, u, seen, whole in zip(
+                table.position, table.value, table.u, flags, result.expanded[motion], strict=True
+            )
+        ]
+    for name in SQUARENESS:
+        entry, k = tables.squareness[name], factors[name]
+        seen = name not in result.not_identifiable
+        wide, whole = _expanded(k, entry.u), float(result.expanded[name][0])
+        rows.append((name, '', math.nan, entry.value, 'rad', entry.u, seen, wide, k, whole,
+                     _offset(result, name)))  # fmt: skip
+    frame = module.DataFrame(rows, columns=list(COLUMNS))
+    frame.attrs = {
+        'machine': tables.machine.name,
+        'chain': tables.machine.chain,
+        'target_offset': tables.machine.target_offset.tolist(),
+        'run_id': result.run_id,
+    }
+    return frame
+
+
+def _offset(result: CalibrationResult, name: str) -> tuple[float, ...] | None:
+    """Target offset at which alone a value holds, m; None: at any."""
+    bound = result.offset_bound
+    return tuple(map(float, bound.offset)) if name in bound.contains else None
+
+
+def _expanded(k: float, u: float) -> float:
+    return k * u if u > 0.0 else 0.0
+
+
+def figure(result: CalibrationResult) -> Any:
+    """All error motions over the position, with bands; see ``CalibrationResult.plot``."""
+    pyplot = _optional('matplotlib.pyplot', 'CalibrationResult.plot()')
+    tables = result.tables
+    names = tables.machine.axis_names
+    drawn, panels = pyplot.subplots(
+        len(names),
+        6,
+        figsize=(6 * WIDTH, len(names) * HEIGHT),
+        squeeze=False,
+        layout='constrained',
+    )
+    for row, axis in zip(panels, names, strict=True):
+        for panel, motion in zip(row, (m for m in MOTIONS if m.axis == axis), strict=True):
+            table = tables.motions[motion]
+            panel.set_title(str(motion), fontsize='medium')
+            panel.set_xlabel(f'{axis} (mm)')
+            panel.set_ylabel('µm' if unit_of(motion) == 'm' else 'µrad')
+            if not table.identifiable:
+                panel.set(xticks=[], yticks=[])
+                panel.text(0.5, 0.5, 'not seen', ha='center', transform=panel.transAxes)
+                continue
+            wide = result.expanded[motion]
+            low, high = 1e6 * (table.value - wide), 1e6 * (table.value + wide)
+            panel.fill_between(1e3 * table.position, low, high, alpha=0.3, linewidth=0)
+            panel.plot(1e3 * table.position, 1e6 * table.value, marker='o', markersize=3)
+            panel.grid(alpha=0.3)
+    label = result.headline.label
+    drawn.suptitle(f'{tables.machine.name}: error motions with U ({label})', fontsize='medium')
+    return drawn
+
+
+GAUGE = (
+    'positioning and rotations zero at axis position 0, else at the minimum; '
+    'straightness zero at both ends; its slope lies in squareness and alignment'
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Size and quality of a fit.
+
+    Attributes
+    ----------
+    unknowns, rank : int
+        Free unknowns after the gauge; combinations of them that the data determine.
+    coverage : float
+        Driven share of the path length.
+    path_mae_before, path_mae_after : float
+        Mean perpendicular distance from the path, m: rigidly aligned, and compensated.
+    residual_rms : float
+        Root mean square of the perpendicular residual, m.
+    residual_ratio : float
+        Residual of the pieces over the noise specified for single samples, root mean square.
+    variance_ratio, correlation_factor : float
+        See ``uncertainty.ResidualCheck``.
+    inflation : float
+        Factor on the covariance that these two call for.
+    """
+
+    samples: int
+    used: int
+    outliers: int
+    pieces: int
+    unknowns: int
+    rank: int
+    coverage: float
+    path_mae_before: float
+    path_mae_after: float
+    residual_rms: float
+    residual_ratio: float
+    variance_ratio: float
+    correlation_factor: float
+    inflation: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run of a calibration.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    target_offset : ndarray, shape (3,), m
+    remarks : tuple of str
+        What was repaired or left out while the recording was read.
+    rate : float
+        Hz, usual rate of the samples.
+    lost : Lost
+        What their stamps say is missing.
+    noise : NoiseModel
+        Noise of single samples as the residuals show it.
+    misfit : Misfit
+        What the model leaves besides.
+    coverage : float
+        Driven share of the path length.
+    q : ndarray, shape (p, 3), m
+        Nominal position of every piece.
+    axes : ndarray, shape (c, p, 3)
+        Directions in which deviations are stated: two perpendicular to the path.
+    aligned : ndarray, shape (c, p), m
+        Rigidly aligned measurement minus path.
+    deviation, residual : ndarray, shape (c, p), m
+        Measurement in the pose of the solution minus path, before and after compensation.
+    normalised : ndarray, shape (c, p)
+        Residual over the noise specified for single samples.
+    whitened : ndarray, shape (c, p)
+        Residual freed of the assumed noise covariance.
+    """
+
+    name: str
+    target_offset: Array
+    samples: int
+    remarks: tuple[str, ...]
+    rate: float
+    lost: Lost
+    T_machine_tracker: RigidTransform
+    noise: NoiseModel
+    misfit: Misfit
+    coverage: float
+    pieces: Pieces
+    q: Array
+    axes: Array
+    aligned: Array
+    deviation: Array
+    residual: Array
+    normalised: Array
+    whitened: Array
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Everything a calibration found.
+
+    Attributes
+    ----------
+    run_id : str
+        Hash of samples, paths, machine and configuration.
+    covariance : ndarray, shape (m, m)
+        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad: all sources.
+    headline : Headline
+        What is stated first: volumetric error and its expanded uncertainty.
+    reversal : Reversal
+        How the motions differ between forward and backward travel; ``tables`` hold the mean.
+    fraction : int
+        Nodes of the tables stand ``table_pitch / fraction`` apart.
+    table_costs : mapping of fraction to TableCost
+        What straight lines between the nodes cost, for 1 and for the fraction taken.
+    prior : mapping of motion or squareness error to MotionPrior
+        What is known of them where no data hold them.
+    not_identifiable : tuple of str
+        Motions and squareness errors the data cannot see.
+    typical : TypicalSystematic, optional
+        What typical systematic contributions would add; None if all are declared.
+    failed_gates : tuple of str
+        Quality gates of the measurement that failed; empty for a good one.
+    origin : tuple of Origin
+        The recordings.
+    effects : tuple of StatedEffect
+        Taken off the runs before the tables were solved for.
+    effects_sentence : str
+        What was found and done about effects; empty where nobody asked.
+    machine_verdict : Verdict, optional
+        By the limits of machine.yaml; None without any.
+    """
+
+    run_id: str
+    tables: ErrorTables
+    covariance: Array
+    budget: Budget
+    runs: tuple[RunResult, ...]
+    fit: Fit
+    headline: Headline
+    reversal: Reversal
+    fraction: int
+    table_costs: Mapping[int, TableCost]
+    prior: Mapping[str, MotionPrior]
+    not_identifiable: tuple[str, ...]
+    typical: TypicalSystematic | None
+    warnings: tuple[str, ...]
+    failed_gates: tuple[str, ...]
+    config: CalibrationConfig
+    origin: tuple[Origin, ...] = ()
+    effects: tuple[StatedEffect, ...] = ()
+    effects_sentence: str = ''
+    machine_verdict: Verdict | None = None
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """Is the measurement good; is the machine within its limits."""
+        return Verdicts(self.failed_gates, self.machine_verdict)
+
+    @cached_property
+    def budget_with_typical(self) -> Budget:
+        """The budget with typical values where nothing is declared: that of the headline."""
+        return with_typical(self.budget, self.typical)
+
+    @cached_property
+    def covariance_with_typical(self) -> Array:
+        """Its covariance of squareness and nodes, in the order of ``covariance``."""
+        return self.covariance if self.typical is None else self.budget_with_typical.covariance
+
+    @cached_property
+    def offset_bound(self) -> OffsetBound:
+        """Values that hold at the target offset of the measurement only."""
+        return offset_bound(self.tables.machine, self.not_identifiable)
+
+    @cached_property
+    def expanded(self) -> dict[str, Array]:
+        """Expanded uncertainty of squareness errors (1,) and nodes (k,), m and rad.
+
+        That of the headline: with typical values where nothing is declared; zero where a value
+        is not identifiable.
+        """
+        u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
+        variances = self.budget_with_typical.variances()
+        found = {}
+        for name, place in table_places(self.tables).items():
+            k, _ = self.budget_with_typical.expansion(variances[:, place])
+            found[name] = k * u[place] * (name not in self.not_identifiable)
+        return found
+
+    @property
+    def T_machine_tracker(self) -> RigidTransform:
+        """Pose of the tracker in the first run."""
+        return self.runs[0].T_machine_tracker
+
+    def to_frame(self) -> Any:
+        """All errors as a data frame of pandas, SI units, a row for every node.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``error`` (EXX ... ECZ, C0Y, B0Z, A0Z), ``axis``, ``position`` (m; NaN for squareness),
+            ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u`` (standard
+            uncertainty of what the budget holds), ``identifiable``, ``U`` and its ``k``: as in
+            error_tables.csv. ``U_with_typical`` is U with typical systematic contributions where
+            none are declared, ``target_offset`` the offset (m) at which alone a value holds, None
+            if at any. ``attrs`` hold machine, chain, run_id and target_offset.
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> frame = result.to_frame()  # doctest: +SKIP
+        >>> frame[frame.error == 'EXX'].plot('position', 'value', yerr='U')  # doctest: +SKIP
+        """
+        return data_frame(self)
+
+    def plot(self) -> Any:
+        """Draw all error motions with matplotlib: micrometres and microradians over millimetres.
+
+        Bands are expanded uncertainties with the systematic contributions, as in the headline.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Made with pyplot: a notebook shows it, a script calls ``savefig`` on it.
+
+        Raises
+        ------
+        ConfigError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> result.plot().savefig('motions.png')  # doctest: +SKIP
+        """
+        return figure(self)
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        return table_html(self)
+
+
+COUNT = 5
+"""Points per axis."""
+
+
+def volume_errors(
+    result: CalibrationResult, provisional: bool = False, count: int = COUNT
+) -> VolumeErrors:
+    """Return the errors on a grid of count**3 points over the range of the tables."""
+    tables = result.tables
+    points = driven_grid(tables, count)
+    nodes: dict[str, Array] = {name: tables.motions[name].position for name in MOTIONS}
+    u = prediction_uncertainty(tables.machine, nodes, result.covariance, points)
+    return VolumeErrors(points, displacement(tables, points), u, provisional)
+
+
+def motion_sizes(result: CalibrationResult) -> dict[str, tuple[float, float]]:
+    """Return of every motion the largest absolute error and the largest u of a node, m or rad.
+
+    u is NaN where the samples do not determine the motion.
+    """
+    sizes: dict[str, tuple[float, float]] = {}
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        seen = table.u if table.node_identifiable is None else table.u[table.node_identifiable]
+        known = table.identifiable and len(seen) > 0
+        u = float(seen.max()) if known else float('nan')
+        sizes[name] = float(np.abs(table.value).max()), u
+    return sizes

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables too fine for the pieces of the path, and tables as uncertain as the errors they state."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.errors import ConfigError
+from otf_core.model.evaluation import rigid_columns
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS
+from otf_core.model.nodes import axis_nodes
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.finding import GATE, WARNING, Finding
+from otf_core.pieces.runs import Run
+from otf_core.prediction.uncertainty import prediction_rows
+
+_log = logging.getLogger(__name__)
+
+MOST_UNKNOWNS = 6000
+"""Values of all nodes; solving for more takes gigabytes and hours."""
+
+
+def check_table_pitch(machine: Machine, piece_length: float) -> str:
+    """Look at the spacing of the nodes before anything is solved.
+
+    Parameters
+    ----------
+    piece_length : float
+        m; what the samples of a line are averaged over.
+
+    Returns
+    -------
+    str
+        Words on axes with nodes closer than that; empty if there are none. Logged as well: the
+        solution takes long then.
+
+    Raises
+    ------
+    ConfigError
+        If there are so many nodes that no solution would end.
+    """
+    nodes = {name: len(axis_nodes(axis)) for name, axis in machine.axes.items()}
+    values = 6 * sum(nodes.values())
+    fine = [name for name, axis in machine.axes.items() if axis.table_pitch < piece_length]
+    named = ', '.join(
+        f'{name} {1e3 * machine.axes[name].table_pitch:g} mm ({nodes[name]} nodes)'
+        for name in fine or nodes
+    )
+    if values > MOST_UNKNOWNS:
+        wide = max(6 * sum(a.max - a.min for a in machine.axes.values()) / MOST_UNKNOWNS, 1e-3)
+        raise ConfigError(
+            f'axes: table_pitch: {named} make {values} unknowns, more than the {MOST_UNKNOWNS} '
+            f'that can be solved for; a table_pitch of {1e3 * wide:.2g} mm or more on all axes '
+            f'can; is it meant in another unit?'
+        )
+    if not fine:
+        return ''
+    words = (
+        f'table_pitch: {named}: finer than the {1e3 * piece_length:g} mm that a piece of the path '
+        f'averages over: neighbouring nodes are not told apart by the data, and solving takes '
+        f'longer; take at least {1e3 * piece_length:g} mm'
+    )
+    _log.warning(words)
+    return words
+
+
+COUNT = 4
+"""Points per axis of the lattice that is looked at."""
+REST = 5.0
+"""Uncertainty over the noise of a sample below which small errors mean a good machine."""
+
+
+def lattice_of(tables: ErrorTables) -> Array:
+    """Lattice over the range of the tables, shape (n, 3), m."""
+    lines = []
+    for axis in tables.machine.axis_names:
+        position = tables.motions[f'E{axis}{axis}'].position
+        lines.append(position[np.unique(np.linspace(0, len(position) - 1, COUNT).astype(int))])
+    grids = np.meshgrid(*lines, indexing='ij')
+    return np.stack([g.ravel() for g in grids], axis=1)
+
+
+def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
+    """Error that the tables state and its uncertainty, m.
+
+    Root mean square of the length, and median over the volume; the rigid motion is taken out of
+    both.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (m, m)
+        Of squareness and nodes in the order of ``tables.MOTIONS``.
+    """
+    q = lattice_of(tables)
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
+    columns = prediction_rows(tables.machine, nodes, q).reshape(3 * len(q), -1)
+    basis, _ = np.linalg.qr(rigid_columns(q).reshape(-1, 6))
+
+    def free(values: Array) -> Array:
+        return np.asarray(values - basis @ (basis.T @ values))
+
+    columns = free(columns)
+    variance = np.sum((columns @ covariance) * columns, axis=1).reshape(-1, 3).sum(axis=1)
+    error = free(displacement(tables, q).ravel())
+    typical = float(np.median(np.maximum(variance, 0.0)))
+    return float(np.sqrt(error @ error / len(q))), float(np.sqrt(typical))
+
+
+def sample_noise(runs: Sequence[Run]) -> float:
+    """Largest standard deviation of single samples among runs, m."""
+    found = []
+    for run in runs:
+        distance = np.linalg.norm(run.pieces.xyz, axis=1)
+        level = run.noise.level
+        found.append(float(np.hypot(level[0], level[1:].max() * distance.max())))
+    return max(found)
+
+
+def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Finding]:
+    """Compare the error that tables state with its uncertainty.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (m, m)
+    noise : float
+        m; of a sample.
+    """
+    error, u = volumetric(tables, covariance)
+    if u < error:
+        return []
+    text = (
+        f'the volumetric error that the tables state is {1e6 * error:.2f} um, its standard '
+        f'uncertainty in half of the driven volume is above {1e6 * u:.2f} um'
+    )
+    if u < REST * noise:
+        return [Finding('worth', WARNING, (
+            f'{text}: no more than the tracker can see; the machine needs no tables, or a '
+            f'better place of the tracker'
+        ))]  # fmt: skip
+    return [Finding('worth', GATE, (
+        f'{text}: they would not improve the machine. What is driven determines too little, or '
+        f'the residuals are far above the noise: drive a path that plan recommends, take a '
+        f'larger table_pitch, and mind the warnings'
+    ))]  # fmt: skip

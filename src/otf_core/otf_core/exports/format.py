@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an export is: the bytes of its files, the error that its values hold, and what remains."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.errors import ConfigError
+from otf_core.model.evaluation import covered_grid, lattice, without_rigid_motion
+from otf_core.model.expanded import figure
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness, TablesFile
+from otf_core.prediction.absorbed import offset_bound
+from otf_core.prediction.driven_volume import table_ranges
+
+# Tables as a text file of mm and rad holds them.
+
+LENGTH, ANGLE = 9, 9
+"""Decimals of lengths in m (1 nm: six decimals of a mm) and of angles in rad."""
+
+
+def rounded_tables(tables: ErrorTables) -> ErrorTables:
+    """Return tables with lengths to 1e-6 mm and angles to 1e-9 rad."""
+    motions: dict[str, MotionTable] = {
+        m: replace(
+            tables.motions[m],
+            value=tables.motions[m].value.round(LENGTH if m.is_translation else ANGLE),
+        )
+        for m in MOTIONS
+    }
+    square = {k: Squareness(round(s.value, ANGLE), s.u) for k, s in tables.squareness.items()}
+    return replace(tables, motions=motions, squareness=square)
+
+
+# What an export is: the bytes of its files, and the error that its values hold.
+
+Field = Callable[[Array], Array]
+"""Errors (n, 3), m, at positions (n, 3), m."""
+
+MARK = 'otf export'
+"""Stands in every file: what does not hold it is somebody else's and never overwritten."""
+NEAR = 4000
+"""Bytes at either end of a file in which the mark stands."""
+ERROR, CORRECTION = 'error', 'correction'
+SIGNS = (ERROR, CORRECTION)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be exported.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file to write, without folder.
+    sign : str, optional
+        'error' or 'correction': what the control takes the values for, where its manual leaves
+        that open.
+    points : int, optional
+        Points per axis, where a format resamples the tables.
+    """
+
+    content: TablesFile
+    name: str
+    sign: str | None = None
+    points: int | None = None
+
+    @property
+    def factor(self) -> float:
+        """1 where values are errors, -1 where they are corrections."""
+        return -1.0 if self.sign == CORRECTION else 1.0
+
+    @property
+    def unseen_words(self) -> tuple[str, ...]:
+        """Say which errors are zero because the calibration could not see them; empty if none."""
+        listed = self.content.extra.get('not_identifiable')
+        squareness = [n for n in SQUARENESS if isinstance(listed, list) and n in listed]
+        motions = (m for m in MOTIONS if not self.content.tables.motions[m].identifiable)
+        names = [*squareness, *motions]
+        if not names:
+            return ()
+        bound = offset_bound(self.content.tables.machine, names).sentence
+        return (
+            f'zero because the calibration does not show them: {", ".join(names)}; what they do '
+            f'with another tool is not known',
+            *((bound,) if bound else ()),
+        )
+
+    def header(self, fmt: Format) -> list[str]:
+        """Lines that say what the file is: machine, run, target, sign, what it does not hold.
+
+        Safe in a comment: what cannot be printed, such as a line break, is a blank.
+        """
+        machine = self.content.tables.machine
+        run = self.content.extra.get('run_id', 'unknown')
+        lines = [
+            f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
+            f'measured at the target offset {offset_words(machine)}',
+            f'sign: {fmt.sign_words(self)}',
+            f'values: {fmt.value_words}',
+            f'not in this file: {fmt.lacks}',
+            *self.unseen_words,
+        ]
+        return list(map(printable, lines))
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Files of an export.
+
+    Attributes
+    ----------
+    files : mapping of file name to bytes
+        The one that ``--out`` names first.
+    held : callable
+        Error that a control takes off which reads these files, values rounded as written.
+    remarks : tuple of str
+        What the user has to know or do.
+    """
+
+    files: Mapping[str, bytes]
+    held: Field
+    remarks: tuple[str, ...] = ()
+
+
+class Format(ABC):
+    """How one control or program takes error tables.
+
+    Attributes
+    ----------
+    name : str
+        As given on the command line.
+    lacks : str
+        What of the tables the format cannot hold, in words.
+    sign_is_asked : bool
+        True where the manual does not say whether values are errors or corrections.
+    value_words : str
+        What a value is: that of a table, or a mean over the volume.
+    takes_points : bool
+        True where it samples the tables anew, with as many points per axis as are asked for.
+    """
+
+    name: str
+    lacks: str
+    value_words: str
+    sign_is_asked: bool = False
+    takes_points: bool = False
+
+    @abstractmethod
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are, as a sentence."""
+
+    @abstractmethod
+    def export(self, request: Request) -> Exported:
+        """Make the files; ConfigError if the format cannot hold these tables."""
+
+    def check(self, request: Request) -> None:
+        """Refuse a missing or a needless sign, and points that mean nothing or are too few.
+
+        Raises
+        ------
+        ConfigError
+            Says what to give.
+        """
+        if self.sign_is_asked and request.sign is None:
+            raise ConfigError(
+                f'--sign: {self.name} needs it: its manual leaves open whether the control takes '
+                f'values as {ERROR} (actual minus nominal) or as {CORRECTION} (what is added to '
+                f'the command); try it with one table of 0.1 mm on your machine, then give '
+                f'--sign {ERROR} or --sign {CORRECTION}'
+            )
+        if not self.sign_is_asked and request.sign is not None:
+            raise ConfigError(f'--sign: the sign of {self.name} is fixed; leave it out')
+        if not self.takes_points and request.points is not None:
+            raise ConfigError(
+                f'--points: {self.name} holds the nodes of the tables themselves; leave it out'
+            )
+        if request.points is not None and request.points < 2:
+            raise ConfigError(f'--points: {request.points}; at least 2')
+
+
+LINE_WORDS = (
+    'mean over the volume of the error in this direction at this position of the axis, zero at '
+    'the reference position; rotations act in it with their mean lever arms to the target, so it '
+    'differs from the table of the positioning or straightness error'
+)
+"""What a value is of formats that hold one course per axis."""
+POINT_WORDS = 'error vector of the target at the point, rotations with their lever arms in it'
+TABLE_WORDS = 'nodes of the error tables themselves'
+
+
+def offset_words(machine: Machine) -> str:
+    """Say the target offset: '(0.000000, 0.000000, -150.000000) mm'."""
+    return f'({", ".join(f"{1e3 * v:.6f}" for v in machine.target_offset)}) mm'
+
+
+def lever_words(machine: Machine) -> str:
+    """Say what rotations of motions act about, for formats that hold them."""
+    return (
+        'rotations act about the machine zero carried along by the axes; target at '
+        f"{offset_words(machine)} from it at the axes' zero"
+    )
+
+
+def printable(text: str) -> str:
+    """Text in one line: a blank for whatever cannot be printed."""
+    return ''.join(c if c.isprintable() else ' ' for c in text)
+
+
+def asked_sign_words(request: Request) -> str:
+    """Say the sign that the user has named."""
+    if request.sign == CORRECTION:
+        return 'values are corrections (nominal minus actual), as named by --sign correction'
+    return 'values are errors (actual minus nominal), as named by --sign error'
+
+
+def is_export(path: Path) -> bool:
+    """Tell whether a file was written by an export."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    mark = MARK.encode()
+    return mark in content[:NEAR] or mark in content[-NEAR:]
+
+
+# The volumetric error that remains when a control takes off what a format holds.
+
+FINER = 13
+"""Points per axis between those of the volumetric error; they share few positions with nodes."""
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """Volumetric error on the points on which a calibration states it, rigid motion taken out.
+
+    Attributes
+    ----------
+    points : int
+        Of the grid over the whole volume.
+    before_mean, before_max : float
+        m; length of the error vectors by the tables: the figures of the calibration.
+    after_mean, after_max : float
+        m; the same less what the file holds.
+    between_max : float
+        m; largest remainder on a finer grid over the range of the tables, between the nodes too.
+    wide : float
+        m; expanded uncertainty that the calibration states for the mean; zero if unknown.
+    """
+
+    points: int
+    before_mean: float
+    before_max: float
+    after_mean: float
+    after_max: float
+    between_max: float
+    wide: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """One line."""
+        share = 100 * (1 - self.after_mean / self.before_mean) if self.before_mean > 0 else 0.0
+        return (
+            f'volumetric error by the tables, {self.points} points as in the calibration: mean '
+            f'{self._um(self.before_mean)}, largest {self._um(self.before_max)}; this file leaves '
+            f'mean {self._um(self.after_mean)} ({share:.0f} % less), largest '
+            f'{self._um(self.after_max)}, between these points up to {self._um(self.between_max)}'
+        )
+
+    def _um(self, value: float) -> str:
+        """A length, as many digits as its uncertainty leaves; to 0.01 um where that is unknown."""
+        return f'{figure(1e6 * value, 1e6 * self.wide)} um'
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, um."""
+        sizes = {k: v for k, v in asdict(self).items() if k not in ('points', 'wide')}
+        return {'points': self.points, **{f'{k}_um': 1e6 * v for k, v in sizes.items()}}
+
+
+def remaining_error(
+    tables: ErrorTables, held: Field, headline: Mapping[str, Any] | None = None
+) -> Remaining:
+    """Forecast what compensation by a file leaves.
+
+    Parameters
+    ----------
+    held : callable
+        Error that the control takes off, m.
+    headline : mapping, optional
+        Entry of error_tables.json; decides how many digits are stated.
+    """
+    q = lattice(tables.machine)
+    finer = covered_grid(tables.machine, np.array(table_ranges(tables)), FINER)
+    error = displacement(tables, q)
+    before = np.linalg.norm(without_rigid_motion(error, q), axis=1)
+    after = np.linalg.norm(without_rigid_motion(error - held(q), q), axis=1)
+    left = displacement(tables, finer) - held(finer)
+    between = np.linalg.norm(without_rigid_motion(left, finer), axis=1)
+    wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
+    return Remaining(
+        len(q),
+        float(before.mean()),
+        float(before.max()),
+        float(after.mean()),
+        float(after.max()),
+        float(between.max()),
+        float(wide),
+    )

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run in progress as its viewers know it, and as plain data for a page."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.live.layers import Track, driven_part, enlargement, size_of, thinned
+from otf_core.model.frames import RigidTransform
+from otf_core.model.path import NominalPath
+from otf_core.model.volume import VolumeErrors
+
+# A run under way as its viewers know it: what was driven, what is known so far, its numbers.
+
+RATE_OVER = 2.0
+"""s; over so long the rate of samples is the mean."""
+DRIVING = 'BUFFERING'
+"""State of the calibrator while it collects samples."""
+NUMBERS = {
+    'distance_from_path': 'm; of the newest sample, once the place of the tracker is known',
+    'sample_rate': 'Hz; as samples arrive at the calibrator',
+    'samples': 'so far',
+    'samples_lost': 'published and not arrived, those that may be on their way not counted',
+    'progress': '0 to 1; of driving, or of the calibration under way',
+    'time_left': 's; estimated',
+    'residual': 'm; mean distance from the path that compensation leaves, as solved so far',
+}
+"""Names with their units and meaning."""
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """How far the calibrator is; as ``calibrator/state`` says it."""
+
+    state: str = ''
+    stage: str = ''
+    fraction: float = 0.0
+    time_left: float = math.nan
+    samples: int = 0
+    lost: int = 0
+    travelled: float = 0.0
+    message: str = ''
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What samples say of machine and set-up.
+
+    Attributes
+    ----------
+    provisional : bool
+        From a part of the run.
+    ok : bool
+        Solved, and no quality gate failed.
+    mae_before, mae_after, residual_rms : float
+        m; distance from the path.
+    motions : mapping of EXX ... ECZ to (largest absolute error, largest u of a node), m or rad
+        u is NaN where the samples do not determine the motion.
+    squareness : mapping of C0Y, B0Z, A0Z to (value, u), rad
+    """
+
+    provisional: bool
+    ok: bool
+    message: str
+    mae_before: float = 0.0
+    mae_after: float = 0.0
+    residual_rms: float = 0.0
+    motions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    squareness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def left(self) -> float:
+        """Mean distance from the path that compensation leaves, m; NaN if nothing is solved."""
+        return self.mae_after if self.motions else math.nan
+
+
+class LiveRun:
+    """Takes what the nodes say, in any order.
+
+    Attributes
+    ----------
+    pose : RigidTransform or None
+        Of the tracker in the machine frame, as this run shows it.
+    track : Track
+    progress : RunProgress
+    rate : float
+        Samples per second as they arrive, Hz; NaN as long as it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.path: NominalPath | None = None
+        self.pose: RigidTransform | None = None
+        self.track = Track()
+        self.progress = RunProgress()
+        self.solved: Solved | None = None
+        self.volume: VolumeErrors | None = None
+        self.rate = math.nan
+        self._counted: deque[tuple[float, int]] = deque()
+
+    @property
+    def collecting(self) -> bool:
+        """Whether samples are being taken."""
+        return self.progress.state == DRIVING and self.progress.samples > 0
+
+    def set_path(self, path: NominalPath) -> None:
+        """Take the nominal path."""
+        self.path = path
+        self.track.set_path(path)
+
+    def set_progress(self, progress: RunProgress, now: float) -> None:
+        """Take the state of the calibrator, at a time in s; fewer samples are another run's."""
+        if progress.samples < self.progress.samples:
+            self._begin()
+        self.progress = progress
+        self._counted.append((now, progress.samples))
+        while len(self._counted) > 2 and now - self._counted[1][0] >= RATE_OVER:
+            self._counted.popleft()
+        began, count = self._counted[0]
+        if now > began:
+            self.rate = (progress.samples - count) / (now - began)
+
+    def set_solved(self, solved: Solved, pose: RigidTransform | None) -> None:
+        """Take what was solved, and the place of the tracker unless that failed."""
+        self.solved = solved
+        if pose is not None:
+            self.pose = pose
+            self.track.set_pose(pose)
+
+    def _begin(self) -> None:
+        self.track.clear()
+        self.track.set_pose(None)
+        self._counted.clear()
+        self.pose, self.solved, self.rate = None, None, math.nan
+
+
+def numbers(run: LiveRun) -> dict[str, float]:
+    """Return the present value of each of NUMBERS; NaN where it is not known."""
+    return {
+        'distance_from_path': run.track.distance,
+        'sample_rate': run.rate,
+        'samples': float(run.progress.samples),
+        'samples_lost': float(run.progress.lost),
+        'progress': run.progress.fraction,
+        'time_left': run.progress.time_left,
+        'residual': float('nan') if run.solved is None else run.solved.left,
+    }
+
+
+# A run under way as plain data for a page: what stays (scene) and what moves (now).
+
+UM = 1e6
+PAGE_POINTS = 1500
+"""Points of a path in a page."""
+
+
+def scene(run: LiveRun) -> dict[str, Any]:
+    """Return path, errors on the grid and what is solved; lengths in m, errors in um and urad."""
+    data: dict[str, Any] = {'path': None, 'volume': None, 'solved': None}
+    if run.path is not None:
+        data['path'] = _rounded(thinned(run.path.points, PAGE_POINTS), 5)
+    volume = run.volume
+    if volume is not None and run.path is not None:
+        data['volume'] = {
+            'points': _rounded(volume.points, 5),
+            'errors_um': _rounded(UM * volume.errors, 3),
+            'scale': enlargement(volume.errors, size_of(run.path)),
+            'mean_um': UM * volume.mean,
+            'provisional': volume.provisional,
+        }
+    if run.solved:
+        data['solved'] = _solved(run.solved)
+    return data
+
+
+def now(run: LiveRun) -> dict[str, Any]:
+    """Return state, progress, target, tracker and deviations; lengths in m, deviations in um."""
+    progress, track = run.progress, run.track
+    places, deviations = track.deviations()
+    data: dict[str, Any] = {
+        'state': progress.state,
+        'stage': progress.stage,
+        'fraction': progress.fraction,
+        'time_left': _number(progress.time_left),
+        'message': progress.message,
+        'samples': progress.samples,
+        'lost': progress.lost,
+        'rate': _number(run.rate),
+        'travelled': progress.travelled,
+        'length': run.path.length if run.path else None,
+        'distance_um': _number(UM * track.distance),
+        'tracker': _rounded(run.pose.translation, 5) if run.pose else None,
+        'target': None if track.position is None else _rounded(track.position, 5),
+        'driven': None,
+        'places': _rounded(places, 5),
+        'deviations_um': _rounded(UM * deviations, 2),
+        'scale': 1.0,
+    }
+    if run.path is not None:
+        data['driven'] = _rounded(
+            thinned(driven_part(run.path, progress.travelled), PAGE_POINTS), 5
+        )
+        data['scale'] = enlargement(deviations, size_of(run.path))
+    return data
+
+
+def _solved(solved: Solved) -> dict[str, Any]:
+    micro = {
+        name: [_number(UM * value), _number(UM * u)]
+        for name, (value, u) in {**solved.motions, **solved.squareness}.items()
+    }
+    return {
+        'provisional': solved.provisional,
+        'ok': solved.ok,
+        'message': solved.message,
+        'mae_before_um': UM * solved.mae_before,
+        'mae_after_um': _number(UM * solved.left),
+        'residual_rms_um': UM * solved.residual_rms,
+        'motions': {name: micro[name] for name in solved.motions},
+        'squareness': {name: micro[name] for name in solved.squareness},
+        'warnings': list(solved.warnings),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _rounded(values: Array, digits: int) -> list[Any]:
+    found: list[Any] = np.round(values, digits).tolist()
+    return found

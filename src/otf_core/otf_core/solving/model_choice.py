@@ -1,0 +1,573 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of the functions of the motions and of the reversal model.
+
+Which functions the error motions are made of: smooth, finer, or straight between the nodes.
+
+Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
+between the nodes of machine.yaml: a machine that its control compensates with such tables has
+kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
+noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
+The functions with the largest restricted likelihood are taken, the size of the residuals free:
+
+    L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
+
+Which reversal model the data call for: cross-validation on held-out legs.
+
+Noise is correlated within a leg, so whole legs are held out, with all that pass over the same
+line. The lines are dealt to folds, and what each model leaves of a fold is judged with the model
+fitted to all others. With S_j the sum of the squared whitened residuals of line j, the gain of a
+richer model over a simpler one is
+
+    D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
+
+A model of k parameters that are not there loses about k. The richer one is taken if D > 3 s_D.
+Servo mismatch flips with travel too, but grows with the feed: where it explains the held-out legs
+better, by the same rule, no reversal is modelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from operator import add, attrgetter
+from typing import Generic
+
+import numpy as np
+from scipy import linalg
+
+from otf_core.arrays import Array, Index
+from otf_core.aside import shared_out
+from otf_core.config import CalibrationConfig
+from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
+from otf_core.effects.state import state_of_travel
+from otf_core.errors import InputError
+from otf_core.live.stages import Progress
+from otf_core.memory import give_back
+from otf_core.model.frames import RigidTransform
+from otf_core.pieces.runs import AnyRun, Observed
+from otf_core.solving.design import Design
+from otf_core.solving.joint import (
+    JointSolution,
+    SolvedRun,
+    Start,
+    find_identifiable_blocks,
+    improved_runs,
+    left_by,
+    solve_jointly,
+    solve_robustly,
+    summed,
+    systems_of,
+    tables_of,
+    whiteners_of,
+)
+from otf_core.solving.normal import NormalEquations, Once, sum_groups, weigh_repeated_lines
+from otf_core.solving.residuals import FOLDS, fold_of
+from otf_core.solving.reversal import MODELS
+from otf_core.solving.roughness import TRACE, Roughness, Search
+from otf_core.solving.solution import Solution, estimated, free_columns, identifiable_blocks, solve
+from otf_core.solving.system import System, build_system
+from otf_core.solving.unknowns import (
+    Basis,
+    Unknowns,
+    cubic,
+    is_reversal,
+    layout,
+    linear,
+    reversal_order,
+)
+from otf_core.solving.whitener import Whitener
+from otf_core.threads import side_by_side
+
+Bases = dict[str, Basis]
+
+SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
+STRAIGHT = 'straight between nodes'
+INTERVALS = 20
+"""Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
+SIGNIFICANT = 4.0
+"""Standard deviations of the mean."""
+NOTABLE = 0.05
+"""Share of the variance of a step between pieces."""
+FEW = 3000
+"""Pieces that the first solution is made of, which finds poses and positions on the paths."""
+LEGS = 20
+"""Fewer legs, however long, are not enough for that."""
+QUICK = 8
+"""Iterations after which that is given up for one of all pieces: so few legs are not enough."""
+GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class ShapeChoice(Generic[AnyRun]):
+    """Functions for the error motions, and what was solved with them.
+
+    Attributes
+    ----------
+    bases : mapping of axis to Basis
+    runs : list of Observed
+        With poses to start from.
+    improved : list of Observed
+        The same after one linear solution, see ``joint.improved_runs``.
+    start : Start
+        What that found.
+    evidence : mapping of name to float
+        Restricted log likelihood of everything that was tried, less the best.
+    """
+
+    bases: Bases
+    runs: list[AnyRun]
+    improved: list[AnyRun]
+    start: Start
+    evidence: Mapping[str, float]
+
+
+def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
+    """Cubic splines over equal parts of the range of the nodes of every axis."""
+    return {axis: cubic(at, parts) for axis, at in nodes.items()}
+
+
+def is_finer(bases: Bases) -> bool:
+    """Tell whether these are the functions that are tried where others leave steps."""
+    return any(b.degree > 1 and len(b.knots) > INTERVALS + 1 for b in bases.values())
+
+
+def linear_bases(nodes: Mapping[str, Array]) -> Bases:
+    """Functions that are linear between the nodes of every axis."""
+    return {axis: linear(at) for axis, at in nodes.items()}
+
+
+def _steps_unexplained(solved: SolvedRun) -> bool:
+    """Tell whether neighbouring pieces of a line differ by more than the noise."""
+    found = []
+    for alike in solved.whitener.alike:
+        noise = alike.moments.step.ravel()
+        step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
+        found.append(np.stack([step - noise, noise]))
+    excess, noise = np.concatenate(found, axis=1)
+    if not excess.size:  # stops: no two pieces of one line that could tell
+        return True
+    excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
+    mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
+    return mean > SIGNIFICANT * scatter and mean > NOTABLE * float(np.mean(noise))
+
+
+def choose_shapes(
+    runs: Sequence[AnyRun],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> ShapeChoice[AnyRun]:
+    """Choose the functions that the motions are made of.
+
+    Parameters
+    ----------
+    nodes : mapping of axis to ndarray, m
+        Of the tables that machine.yaml asks for.
+    progress : callable(stage, fraction)
+    """
+    limit = config.unidentifiable_above
+    smooth = layout(smooth_bases(nodes), len(runs))
+    whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
+    seen = find_identifiable_blocks(runs, smooth, whiteners, limit)
+    start, poses = _started(runs, smooth, Start({}, seen), config, progress)
+    moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
+    best, scores = _try_all(moved, nodes, start, whiteners, limit)
+    improved = improved_runs(moved, best, config)[0]
+    after = Start.after(runs[0].machine, best)
+    return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
+
+
+_CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
+    SMOOTH: smooth_bases,
+    FINER: partial(smooth_bases, parts=2 * INTERVALS),
+    STRAIGHT: linear_bases,
+}
+
+
+def _started(
+    runs: Sequence[AnyRun],
+    smooth: Unknowns,
+    start: Start,
+    config: CalibrationConfig,
+    progress: Progress,
+) -> tuple[Start, list[RigidTransform]]:
+    """First tables and poses."""
+    quick, first = replace(config, max_iterations=min(QUICK, config.max_iterations)), None
+    some = _thinned(runs)
+    if sum(_leg_number(run)[-1] + 1 for run in some) >= LEGS:
+        with suppress(InputError):  # too few legs
+            first = solve_jointly(some, smooth, quick, progress, start)
+    first = first or solve_jointly(runs, smooth, config, progress, start)
+    return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
+
+
+def _try_all(
+    runs: Sequence[Observed],
+    nodes: Mapping[str, Array],
+    start: Start,
+    whiteners: Sequence[Whitener],
+    limit: float,
+) -> tuple[JointSolution, dict[str, float]]:
+    """Linear solutions with some functions, and with finer ones where the best leaves steps.
+
+    Returns
+    -------
+    solution : JointSolution
+        The most likely one.
+    scores : mapping of name to float
+        Log likelihoods, less the best.
+    """
+    poses = [r.pose for r in runs]
+    systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
+
+    def fit(name: str) -> _Tried:
+        return _tried(systems, start, whiteners, limit, _CHOICES[name](nodes))
+
+    first = (SMOOTH, STRAIGHT)
+    fits = shared_out(fit, first, (systems, start, whiteners))
+    tried = dict(zip(first, fits, strict=True))
+    best = max(fits, key=attrgetter('likelihood'))
+    solution = best.solved(systems, poses, whiteners)
+    if any(_steps_unexplained(run) for run in solution.runs):
+        tried[FINER] = fit(FINER)
+        if tried[FINER].likelihood > best.likelihood:
+            best = tried[FINER]
+            solution = best.solved(systems, poses, whiteners)
+    return solution, {name: one.likelihood - best.likelihood for name, one in tried.items()}
+
+
+def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
+    drop = ~np.isin(number, kept)
+    return replace(run, pieces=run.pieces.without(drop)) if drop.any() else run
+
+
+def _leg_number(run: Observed) -> Index:
+    """Which leg in driving order a piece belongs to, shape (p,)."""
+    return np.asarray(np.cumsum(np.append(0, np.diff(run.pieces.leg) != 0)))
+
+
+def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
+    """Some legs of every run, spread evenly: enough for poses and first tables."""
+    share, found = FEW // len(runs), []
+    for run in runs:
+        number = _leg_number(run)
+        # multiples of the golden section keep no step with the order of a path
+        order = np.argsort((np.arange(number[-1] + 1) * GOLDEN) % 1.0)
+        size = np.cumsum(np.bincount(number)[order])
+        found.append(_without_legs(run, number, order[: int(np.searchsorted(size, share)) + 1]))
+    return found
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One linear solution, without what it leaves of the deviations."""
+
+    unknowns: Unknowns
+    solution: Solution
+    roughness: Roughness
+    normal: NormalEquations
+
+    @property
+    def likelihood(self) -> float:
+        """Restricted log likelihood with the size of the residuals free."""
+        rough = self.roughness
+        volume = -2.0 * rough.log_likelihood - rough.square
+        return -0.5 * (self.normal.rows * float(np.log(rough.square)) + volume)
+
+    def solved(
+        self,
+        systems: Sequence[System],
+        poses: Sequence[RigidTransform],
+        whiteners: Sequence[Whitener],
+    ) -> JointSolution:
+        """With what it leaves of the rows of any functions at the same poses and positions."""
+        own = [s.of_unknowns(self.unknowns) for s in systems]
+        left = left_by(own, self.solution)
+        own = [replace(s, rows=s.rows.released()) for s in own]
+        parts = zip(poses, own, whiteners, left, strict=True)
+        runs = tuple(SolvedRun(*p) for p in parts)
+        return JointSolution(self.unknowns, self.solution, self.roughness, self.normal, runs, 1)
+
+
+def _tried(
+    systems: Sequence[System],
+    start: Start,
+    whiteners: Sequence[Whitener],
+    limit: float,
+    bases: Bases,
+) -> _Tried:
+    """One linear solution at the poses and positions of rows of any functions."""
+    unknowns = layout(bases, len(systems))
+    own = [s.of_unknowns(unknowns) for s in systems]
+    normal = summed(own, unknowns, whiteners, start.accepted)
+    rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
+    solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
+    return _Tried(unknowns, solution, rough, normal)
+
+
+Evidence = dict[str, float | int | str]
+
+CLEAR = 3.0
+"""Gain over its own scatter from which a richer model is taken."""
+RIVAL = ServoMismatch()
+"""What is taken for a reversal most easily."""
+MIN_LINES = 16
+"""Fewer lines tell nothing of the scatter: no reversal is modelled then."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A reversal model.
+
+    Attributes
+    ----------
+    model : str
+        A name of ``reversal.MODELS``.
+    held : bool
+        Axes that stand stay on the side of their last travel.
+    evidence : mapping of str to number or text
+    """
+
+    model: str
+    held: bool
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
+class ReversalSolution(Generic[AnyRun]):
+    """Solution with the reversal model that was asked for or chosen.
+
+    Attributes
+    ----------
+    runs : list of Observed
+        With the pieces that were kept.
+    plain : (list of Observed, JointSolution)
+        The same without reversal.
+    """
+
+    runs: list[AnyRun]
+    done: JointSolution
+    choice: Choice
+    plain: tuple[list[AnyRun], JointSolution]
+
+
+def solve_with_reversal(
+    runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
+) -> ReversalSolution[AnyRun]:
+    """Solve with the functions and the reversal model that the data call for.
+
+    Parameters
+    ----------
+    nodes : mapping of axis to ndarray, m
+        Of the tables that machine.yaml asks for.
+    config : CalibrationConfig
+        May state the reversal model.
+    progress : callable(stage, fraction)
+    """
+    shapes = choose_shapes(runs, nodes, config, progress)
+    give_back()
+    unknowns = layout(shapes.bases, len(runs))
+    plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
+    give_back()
+
+    choice = choose_reversal(*plain, config)
+    if choice.model == 'none':
+        return ReversalSolution(*plain, choice, plain)
+    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
+    # reversal adds blocks: which of them the data determine is found out anew
+    again = solve_robustly(shapes.runs, unknowns, config, progress)
+    return ReversalSolution(*again, choice, plain)
+
+
+def choose_reversal(
+    runs: Sequence[Observed], done: JointSolution, config: CalibrationConfig
+) -> Choice:
+    """Choose a reversal model by what it leaves of held-out legs.
+
+    The model may be given by the configuration; whether axes that stand are held is always
+    chosen.
+
+    Parameters
+    ----------
+    done : JointSolution
+        Of the same runs, without reversal.
+
+    Returns
+    -------
+    Choice
+        With the evidence: 'lines', 'folds', 'needed' gain over scatter; per model
+        'held_out_MODEL', sum of squared whitened residuals; 'gain_MODEL' and 'scatter_MODEL'
+        over the best simpler one, for the rival over the model chosen; 'rival', if it was
+        better.
+    """
+    given = config.reversal
+    if given == 'none':
+        return Choice('none', False, {'decided_by': 'configuration'})
+    fold = _line_folds(done)
+    lines = sum(len(f) for f in fold)
+    if lines < MIN_LINES and given == 'auto':
+        few = f'too few lines: {lines}, {MIN_LINES} needed'
+        return Choice('none', False, {'decided_by': few, 'lines': lines})
+    found: dict[float, Choice] = {}
+    for held in (False, True):
+        left = _held_out_squares(runs, done, fold, config.unidentifiable_above, held)
+        choice = Choice(given, held, {'decided_by': 'configuration'})
+        if given == 'auto':
+            choice = _chosen(left, held)
+        # of equals the first counts: nothing is held where there is no reversal
+        found.setdefault(float(left[choice.model].sum()), choice)
+        gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
+        if choice.model == 'none' and max(gains[1:]) <= 0.0:
+            break  # no reversal at all, so none that is held
+    return found[min(found)]
+
+
+def _line_folds(done: JointSolution) -> list[Index]:
+    """Fold of every line of every run: passes over one line are held out together."""
+    count = [len(solved.whitener.once.bounds) for solved in done.runs]
+    return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
+
+
+def _chosen(left: dict[str, Array], held: bool) -> Choice:
+    """Choose among the models by the squares (lines,) that each leaves."""
+    lines = len(left['none'])
+    evidence: Evidence = {
+        'decided_by': 'held-out lines',
+        'lines': lines,
+        'folds': FOLDS,
+        'needed': CLEAR,
+        **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
+    }
+    best = 'none'
+    for model, square in left.items():
+        if model == best or (best == 'none' and model == RIVAL.name):
+            continue
+        difference = left[best] - square
+        gain, scatter = float(difference.sum()), float(np.sqrt(lines) * difference.std(ddof=1))
+        evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
+        if gain > CLEAR * scatter:
+            best = model
+    if best == RIVAL.name:
+        return Choice('none', False, evidence | {'rival': RIVAL.name})
+    return Choice(best, held, evidence)
+
+
+def _held_out_squares(
+    runs: Sequence[Observed], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
+) -> dict[str, Array]:
+    """Squared whitened residual of every leg under every model fitted to the other folds."""
+    unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    lines, rivals = [], []
+    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
+        lines.append(weigh_repeated_lines(system, solved.whitener))
+        rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
+    seen = done.solution.accepted
+    blocks = [n for n in unknowns.blocks if _motion(n) in seen]
+    sums = [
+        sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS, blocks)
+        for own, group, rival in zip(lines, fold, rivals, strict=True)
+    ]
+    parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
+    total = reduce(add, parts)
+    visible = identifiable_blocks(total, unknowns, limit)
+    columns = {
+        model: free_columns(
+            unknowns,
+            [n for n in visible if reversal_order(n) < count and _motion(n) in seen],
+        )
+        for model, count in MODELS.items()
+    }
+    width = rivals[0].shape[2]
+    columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
+    loose = unknowns.free - done.unknowns.free + width
+    prior = linalg.block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
+    held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
+    for some in (part for folds in held_out for part in folds):
+        some.rows.prepare()
+
+    values = side_by_side(lambda part: _estimates(total.less(part), columns, prior), parts)
+
+    def left(model: str) -> Array:
+        own = [of_fold[model] for of_fold in values]
+        pairs = zip(lines, held_out, strict=True)
+        return np.concatenate([_squares(line, folds, unknowns, own) for line, folds in pairs])
+
+    return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
+
+
+def _estimates(
+    normal: NormalEquations, columns: Mapping[str, Index], prior: Array
+) -> dict[str, Array]:
+    """Estimates of some columns each, see ``estimated``; one factor for all that begin alike."""
+    most = max(columns.values(), key=len)
+    place = np.ix_(most, most)
+    factor = linalg.cholesky(normal.matrix[place] + prior[place], lower=True)
+    half = linalg.solve_triangular(factor, normal.right[most], lower=True)
+    found = {}
+    for model, use in columns.items():
+        own = slice(0, len(use))
+        if not np.array_equal(use, most[own]):
+            found[model] = estimated(normal, use, prior)
+            continue
+        value = linalg.solve_triangular(factor[own, own], half[own], lower=True, trans='T')
+        found[model] = np.zeros(len(normal.right))
+        found[model][use] = value
+    return found
+
+
+def _motion(block: str) -> str:
+    return block[:3] if is_reversal(block) else block
+
+
+def _rival_columns(run: Observed, system: System) -> Array:
+    """Columns of the rival across the path, shape (c, p, k)."""
+    state = state_of_travel(run.machine, system.q, run.pieces.direction)
+    terms = RIVAL.terms(replace(state, speed=run.pieces.speed), {})
+    return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """Lines of a run that are held out together.
+
+    Attributes
+    ----------
+    pieces : ndarray of int64, shape (m,)
+    rival : ndarray, shape (c, m, k)
+        Columns of the rival.
+    """
+
+    pieces: Index
+    rows: Design
+    rival: Array
+
+
+def _folds(own: Once, fold: Index, rival: Array) -> list[_Fold]:
+    """Folds of a run, by the fold of every line."""
+    of_piece = fold[_line_of_piece(own)]
+    places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
+    return [_Fold(p, own.system.rows.at(p), rival[:, p]) for p in places]
+
+
+def _line_of_piece(own: Once) -> Index:
+    size = [high - low for low, high in own.whitener.bounds]
+    return np.repeat(np.arange(len(size)), size)
+
+
+def _squares(
+    own: Once, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
+) -> Array:
+    """Sum of squares of each line of a run with the values (columns,) of its fold.
+
+    What passes over a line differ among themselves is left out: it is the same for every model.
+    """
+    rest = own.system.deviation.copy()
+    for fold, value in zip(folds, values, strict=True):
+        rest[:, fold.pieces] -= fold.rows.times(unknowns.gauge @ value[: unknowns.free])
+        rest[:, fold.pieces] -= fold.rival @ value[unknowns.free :]
+    white, number, size = own.whitener.whiten(rest), _line_of_piece(own), own.whitener.bounds
+    return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)
