@@ -25,7 +25,6 @@ from otf_core.prediction.table_prior import (
     unseen_variance,
 )
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.prediction.volumetric import table_places
 
 LONGEST_OFFSET = 10.0
 """m; as in machine.yaml."""
@@ -102,7 +101,9 @@ class Predictor:
         name = 'tables' if isinstance(source, TablesFile) else str(source)
         measured, extra = content.tables, content.extra
         machine = replace(measured.machine, target_offset=_offset(measured, target_offset))
-        size = sum(s.stop - s.start for s in table_places(measured).values())
+        described = measured.machine
+        size = len(described.scalars)
+        size += sum(len(measured.motions[m].position) for m in described.motions)
         covariance = unpack_covariance(extra.get('covariance'), size)
         return cls(
             tables=replace(measured, machine=machine),

@@ -291,28 +291,7 @@ def _assembled(
             block = unknowns.blocks[place_block(name)]
             u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
         targets[name] = (np.asarray(done.places[name]), u)
-    after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in done.runs])
-    coverage = float(
-        np.average(
-            np.concatenate([m.driven for m in matched]),
-            weights=[len(p.path.positions) for m in matched for p in m.parts],
-        )
-    )
-    fit = AxisFit(
-        samples=sum(len(r.samples) for r in recordings),
-        used=sum(s.run.pieces.used for s in done.runs),
-        outliers=sum(s.run.pieces.outliers for s in done.runs),
-        pieces=len(after),
-        unknowns=unknowns.free,
-        rank=done.solution.rank,
-        coverage=coverage,
-        path_mae_before=before,
-        path_mae_after=float(after.mean()),
-        residual_rms=float(np.sqrt(np.mean(after**2))),
-        variance_ratio=ratio,
-        inflation=inflation,
-        iterations=done.iterations,
-    )
+    fit = _fit_of(recordings, matched, done, before, ratio, inflation)
     q = np.concatenate([s.system.q for s in done.runs])
     sights = [
         s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
@@ -337,6 +316,38 @@ def _assembled(
         method=method,
         config=config,
         origin=origins(recordings),
+    )
+
+
+def _fit_of(
+    recordings: Sequence[Recording],
+    matched: Sequence[Matched],
+    done: AxisSolution,
+    before: float,
+    ratio: float,
+    inflation: float,
+) -> AxisFit:
+    after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in done.runs])
+    coverage = float(
+        np.average(
+            np.concatenate([m.driven for m in matched]),
+            weights=[len(p.path.positions) for m in matched for p in m.parts],
+        )
+    )
+    return AxisFit(
+        samples=sum(len(r.samples) for r in recordings),
+        used=sum(s.run.pieces.used for s in done.runs),
+        outliers=sum(s.run.pieces.outliers for s in done.runs),
+        pieces=len(after),
+        unknowns=done.unknowns.free,
+        rank=done.solution.rank,
+        coverage=coverage,
+        path_mae_before=before,
+        path_mae_after=float(after.mean()),
+        residual_rms=float(np.sqrt(np.mean(after**2))),
+        variance_ratio=ratio,
+        inflation=inflation,
+        iterations=done.iterations,
     )
 
 

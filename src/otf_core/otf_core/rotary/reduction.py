@@ -39,6 +39,8 @@ SHORTEST = 1e-3
 """m of the reflector per m of the axes: on a slower curve no direction is left out safely."""
 AT_STOP = 1.5e-3
 """m; stops are this near their corners."""
+LATE_NS = 0.5e9
+"""ns without a sample after which another piece begins."""
 SETTLED = 0.05
 """s; shortest stop that is averaged."""
 
@@ -212,13 +214,7 @@ def _of_part(
     machine, part = matched.machine, matched.parts[number]
     positions, sight = part.path.positions, matched.sight(part.path.target)
     reach = _Reach.of(machine, positions)
-    own = np.arange(part.first, part.last)
-    place = matched.place[own]
-    leg = np.clip(place.astype(np.int64), 0, len(positions) - 2)
-    along = np.interp(place, np.arange(len(positions)), reach.corners)
-    ends = reach.ends[reach.stretch[leg]]
-    margin = np.minimum(config.corner_exclusion, 0.25 * (ends[:, 1] - ends[:, 0]))
-    own = own[(along - ends[:, 0] > margin) & (ends[:, 1] - along > margin)]
+    own = _away_from_corners(np.arange(part.first, part.last), matched.place, reach, config)
     if len(own) < 10:
         return None
     points = matched.pose.apply(samples.xyz[own])
@@ -226,28 +222,69 @@ def _of_part(
     if tables is not None:
         wanted = points - sight.at(position_at(positions, matched.place[own])).displacement(tables)
     place, seen, tangent = closest(sight, positions, matched.place[own], wanted)
-    deviation = points - seen.position
-    leg = np.clip(place.astype(np.int64), 0, len(positions) - 2)
-    stretch = reach.stretch[leg]
-    offset = np.ascontiguousarray(deviation.T)
+    offset = np.ascontiguousarray((points - seen.position).T)
+    stretch = reach.stretch[_leg_of(place, positions)]
     far = outlying(
         lambda chosen: np.ascontiguousarray(offset[:, chosen]),
         leg_bounds(stretch),
         config.outlier_limit,
     )
     keep = np.flatnonzero(~far)
-    own, place, leg, stretch = own[keep], place[keep], leg[keep], stretch[keep]
-    tangent, nominal = tangent[keep], seen.position[keep]
+    line = _Line(own[keep], place[keep], seen.position[keep], tangent[keep])
+    return replace(
+        _averaged(samples, matched, number, line, reach, nodes, config), outliers=int(far.sum())
+    )
 
-    q = position_at(positions, place)
-    along = np.interp(place, np.arange(len(positions)), reach.corners)
-    key = [stretch, np.floor((along - reach.ends[stretch, 0]) / config.piece_length)]
-    for k, axis in enumerate(machine.axis_names):
-        key.append(np.searchsorted(nodes[axis], machine.axes[axis].wrapped(q[:, k]) + 1e-9))
-    marks = np.stack([np.asarray(part_of, dtype=np.int64) for part_of in key], axis=1)
-    new = np.append(True, np.any(np.diff(marks, axis=0) != 0, axis=1))
-    late = np.append(False, np.diff(samples.stamp_ns[own]) > 0.5e9)
-    piece = np.cumsum(new | late) - 1
+
+@dataclass(frozen=True)
+class _Line:
+    """Samples of a part in steady motion.
+
+    Attributes
+    ----------
+    own : ndarray of int64, shape (n,)
+        In the recording.
+    place : ndarray, shape (n,)
+    nominal, tangent : ndarray, shape (n, 3)
+        Closest point of the curve, m, and its direction.
+    """
+
+    own: Index
+    place: Array
+    nominal: Array
+    tangent: Array
+
+
+def _leg_of(place: Array, positions: Array) -> Index:
+    return np.clip(place.astype(np.int64), 0, len(positions) - 2)
+
+
+def _away_from_corners(
+    own: Index, place: Array, reach: _Reach, config: CalibrationConfig
+) -> Index:
+    """Samples that are not near the ends of their stretch."""
+    corners = np.arange(len(reach.corners))
+    along = np.interp(place[own], corners, reach.corners)
+    leg = np.clip(place[own].astype(np.int64), 0, len(corners) - 2)
+    ends = reach.ends[reach.stretch[leg]]
+    margin = np.minimum(config.corner_exclusion, 0.25 * (ends[:, 1] - ends[:, 0]))
+    return own[(along - ends[:, 0] > margin) & (ends[:, 1] - along > margin)]
+
+
+def _averaged(
+    samples: Samples,
+    matched: Matched,
+    number: int,
+    line: _Line,
+    reach: _Reach,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+) -> AxisPieces:
+    """Means over the pieces of a part."""
+    positions = matched.parts[number].path.positions
+    leg = _leg_of(line.place, positions)
+    stretch, q = reach.stretch[leg], position_at(positions, line.place)
+    piece = _pieces_of(matched.machine, samples, line, q, stretch, reach, nodes, config)
     total = int(piece[-1]) + 1
     count = np.bincount(piece, minlength=total)
 
@@ -256,34 +293,50 @@ def _of_part(
             return np.bincount(piece, values, total) / count
         return np.stack([np.bincount(piece, v, total) / count for v in values.T], axis=1)
 
-    direction = mean(tangent)
+    direction = mean(line.tangent)
     size = np.linalg.norm(direction, axis=1)
-    middle, time = mean(place), samples.time[own]
+    middle, time = mean(line.place), mean(samples.time[line.own])
     first = np.searchsorted(piece, np.arange(total))
-    at_leg = leg[first]
     steps = np.diff(positions, axis=0)
-    # a piece may lie on several chords of a smooth stretch: its own mean step
-    step = mean(steps[leg])
-    spread = np.sqrt(np.maximum(mean(place**2) - middle**2, 0.0))
     unit = steps / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-12)
     pieces = AxisPieces(
         q=mean(q),
-        step=step,
-        spread=spread,
-        xyz=mean(samples.xyz[own]),
-        nominal=mean(nominal),
+        step=mean(steps[leg]),  # a piece may lie on several chords of a smooth stretch
+        spread=np.sqrt(np.maximum(mean(line.place**2) - middle**2, 0.0)),
+        xyz=mean(samples.xyz[line.own]),
+        nominal=mean(line.nominal),
         direction=direction / np.maximum(size, 1e-12)[:, None],
         part=np.full(total, number),
-        leg=_shared(stretch[first], mean(time)),
+        leg=_shared(stretch[first], time),
         stretch=stretch[first],
-        side=sides_of_travel(unit)[at_leg],
+        side=sides_of_travel(unit)[leg[first]],
         count=count,
-        time=mean(time),
+        time=time,
         duration=np.asarray(count * samples.step, dtype=np.float64),
-        used=len(own),
-        outliers=int(far.sum()),
+        used=len(line.own),
     )
     return pieces.without((count < FEW) | (size < 0.5))
+
+
+def _pieces_of(
+    machine: Machine,
+    samples: Samples,
+    line: _Line,
+    q: Array,
+    stretch: Index,
+    reach: _Reach,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+) -> Index:
+    """Number of the piece of every sample, shape (n,)."""
+    along = np.interp(line.place, np.arange(len(reach.corners)), reach.corners)
+    key = [stretch, np.floor((along - reach.ends[stretch, 0]) / config.piece_length)]
+    for k, axis in enumerate(machine.axis_names):
+        key.append(np.searchsorted(nodes[axis], machine.axes[axis].wrapped(q[:, k]) + 1e-9))
+    marks = np.stack([np.asarray(own, dtype=np.int64) for own in key], axis=1)
+    new = np.append(True, np.any(np.diff(marks, axis=0) != 0, axis=1))
+    late = np.append(False, np.diff(samples.stamp_ns[line.own]) > LATE_NS)
+    return np.asarray(np.cumsum(new | late) - 1)
 
 
 def _shared(stretch: Index, time: Array) -> Index:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
-from otf_core.model.joints import Seen
+from otf_core.model.joints import Seen, Sight
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import beam_shares, path_frame
@@ -196,36 +196,50 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
             column = np.einsum('cni,ni->cn', axes[:, own], moved)[:, :, None]
             before = fixed.get(scalar, 0.0)
             fixed[scalar] = before + _filled(count, own, column)
-        shifts = [np.zeros(int(own.sum()))]
-        if not pieces.standstill:
-            shifts = [pieces.spread[own], -pieces.spread[own]]
-        for number, shift in enumerate(shifts):
-            at = sight.at(q[own] + shift[:, None] * pieces.step[own])
-            for axis, six in at.motions.items():
-                basis = unknowns.bases[axis]
-                place = machine.axes[axis].wrapped(at.q[:, machine.column(axis)])
-                weight = np.zeros((count, basis.size))
-                weight[own] = basis.matrix(place)
-                projected = np.einsum('cni,nik->cnk', axes[:, own], six)
-                whole = _filled(count, own, projected)
-                known = motions.setdefault(axis, [])
-                if number < len(known):
-                    six_before, weight_before = known[number]
-                    known[number] = (six_before + whole, weight_before + weight)
-                else:
-                    known.append((whole, weight))
-    cells = [
-        np.rint(32.0 * (q[:, k] - q[:, k].min()) / max(np.ptp(q[:, k]), 1e-9))
-        for k in range(q.shape[1])
-    ]
-    rows = AxisRows(unknowns, count, fixed, motions, np.stack(cells, axis=1).astype(np.int64))
+        _add_motions(motions, sight, pieces, own, axes, unknowns, q)
     return AxisSystem(
         q=q,
         axes=axes,
         deviation=np.einsum('cni,ni->cn', axes, off),
-        rows=rows,
+        rows=AxisRows(unknowns, count, fixed, motions, _cells(q)),
         shares=beam_shares(pieces.xyz, run.pose, axes),
     )
+
+
+def _cells(q: Array) -> Index:
+    """Axis positions (p, k) in parts of their ranges."""
+    low, size = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-9)
+    return np.asarray(np.rint(32.0 * (q - low) / size), dtype=np.int64)
+
+
+def _add_motions(
+    motions: dict[str, list[tuple[Array, Array]]],
+    sight: Sight,
+    pieces: AxisPieces,
+    own: NDArray[np.bool_],
+    axes: Array,
+    unknowns: Unknowns,
+    q: Array,
+) -> None:
+    """Add influence and functions of the motions at the pieces of one target."""
+    machine, count = sight.machine, len(pieces)
+    shifts = [np.zeros(int(own.sum()))]
+    if not pieces.standstill:
+        shifts = [pieces.spread[own], -pieces.spread[own]]
+    for number, shift in enumerate(shifts):
+        at = sight.at(q[own] + shift[:, None] * pieces.step[own])
+        for axis, six in at.motions.items():
+            basis = unknowns.bases[axis]
+            place = machine.axes[axis].wrapped(at.q[:, machine.column(axis)])
+            weight = np.zeros((count, basis.size))
+            weight[own] = basis.matrix(place)
+            whole = _filled(count, own, np.einsum('cni,nik->cnk', axes[:, own], six))
+            known = motions.setdefault(axis, [])
+            if number < len(known):
+                six_before, weight_before = known[number]
+                known[number] = (six_before + whole, weight_before + weight)
+            else:
+                known.append((whole, weight))
 
 
 def _along(seen: Seen, pieces: AxisPieces, own: NDArray[np.bool_], wanted: Array) -> Array:

@@ -238,14 +238,7 @@ def _settle(
         left = [s.deviation - s.rows.times(solution.value) for s in systems]
         value = solution.value
         tables = tables_of(machine, unknowns, value)
-        change = (
-            max(
-                (float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True)),
-                default=np.inf,
-            )
-            if before
-            else np.inf
-        )
+        change = _change(left, before)
         if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
             solved = tuple(
                 SolvedAxisRun(*row)
@@ -258,15 +251,28 @@ def _settle(
                 machine, unknowns, solution, rough, normal, solved,
                 tuple(poses[k] for k in sorted(poses)), places, iteration,
             )  # fmt: skip
-        for k in poses:
-            step = value[unknowns.blocks[pose_block(k)]]
-            poses[k] = poses[k].moved_by(step[:3], step[3:])
-        for name in places:
-            if place_block(name) in unknowns.blocks:
-                places[name] = places[name] + value[unknowns.blocks[place_block(name)]]
+        _move(poses, places, unknowns, value)
         progress('solving', 0.5 * iteration / (iteration + 1))
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
         f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
+
+
+def _change(left: Sequence[Array], before: Sequence[Array]) -> float:
+    """Largest change of the residuals, m."""
+    pairs = zip(left, before, strict=True)
+    return max(float(np.abs(a - b).max()) for a, b in pairs) if before else np.inf
+
+
+def _move(
+    poses: dict[int, RigidTransform], places: dict[str, Array], unknowns: Unknowns, value: Array
+) -> None:
+    """Move poses and places by a solution."""
+    for k in poses:
+        step = value[unknowns.blocks[pose_block(k)]]
+        poses[k] = poses[k].moved_by(step[:3], step[3:])
+    for name in places:
+        if place_block(name) in unknowns.blocks:
+            places[name] = places[name] + value[unknowns.blocks[place_block(name)]]
