@@ -103,11 +103,6 @@ def textbook_corner(v):
     return first * inside(v.inside_start) + last * inside(v.inside_end)
 
 
-def textbook_tilt(v):
-    """Tilt in proportion to a position."""
-    return v.u[:, v.rng.integers(3), None] * np.cross(np.eye(3)[v.rng.integers(2)], v.beam)
-
-
 def textbook_cyclic(v):
     """One wave per turn of the screw."""
     a = v.rng.integers(3)
