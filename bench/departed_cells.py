@@ -12,9 +12,7 @@ import numpy as np
 from nature import Cell
 from nature_tracker import Noise
 
-from otf_core.blind.departed_forms import DEPARTED_FORMS
-from otf_core.blind.nameless_forms import NAMELESS_FORMS
-from otf_core.blind.view import View
+from otf_core.blind.forms import DEPARTED_FORMS, NAMELESS_FORMS, View
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
 
