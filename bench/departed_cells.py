@@ -12,9 +12,7 @@ import numpy as np
 from nature import Cell
 from nature_tracker import Noise
 
-from otf_core.blind.departed_forms import DEPARTED_FORMS
-from otf_core.blind.nameless_forms import NAMELESS_FORMS
-from otf_core.blind.view import View
+from otf_core.blind.forms import DEPARTED_FORMS, NAMELESS_FORMS, View
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
 
@@ -101,11 +99,6 @@ def textbook_corner(v):
 
     first, last = (np.exp(-s / 0.012)[:, None] for s in (v.start, v.end))
     return first * inside(v.inside_start) + last * inside(v.inside_end)
-
-
-def textbook_tilt(v):
-    """Tilt in proportion to a position."""
-    return v.u[:, v.rng.integers(3), None] * np.cross(np.eye(3)[v.rng.integers(2)], v.beam)
 
 
 def textbook_cyclic(v):

@@ -15,7 +15,7 @@ import numpy as np
 
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path, encode_points
-from otf_core.bags.journal import PERIOD, Definitions, JournalFile, Rows, one_message
+from otf_core.bags.journal import CHUNK_PERIOD, Definitions, JournalFile, Rows, one_message
 from otf_core.bags.rosbag2_metadata import PATH, POINT
 
 RATE, DURATION, CUTS = 1000, 60, 200
@@ -40,7 +40,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         name = Path(folder) / 'a.mcap'
         file = JournalFile(name, Definitions({}).both[0])
-        ends, step = [], round(RATE * PERIOD)
+        ends, step = [], round(RATE * CHUNK_PERIOD)
         for at in range(0, stamp_ns.size, step):
             rows = slice(at, at + step)
             data = encode_points(stamp_ns[rows], xyz[rows], POINT.frame)

@@ -136,7 +136,8 @@ def main(kills: int = 10, seed: int = 1) -> int:
     offline(folder / 'samples', machine, folder / 'again')
     same = content(Path(result.output_directory)) == content(folder / 'again')
     heard, used = set(witness.came), set(points.stamp_ns.tolist())
-    missing = sum(min(used) < stamp < max(used) for stamp in heard - used)
+    first, last = min(used), max(used)
+    missing = sum(first < stamp < last for stamp in heard - used)
     print(f'{result.message}\n{"; ".join(result.warnings)}')
     print(f'samples of the run: {len(used)}, of which the listener has missed {len(used - heard)}')
     stated, at_least = result.samples_lost, result.samples_lost_is_lower_bound

@@ -37,7 +37,7 @@ from otf_core.planning.forecast import grid_uncertainty
 from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.validation.paper import (
-    GRID,
+    GRID_POINTS,
     REPLICATED_SIZE,
     Replication,
     paper_machine,
@@ -66,7 +66,7 @@ def truth_of(machine: Machine, seed: int, smooth: bool) -> ErrorTables:
 
 def size_over_u(result: CalibrationResult, truth: ErrorTables) -> Array:
     """Error components left on the grid over their standard uncertainties, shape (n, 3)."""
-    machine, grid = truth.machine, lattice(truth.machine, GRID)
+    machine, grid = truth.machine, lattice(truth.machine, GRID_POINTS)
     field = displacement(result.tables, grid) - displacement(truth, grid)
     nodes = {a: result.tables.motions[f'EX{a}'].position for a in machine.axis_names}
     u = grid_uncertainty(machine, nodes, result.covariance, grid)[1]

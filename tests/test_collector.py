@@ -34,8 +34,10 @@ def add(collector, count, start=0, now=0.0):
         collector.add(k * 2_000_000, 1e-3 * k, 0.0, 0.0, now)
 
 
-def announce(collector, name, published, state, now=0.0):
-    collector.announce(name, published, state == 'STREAMING', state == 'FINISHED', now)
+def announce(collector, name, published, state, now=0.0, last=None):
+    """State so many samples, of which the last one is the sample number ``last``."""
+    last_ns = 0 if last is None else last * 2_000_000
+    collector.announce(name, published, state == 'STREAMING', state == 'FINISHED', now, last_ns)
 
 
 def complete(collector, now=0.0):
@@ -518,3 +520,20 @@ def test_stream_that_came_and_went_while_the_calibrator_was_away_is_lost_as_a_wh
     restarted(collector, same=False)
     collector.published_before('between', 70)
     assert (collector.lost, collector.restarts.uncounted) == (10 + 70, True)
+
+
+@pytest.mark.parametrize('late', [0, 1, 30])
+def test_loss_is_known_while_the_stream_goes_on_whichever_comes_first(collector, late):
+    announce(collector, 'a', 100, 'STREAMING', last=99)
+    add(collector, 100)
+    collector.taken_up()
+    add(collector, late, start=240)  # those from 100 to 239 are lost
+    announce(collector, 'a', 241, 'STREAMING', last=240)
+    add(collector, 60 - late, start=240 + late)
+    assert (collector.lost_for_sure(0.0), collector.lost) == (140, 241 - 160)
+    announce(collector, 'a', 320, 'STREAMING', last=319)
+    assert (collector.lost_for_sure(0.0), collector.lost) == (140, 160)
+    collector.reset()
+    add(collector, 20, start=300)
+    announce(collector, 'a', 320, 'STREAMING', last=319)
+    assert (collector.lost_for_sure(0.0), collector.lost) == (0, 0)

@@ -33,6 +33,7 @@ def test_every_transition_does_what_its_name_says(graph, machine_file):
         assert graph.transition('deactivate')
         status = graph.wait_for_status('IDLE', 'stopped')
         graph.wait(lambda n=status: len(points) == n.samples_published, 'the last samples')
+        assert status.last == points[-1].header.stamp
         stamps = [ns_from_time(point.header.stamp) for point in points[:100]]
         assert status.first == points[0].header.stamp
         assert -NEAR < begun - stamps[0] < NEAR, 'simulated samples are of now'

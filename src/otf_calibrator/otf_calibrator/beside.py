@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from otf_core.bags.signals import FEWEST, signal_of
+from otf_core.bags.signals import MIN_MESSAGES, signal_of
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.signals import Signal
@@ -45,5 +45,5 @@ class Beside:
         return {
             spec: signal_of(spec.wanted, list(own.items()))
             for spec, own in near.items()
-            if len(own) >= FEWEST
+            if len(own) >= MIN_MESSAGES
         }

@@ -150,7 +150,7 @@ class Collector:
         """Samples lost, less those that may be on their way: the driver is ahead of them."""
         if self._stream.over(now) or not self._stream.name:
             return self.lost
-        return max(0, self._lost_before, self.missed)
+        return max(0, self._lost_before + (self._stream.missing or 0), self.missed)
 
     @property
     def beginning(self) -> bool:
@@ -273,7 +273,7 @@ class Collector:
             self._begin('the stream before was over')
             stream = self._stream
         self._heard = stream.heard = now
-        stream.received += 1
+        stream.arrive(stamp_ns)
         if clock.take(stamp_ns, (x, y, z), *((0,) if stream.taken_over else ())):
             stream.taken_over = False
             self._keep(stamp_ns, x, y, z)
@@ -296,7 +296,13 @@ class Collector:
             self._release()
 
     def announce(
-        self, name: str, published: int, streaming: bool, finished: bool, now: float
+        self,
+        name: str,
+        published: int,
+        streaming: bool,
+        finished: bool,
+        now: float,
+        last_ns: int = 0,
     ) -> None:
         """Take what the driver says about its stream.
 
@@ -310,6 +316,8 @@ class Collector:
             More will come; all have been published. Neither: the stream was stopped.
         now : float
             s, monotonic.
+        last_ns : int
+            Stamp of the last sample published, ns; 0 if the driver does not state it.
         """
         if not name or (name in self._strays and now - self._told < STRAY):
             return
@@ -335,7 +343,8 @@ class Collector:
             if not self.taken and len(self.buffer):
                 self.restarts.expect()
         stream = self._stream
-        stream.name, stream.announced, stream.finished = name, published, finished
+        stream.name, stream.finished = name, finished
+        stream.announce(published, last_ns)
         if streaming:
             stream.ended = False
         elif not stream.ended:
@@ -472,7 +481,9 @@ class Collector:
         self.restarts = Restarts()
         if not self._stream.name:
             self._stream = Stream()
-        self._lost_before, self._left = -self._stream.lost, dict.fromkeys(self._left, 0)
+        stream = self._stream
+        self._lost_before = -(stream.lost if stream.missing is None else stream.missing)
+        self._left = dict.fromkeys(self._left, 0)
         self.taken = self._next = False
         self._rest, self._away = None, 0
         self._watch()

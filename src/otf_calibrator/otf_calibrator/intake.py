@@ -36,12 +36,13 @@ TAKEN_UP = 600.0
 
 @dataclass(frozen=True)
 class Status:
-    """What a driver says of its stream."""
+    """What a driver states of its stream: samples published, and the stamp of the last one, ns."""
 
     name: str
     published: int
     streaming: bool
     finished: bool
+    last_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ class Intake:
         """Take a status of the driver."""
         now = time.monotonic()
         self._collector.announce(
-            status.name, status.published, status.streaming, status.finished, now
+            status.name, status.published, status.streaming, status.finished, now, status.last_ns
         )
         if self.journal:
             self.journal.message(STATUS, message)

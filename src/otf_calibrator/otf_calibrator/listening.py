@@ -21,6 +21,7 @@ from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
+from otf_ros.convert import ns_from_time
 from otf_ros.definitions import message_text
 
 
@@ -31,6 +32,7 @@ def status_of(message: TrackerStatus) -> Status:
         message.samples_published,
         message.state not in (TrackerStatus.IDLE, TrackerStatus.FINISHED),
         message.state == TrackerStatus.FINISHED,
+        ns_from_time(message.last),
     )
 
 

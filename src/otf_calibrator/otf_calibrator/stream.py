@@ -1,10 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stream of the driver: what it has announced, and how much of it has arrived."""
+"""One stream of the driver: what it has announced, and how much of it has arrived.
+
+The driver states how many samples it has published, and the stamp of the last of them. Samples
+arrive in their order: once one with a later stamp is there, those up to this stamp that are not
+are lost, however many more are on their way.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import takewhile
 
+REMEMBERED = 10_000
+"""Stamps of the last samples; a status is not later than so many of them."""
 LATE = 2.0
 """s; samples that have not arrived so long after the end of their stream are lost."""
 
@@ -26,6 +35,31 @@ class Stream:
     heard: float = 0.0
     taken_over: bool = False
     unknown: int = 0
+    missing: int | None = None
+    """Samples that have not arrived although later ones have; None: not known."""
+    _stamps: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _stated: tuple[int, int] | None = None
+
+    def arrive(self, stamp_ns: int) -> None:
+        """Take a sample."""
+        if self._stated and stamp_ns > self._stated[1]:
+            self._count(self._stated[0], self.received)
+        self.received += 1
+        self._stamps.append(stamp_ns)
+
+    def announce(self, published: int, last_ns: int) -> None:
+        """Take a number of samples, and the stamp of the last one, ns; 0 where none is stated."""
+        self.announced, self._stated = published, None
+        later = sum(1 for _ in takewhile(lambda stamp: stamp > last_ns, reversed(self._stamps)))
+        if last_ns and later < len(self._stamps):
+            if later or self._stamps[-1] == last_ns:
+                self._count(published, self.received - later)
+            else:
+                self._stated = published, last_ns
+
+    def _count(self, published: int, received: int) -> None:
+        """Take how many of so many samples have arrived."""
+        self.missing, self._stated = max(0, published - self.unknown - received), None
 
     @property
     def lost(self) -> int:

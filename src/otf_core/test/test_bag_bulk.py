@@ -48,7 +48,7 @@ def damaged(rng, data):
 @pytest.mark.parametrize('look', [1, 3, 256])
 @pytest.mark.parametrize('seed', range(8))
 def test_records_found_together_are_those_found_one_by_one(seed, look, monkeypatch):
-    monkeypatch.setattr(mcap_messages, 'FIRST_LOOK', look)
+    monkeypatch.setattr(mcap_messages, 'FIRST_BLOCK', look)
     rng = random.Random(seed)
     outcomes = set()
     for _ in range(40):
@@ -74,7 +74,7 @@ def test_records_that_fill_a_chunk_to_the_last_byte_are_cut_off_with_one_byte_le
 
 @pytest.mark.parametrize('block', [500, 1 << 18])
 def test_reading_takes_little_memory_beside_the_samples(tmp_path, monkeypatch, block):
-    monkeypatch.setattr(bag_reading, 'BLOCK', block)
+    monkeypatch.setattr(bag_reading, 'BLOCK_ROWS', block)
     samples = some_samples(150_000)
     write_bag(tmp_path / 'bag', BagContent(samples, NominalPath(CORNERS)))
     tracemalloc.start()

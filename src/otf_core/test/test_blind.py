@@ -3,21 +3,20 @@
 
 import ast
 from dataclasses import replace
-from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from otf_core.blind import forms
 from otf_core.blind.cases import KINDS, TAKE_TURNS, kinds_of
 from otf_core.blind.depends import WITHOUT, kin_of
-from otf_core.blind.draw import draw_trial, nodal
-from otf_core.blind.draw_effects import draw_effect, scaled
+from otf_core.blind.draw import draw_effect, draw_trial, nodal, scaled
+from otf_core.blind.forms import SENSOR, since_reversal
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
+from otf_core.blind.observer import make_ruler, sample_state, see
 from otf_core.blind.outcome import NOISE
 from otf_core.blind.seal import orders
-from otf_core.blind.sight import see
-from otf_core.blind.trace import make_ruler, sample_state
-from otf_core.blind.view import SENSOR, since_reversal
 from otf_core.diagnosis.engine.time_courses import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.kinematics import exact_position
@@ -86,14 +85,12 @@ def test_forms_of_nature_are_not_in_the_registry():
     assert {n for names in TAKE_TURNS.values() for n in names} == {*OUTSIDE, *REGISTRY}
 
 
-@pytest.mark.parametrize('module', ['view', 'departed_forms', 'nameless_forms'])
-def test_natures_share_no_code_with_catalogue_or_free_forms(module):
-    tree = ast.parse(find_spec(f'otf_core.blind.{module}').loader.get_data(
-        find_spec(f'otf_core.blind.{module}').origin).decode())  # fmt: skip
+def test_forms_share_no_code_with_catalogue_or_free_forms():
+    tree = ast.parse(Path(forms.__file__).read_text(encoding='utf-8'))
     imports = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert {m for m in imports if m.startswith('otf_core.effects.')} == set()
     used = [n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
-    assert used.count('more') == (module == 'view')  # the sensor, not the history of free forms
+    assert used.count('more') == 1  # the sensor, not the history of free forms
 
 
 def share_left(form, columns):

@@ -6,14 +6,19 @@ from dataclasses import replace
 
 import pytest
 
-from otf_core.blind.counts import binomial_interval, expected_calibration_error, reliability
 from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.outcome import outcome
-from otf_core.blind.publish import Measured, fragment
+from otf_core.blind.publish import Measured, criteria, fragment
 from otf_core.blind.recovery import parameter_deviations
-from otf_core.blind.score import sizes, stated, summary
+from otf_core.blind.score import (
+    binomial_interval,
+    expected_calibration_error,
+    reliability,
+    sizes,
+    stated,
+    summary,
+)
 from otf_core.blind.seal import KEY, SEAL, open_key
-from otf_core.blind.table import criteria
 from otf_core.errors import InputError
 
 

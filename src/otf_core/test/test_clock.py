@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from otf_core.bags.sample_order import FEW, of_one_clock
+from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, of_one_clock
 
 S = 1_000_000_000
 STAMPS = 1_700_000_000 * S + np.arange(1000) * S // 100
@@ -46,7 +46,7 @@ def test_pauses_and_what_transport_delays_are_no_wrong_stamps():
     assert left_out(stamps) == []
 
 
-@pytest.mark.parametrize('at', [500, 1000 - FEW])
+@pytest.mark.parametrize('at', [500, 1000 - CLOCK_CHANGE_SAMPLES])
 def test_clock_that_was_set_back_is_not_left_out(at):
     stamps = STAMPS.copy()
     stamps[at:] -= 20 * S

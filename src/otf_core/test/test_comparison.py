@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import CONTRACT_CHAINS, constant_tables, error_of, some_machine, zero_tables
+from direct_texts import write_direct_csv
 from html_cells import Page, unloading
 
 from otf_core import cli
@@ -18,7 +19,6 @@ from otf_core.comparison.compare import (
     source_of_measurement,
     source_of_tables,
 )
-from otf_core.comparison.direct_csv import write_direct_csv
 from otf_core.errors import ConfigError
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.evaluation import mean_length

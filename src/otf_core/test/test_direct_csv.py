@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 from core_cells import some_machine
+from direct_texts import write_direct_csv
 
-from otf_core.comparison.direct_csv import read_direct_csv, write_direct_csv
+from otf_core.comparison.direct_csv import read_direct_csv
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.direct_measurement import motion_readings
 from otf_core.model.machine import AXES

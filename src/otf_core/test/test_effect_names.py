@@ -14,7 +14,7 @@ from otf_core.model.declared import KEYS
 ROOT = Path(otf_core.__file__).parents[2]
 HOMONYMS = set(REGISTRY) & {*KEYS, 'target_offset'}
 """Keys of machine.yaml that are spelled like the effect they declare."""
-KEYS_OF_OTHERS = {'declared_signals.py', 'departed_forms.py', 'depends.py'}
+KEYS_OF_OTHERS = {'declared_signals.py', 'forms.py', 'depends.py'}
 """Names that machine.yaml may hold; names that count as right in a blind trial, which shares
 nothing with the effects."""
 SOURCES = sorted(

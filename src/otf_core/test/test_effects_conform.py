@@ -10,7 +10,7 @@ import pytest
 from core_cells import some_machine
 from effect_cells import driven_state, some_plan
 
-from otf_core.blind.draw_effects import draw_effect
+from otf_core.blind.draw import draw_effect
 from otf_core.config import SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, drawing, names_of
 from otf_core.effects.effects_page import catalogue_markdown

@@ -12,7 +12,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import Squareness
 from otf_core.solving.model_choice import smooth_bases
-from otf_core.solving.tabulate import USUAL, prior_of
+from otf_core.solving.tabulate import USUAL_ANGLE, prior_of
 from otf_core.solving.unknowns import layout
 
 LIMIT = 1e-4
@@ -69,7 +69,7 @@ def test_what_is_not_seen_is_taken_to_be_like_what_is():
 def test_where_nothing_is_seen_the_usual_is_taken():
     prior = prior_of(*solved((), ()), LIMIT)
     assert set(prior) == {*MOTIONS, *SQUARENESS}
-    assert prior['EAZ'].sd == prior['C0Y'].sd == prior['EXX'].slope == USUAL
+    assert prior['EAZ'].sd == prior['C0Y'].sd == prior['EXX'].slope == USUAL_ANGLE
 
 
 def test_uncertainty_beyond_the_ends_grows_with_the_distance():

@@ -209,7 +209,7 @@ def test_full_disk_is_said_and_nothing_is_missing_once_there_is_room(journal, mo
 
 
 def test_what_the_disk_never_took_is_counted(journal, monkeypatch):
-    monkeypatch.setattr(journal_module, 'MOST', 5000)
+    monkeypatch.setattr(journal_module, 'MAX_PENDING_BYTES', 5000)
 
     def refuse(*_):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -255,7 +255,8 @@ def test_file_torn_at_any_byte_has_all_complete_chunks(tmp_path):
         data = journal_module.encode_points(SAMPLES.stamp_ns[rows], SAMPLES.xyz[rows], 'tracker')
         path = [] if start else [journal_module.one_message(PATH, path_cdr(), 1)]
         file.append([*path, Rows(POINT, data, start)])
-        ends.append(file.chunk_end)
+        last = file._index[-1]
+        ends.append(last.chunk_start_offset + last.chunk_length)
     file.release()
     whole = (tmp_path / 'a.mcap').read_bytes()
     for cut in np.random.default_rng(11).integers(ends[0], len(whole), 40):

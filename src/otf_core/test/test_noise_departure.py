@@ -9,7 +9,13 @@ from core_cells import some_machine
 from rest_cells import at_rest
 
 from otf_core.diagnosis.engine.gap_sizes import NAMED, check_noise
-from otf_core.noise.departure import HEAVY, LEVEL, SLOW, noise_departure, probability_beyond
+from otf_core.noise.departure import (
+    HEAVY_TAILS,
+    MAX_LEVEL_RATIO,
+    SLOW_TIME,
+    noise_departure,
+    probability_beyond,
+)
 from otf_core.noise.standstill import noise_model
 
 SPEED = 0.002
@@ -25,7 +31,7 @@ def departure(stops, seconds, rate, seed, level=AS_SPECIFIED, **noise):
 @pytest.mark.parametrize('which', range(3))
 @pytest.mark.parametrize(('factor', 'named'), [(0.95, False), (1.05, True)])
 def test_a_level_is_named_from_its_limit_on(which, factor, named):
-    level = AS_SPECIFIED * np.where(np.arange(3) == which, factor * LEVEL, 1.0)
+    level = AS_SPECIFIED * np.where(np.arange(3) == which, factor * MAX_LEVEL_RATIO, 1.0)
     seen = departure(40, 2.0, 100.0, 10 + which, level, white=(0.9,) * 3, tau=0.1)
     assert (seen.of_level[which] > NAMED) == named
     assert np.delete(seen.of_level, which).max() < 0.1
@@ -34,14 +40,14 @@ def test_a_level_is_named_from_its_limit_on(which, factor, named):
 @pytest.mark.parametrize(('factor', 'named'), [(0.75, False), (1.35, True)])
 def test_a_correlation_time_is_named_from_its_limit_on(factor, named):
     # 400 s hold 400 times; 1.4 / sqrt(3 * 400) = 4 %, more for stops of 4 s
-    seen = departure(100, 4.1, 25.0, 20, white=(0.1,) * 3, tau=factor * SLOW)
-    assert seen.time == pytest.approx(factor * SLOW, rel=0.25)
+    seen = departure(100, 4.1, 25.0, 20, white=(0.1,) * 3, tau=factor * SLOW_TIME)
+    assert seen.time == pytest.approx(factor * SLOW_TIME, rel=0.25)
     assert (seen.of_time > NAMED) == named
 
 
 @pytest.mark.parametrize(('factor', 'named'), [(0.7, True), (1.5, False)])
 def test_tails_are_named_from_their_limit_on(factor, named):
-    dof = (factor * HEAVY,) * 3
+    dof = (factor * HEAVY_TAILS,) * 3
     seen = departure(40, 1.0, 200.0, 30, white=(0.9,) * 3, dof=dof)
     assert (seen.of_dof > NAMED) == named
 
@@ -68,15 +74,15 @@ def test_the_probability_is_the_share_of_drawn_cases():
     beyond = rng.random(n) < 0.5
     true = np.where(
         beyond,
-        rng.uniform(np.log(LEVEL), np.log(10.0 * LEVEL), n),
-        0.5 * np.log(LEVEL) * rng.standard_normal(n),
+        rng.uniform(np.log(MAX_LEVEL_RATIO), np.log(10.0 * MAX_LEVEL_RATIO), n),
+        0.5 * np.log(MAX_LEVEL_RATIO) * rng.standard_normal(n),
     )
     seen = true + u * rng.standard_t(9, n)
     for ratio in (1.3, 1.6, 1.9):
         near = np.abs(seen - np.log(ratio)) < 0.02
         # some 5000 cases: 0.7 %; 4 of it
         share = np.mean(beyond[near])
-        assert probability_beyond(ratio, u, LEVEL, 9.0) == pytest.approx(share, abs=0.03)
+        assert probability_beyond(ratio, u, MAX_LEVEL_RATIO, 9.0) == pytest.approx(share, abs=0.03)
 
 
 def rows_of(samples):

@@ -30,7 +30,14 @@ from otf_core.noise.noise_model import (
     misfit_of,
     scaled,
 )
-from otf_core.solving.joint import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
+from otf_core.solving.joint import (
+    LOWER_BOUNDS,
+    PRIOR_SIGMAS,
+    UPPER_BOUNDS,
+    _lines,
+    _slopes,
+    fit_noise,
+)
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import cubic, layout
 from otf_core.solving.whitener import Whitener
@@ -127,7 +134,7 @@ def test_sizes_are_found_again_within_their_uncertainty(long):
         found = fit_noise(long.system, long.pieces, residual, NOISE, nothing).logs
         lines = _lines(long.system, long.pieces, residual, nothing)
         data = _slopes(NOISE, found, lines)[1]
-        u = np.sqrt(np.diag(np.linalg.inv(data + np.diag(1 / PRIOR**2))))
+        u = np.sqrt(np.diag(np.linalg.inv(data + np.diag(1 / PRIOR_SIGMAS**2))))
         ratios.append((found - TRUTH) / u)
         assert np.abs(found - TRUTH)[[WHITE, INDEPENDENT, LASTING]].max() < 1.5
     # 20 ratios of five correlated sizes each time, of a standard deviation of 1
@@ -183,8 +190,8 @@ def test_sizes_stay_in_their_bounds(short, size):
     nothing = np.zeros((short.unknowns.full,) * 2)
     residual = size * np.random.default_rng(5).standard_normal((2, len(short.pieces)))
     found = fit_noise(short.system, short.pieces, residual, NOISE, nothing).logs
-    assert np.all(found >= LOWEST)
-    assert np.all(found <= HIGHEST)
+    assert np.all(found >= LOWER_BOUNDS)
+    assert np.all(found <= UPPER_BOUNDS)
     assert misfit_of(found).independent >= 2e-8 * (1 - 1e-12)
     assert misfit_of(found).slow >= 2e-8 * (1 - 1e-12)
 

@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.roughness import (
-    HIGHEST,
-    LOWEST,
+    LOWER_BOUNDS,
+    UPPER_BOUNDS,
     CoefficientPrior,
     Search,
     _centres,
@@ -231,7 +231,9 @@ def test_the_search_ends_where_nothing_is_to_be_gained(some):
     point = _Point(some.search, found.logs)
     score, information, _ = point.slopes(_centres(found.logs))
     flat = np.concatenate(list(found.logs.values()))
-    inside = (flat > np.tile(LOWEST, len(found.logs))) & (flat < np.tile(HIGHEST, len(found.logs)))
+    inside = (flat > np.tile(LOWER_BOUNDS, len(found.logs))) & (
+        flat < np.tile(UPPER_BOUNDS, len(found.logs))
+    )
     score, information = score[inside], information[np.ix_(inside, inside)]
     assert inside.sum() > 0.7 * len(flat)
     assert 0.5 * score @ np.linalg.solve(information, score) < 0.2

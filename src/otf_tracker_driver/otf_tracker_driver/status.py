@@ -143,7 +143,7 @@ class Status:
         """Begin a stream that can be told from all others."""
         self.message.stream_id = uuid.uuid4().hex[:12]
         self.message.samples_published = 0
-        self.message.first = Time()
+        self.message.first = self.message.last = Time()
         self.latency = None
         self.source(backend)
 
@@ -157,6 +157,8 @@ class Status:
         if len(batch) and not self.message.samples_published:
             self.message.first = time_from_ns(int(batch.stamp_ns[0]))
         self.message.samples_published += len(batch)
+        if len(batch):
+            self.message.last = time_from_ns(int(batch.stamp_ns[-1]))
         health = self.health
         if len(batch) and (health.clock or health.by_host):
             self.latency = (time.time_ns() - int(batch.stamp_ns[0])) * 1e-9

@@ -16,7 +16,7 @@ from otf_core.bags.bag_source import locate
 from otf_core.bags.cdr import FORMS, POINT_FORM, decode_axes, decode_path, decode_points, form_of
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, Topic
-from otf_core.bags.sample_order import FEW, MAX_OFF_NS, usable_path
+from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, MAX_OFF_NS, usable_path
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import LeftOut
 from otf_core.model.axis_path import AxisPath
@@ -28,7 +28,7 @@ from otf_core.model.provenance import moment
 
 T = TypeVar('T', np.int64, np.float64)
 
-BLOCK = 1 << 18
+BLOCK_ROWS = 1 << 18
 """Rows; arrays of this size go back to the system one by one when they are let go, small ones
 stay with the process."""
 
@@ -52,7 +52,7 @@ class Column(Generic[T]):
         """Take rows after those that are there."""
         self._loose.append(part)
         self._rows_loose += len(part)
-        if self._rows_loose >= BLOCK:
+        if self._rows_loose >= BLOCK_ROWS:
             self._blocks.append(np.concatenate(self._loose))
             self._loose, self._rows_loose = [], 0
 
@@ -286,9 +286,9 @@ def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
 
 Labels = NDArray[np.int64]
 
-MOST = 20
+MAX_CLOCKS = 20
 """Clocks; more are wrong stamps, not publishers."""
-APART = 20.0
+TARGET_STEPS_APART = 20.0
 """Two targets are at least so many steps of each of them apart."""
 
 
@@ -375,7 +375,7 @@ def _by_channel(received: Received) -> Labels | None:
         return None
     different, labels = np.unique(received.channel, return_inverse=True)
     count = np.bincount(labels)
-    if len(different) < 2 or count.min() < FEW:
+    if len(different) < 2 or count.min() < CLOCK_CHANGE_SAMPLES:
         return None
     return np.asarray(labels + 1, np.int64)
 
@@ -394,18 +394,18 @@ def _by_clock(stamp_ns: Labels) -> Labels | None:
             k = len(newest)
             newest.append(stamp)
             bounds.append((i, i, stamp))
-            if k > MOST * FEW:
+            if k > MAX_CLOCKS * CLOCK_CHANGE_SAMPLES:
                 return None
         newest[k] = max(newest[k], stamp)
         bounds[k] = (bounds[k][0], i, bounds[k][2])
         labels[i] = k
     count = np.bincount(labels)
-    often = [k for k in range(len(newest)) if count[k] >= FEW]
+    often = [k for k in range(len(newest)) if count[k] >= CLOCK_CHANGE_SAMPLES]
     group = _joined([(k, *bounds[k], newest[k]) for k in often])
     number = np.zeros(len(newest), np.int64)
     for k, one in group.items():
         number[k] = one + 1
-    return number[labels] if 0 < number.max() <= MOST else None
+    return number[labels] if 0 < number.max() <= MAX_CLOCKS else None
 
 
 def _joined(clocks: Sequence[tuple[int, int, int, int, int]]) -> dict[int, int]:
@@ -450,4 +450,4 @@ def _by_place(xyz: NDArray[np.float64]) -> Labels | None:
     if min(map(len, moved)) < fewest:
         return None
     short = max(float(np.percentile(steps, 99)) for steps in moved)
-    return labels if APART * short < large else None
+    return labels if TARGET_STEPS_APART * short < large else None

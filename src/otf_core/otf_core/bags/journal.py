@@ -168,12 +168,6 @@ class JournalFile:
         self._write(head, _tail(end=len(head)))
         _sync_folder(path.parent)
 
-    @property
-    def chunk_end(self) -> int:
-        """Byte behind the last chunk."""
-        last = self._index[-1]
-        return last.chunk_start_offset + last.chunk_length
-
     def append(self, rows: Sequence[Rows]) -> None:
         """Write a chunk; it is on the disk when this returns, and the file is whole.
 
@@ -314,7 +308,7 @@ RECORDING = 'recording'
 """State of a run to which samples may be added."""
 STATE = 'otf_state'
 METADATA = 'metadata.yaml'
-UPDATE = 1.0
+METADATA_PERIOD = 1.0
 """s; metadata.yaml is written anew at most so often while the run is recorded."""
 
 
@@ -370,7 +364,10 @@ class JournalRun:
             path = self.folder / f'{self.folder.name}_{len(self._parts)}.mcap'
             self._file = JournalFile(path, self._definitions.both[0])
         self._file.append(rows)
-        if time.monotonic() - self._updated > UPDATE or not (self.folder / METADATA).exists():
+        if (
+            time.monotonic() - self._updated > METADATA_PERIOD
+            or not (self.folder / METADATA).exists()
+        ):
             self._update(RECORDING)
 
     def close(self, state: str = RECORDING) -> None:
@@ -520,9 +517,9 @@ def _points(block: MessageBlock, start: int, stop: int) -> Iterator[tuple[Topic,
 # costs what came since: 0.2 s and the time the disk takes for one chunk. While the disk refuses,
 # what has come is kept and tried again; nothing here ever waits for the disk but the thread.
 
-PERIOD = 0.2
+CHUNK_PERIOD = 0.2
 """s; a chunk is written so often."""
-MOST = 1 << 26
+MAX_PENDING_BYTES = 1 << 26
 """Bytes kept while the disk refuses; what comes beyond is not journalled, and counted."""
 LOCK = '.lock'
 KEPT_FREE = 1 << 22
@@ -676,7 +673,7 @@ class Journal:
         return self._clock + time.monotonic_ns()
 
     def _put(self, run: JournalRun, rows: Rows) -> None:
-        if self._pending > MOST:
+        if self._pending > MAX_PENDING_BYTES:
             self._missed += len(rows.data)
             return
         self._append((run, rows))
@@ -692,7 +689,7 @@ class Journal:
         closing = False
         while not closing:
             with self._wake:
-                self._wake.wait_for(lambda: self._closing, PERIOD)
+                self._wake.wait_for(lambda: self._closing, CHUNK_PERIOD)
                 closing, items, self._items = self._closing, self._items, []
             waiting += items
             try:

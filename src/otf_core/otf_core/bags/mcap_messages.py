@@ -32,11 +32,11 @@ from otf_core.errors import InputError
 # length apart: whole streams of them are checked at once, the rest is walked one by one.
 
 RECORD_HEAD = 9
-WALK = 16
+WALKED_RECORDS = 16
 """Records walked before those behind them are looked at together."""
-FIRST_LOOK = 256
+FIRST_BLOCK = 256
 """Records looked at together at first; twice as many each time that all are alike."""
-LISTED = 1 << 16
+LISTED_POSITIONS = 1 << 16
 """Positions held as Python numbers at most, which take five times the memory."""
 
 
@@ -70,7 +70,7 @@ def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
     walked: list[int] = []
     whole = True
     while whole and at <= last_head:
-        for _ in range(WALK):
+        for _ in range(WALKED_RECORDS):
             opcode, length = unpack(view, at)
             if not opcode and buffer[at:end].any():
                 raise ValueError(f'no record at byte {at}')
@@ -83,7 +83,7 @@ def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
                 break
         alike = len(walked) > 2 and at - last == last - walked[-2] == walked[-2] - walked[-3]
         repeats = whole and alike
-        if repeats or len(walked) > LISTED:
+        if repeats or len(walked) > LISTED_POSITIONS:
             parts.append(np.array(walked, np.int64))
             walked = []
         if repeats:
@@ -99,7 +99,7 @@ def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
 def _alike(buffer: Bytes, at: int, end: int, opcode: int, length: int) -> Index:
     """Positions of the record at ``at`` and of those behind it that have the same head."""
     step = RECORD_HEAD + length
-    count, look = 1, FIRST_LOOK
+    count, look = 1, FIRST_BLOCK
     while look:
         first = at + count * step
         look = min(look, (end - RECORD_HEAD - first) // step + 1)

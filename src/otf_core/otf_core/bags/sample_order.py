@@ -25,7 +25,7 @@ from otf_core.model.path import NominalPath
 
 MAX_OFF_NS = 1_000_000_000
 """ns; stamps that are off by more are no matter of transport."""
-FEW = 5
+CLOCK_CHANGE_SAMPLES = 5
 """Samples in a row whose stamps are off so that they are no accident any more."""
 T = TypeVar('T')
 
@@ -61,7 +61,7 @@ class Clock(Generic[T]):
     @property
     def persists(self) -> bool:
         """Whether what is held is no accident."""
-        return len(self.held) >= FEW
+        return len(self.held) >= CLOCK_CHANGE_SAMPLES
 
     def take(self, stamp_ns: int, item: T, back_ns: int = MAX_OFF_NS) -> bool:
         """Tell whether a stamp goes on with the clock; it is held if it does not.
@@ -131,7 +131,7 @@ def of_one_clock(
             kept.append(i)
         elif clock.persists and clock.off_ns > 0:
             kept += [at for _, at in clock.release()]
-    if clock.persists and len(kept) < FEW:
+    if clock.persists and len(kept) < CLOCK_CHANGE_SAMPLES:
         left_out(stamp_ns[kept].tolist(), clock.held[-1][0])
         kept = []
     if clock.persists or clock.off_ns > 0:
@@ -142,7 +142,7 @@ def of_one_clock(
 
 # How stamps that repeat were made.
 
-MOST = 0.5
+REPEATED_SHARE = 0.5
 """Share of repeated stamps from which on they tell how the stamps are made."""
 
 
@@ -169,7 +169,7 @@ def stamp_words(stamp_ns: NDArray[np.int64]) -> str:
             'sample its own time of measurement'
         )
     block = float(np.median(size))
-    if count - len(different) > MOST * count:
+    if count - len(different) > REPEATED_SHARE * count:
         return (
             f'repeat in blocks of about {block:.0f} samples: the driver stamps packets, not '
             f'samples; it has to give every sample its own time of measurement'
@@ -208,12 +208,12 @@ PERIODS = {
 """After how long clocks and counters begin again, ns."""
 LARGEST_GAP = 0.1
 """Share of its period that a counter may leave out where it begins again."""
-TO_AND_FRO = 1.5
+WAY_RATIO = 1.5
 """Ratio of the ways of the target in two orders from which on one of them is none of a motion."""
 LONGEST_STEP, SMALL = 3.0, 0.2
 """A target that goes on moves no farther than so many of its usual steps; that has to be a small
 share of its range, else there is no telling."""
-STANDING = 1e-4
+MOTION_STEP = 1e-4
 """m; steps up to this are no motion."""
 WRONG_STAMPS = (
     'the target moves smoothly in the order in which the samples were received, and to and fro '
@@ -282,16 +282,16 @@ def check_order(where: str, order: NDArray[np.int64], xyz: Array) -> None:
     near = moved[1:] | moved[:-1]
     received = np.linalg.norm(np.diff(xyz, axis=0), axis=1)[near].sum()
     by_stamp = np.linalg.norm(np.diff(xyz[order], axis=0), axis=1)[near].sum()
-    if by_stamp > TO_AND_FRO * received and by_stamp - received > STANDING:
+    if by_stamp > WAY_RATIO * received and by_stamp - received > MOTION_STEP:
         raise InputError(f'{where}: {WRONG_STAMPS}')
 
 
 def _seams(stamp_ns: Stamps, step: NDArray[np.int64]) -> NDArray[np.int64]:
     """Samples after which a good clock goes on from an earlier time, and is good again."""
     back = np.flatnonzero(step < 0)
-    if not back.size or back.size > len(stamp_ns) // (2 * FEW):
+    if not back.size or back.size > len(stamp_ns) // (2 * CLOCK_CHANGE_SAMPLES):
         return np.empty(0, np.int64)
-    beside = back[:, None] + np.r_[-FEW:0, 1 : FEW + 1]
+    beside = back[:, None] + np.r_[-CLOCK_CHANGE_SAMPLES:0, 1 : CLOCK_CHANGE_SAMPLES + 1]
     inside = (beside >= 0) & (beside < len(step))
     near = step[np.clip(beside, 0, len(step) - 1)]
     clean = (near >= 0) & (near <= MAX_OFF_NS)
@@ -301,7 +301,7 @@ def _seams(stamp_ns: Stamps, step: NDArray[np.int64]) -> NDArray[np.int64]:
 def _smooth(xyz: Array, seams: NDArray[np.int64]) -> bool:
     """Tell whether the target goes on at seams from where it was."""
     step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    near = max(LONGEST_STEP * float(np.percentile(step, 90)), STANDING)
+    near = max(LONGEST_STEP * float(np.percentile(step, 90)), MOTION_STEP)
     if near > SMALL * float(np.ptp(xyz, axis=0).max()):
         return False
     return bool(np.all(step[seams] <= near))

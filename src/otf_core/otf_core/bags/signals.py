@@ -68,7 +68,7 @@ FIELDS = (
     'temperature', 'fluid_pressure', 'relative_humidity', 'illuminance', 'range', 'data',
 )  # fmt: skip
 """Of sensor_msgs and std_msgs messages with one number."""
-FEWEST = 3
+MIN_MESSAGES = 3
 """Messages that make a signal."""
 
 
@@ -177,7 +177,7 @@ def _other_messages(source: str | Path, topics: set[str]) -> Iterator[tuple[str,
 
 def _enough(where: str, rows: Sequence[tuple[int, float]]) -> bool:
     """Tell whether a declared signal can be used; the log says if not."""
-    if len({stamp for stamp, value in rows if np.isfinite(value)}) >= FEWEST:
+    if len({stamp for stamp, value in rows if np.isfinite(value)}) >= MIN_MESSAGES:
         return True
     _log.warning('%s: too few messages for a signal', where)
     return False
@@ -207,7 +207,7 @@ def _number(message: Any, name: str, kind: str) -> float:
 def signal_of(where: str, rows: Sequence[tuple[int, float]]) -> Signal:
     """Signal of stamps, ns, and values; InputError if there are too few."""
     ordered = dict(sorted(row for row in rows if np.isfinite(row[1])))
-    if len(ordered) < FEWEST:
-        raise InputError(f'{where}: {len(ordered)} usable messages; a signal needs {FEWEST}')
+    if len(ordered) < MIN_MESSAGES:
+        raise InputError(f'{where}: {len(ordered)} usable messages; a signal needs {MIN_MESSAGES}')
     stamps = np.array(list(ordered), dtype=np.int64)
     return Signal(stamps, np.array(list(ordered.values())))

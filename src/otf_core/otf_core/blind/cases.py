@@ -16,10 +16,9 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.blind.depends import Depends, catalogue_depends
-from otf_core.blind.draw import Trial, draw_trial, nodal
-from otf_core.blind.draw_effects import draw_effect, scaled
+from otf_core.blind.draw import Trial, draw_effect, draw_trial, nodal, scaled
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
-from otf_core.blind.trace import Ruler, make_ruler
+from otf_core.blind.observer import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
 

@@ -15,17 +15,139 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import solve_triangular, toeplitz
 
-from otf_core.arrays import Array
-from otf_core.blind.sight import Sight, stretches
+from otf_core.arrays import Array, Index
+from otf_core.blind.draw import Trial, nodal
+from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.effects import AppliedEffect, State
+from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.tables import ErrorTables
+from otf_core.sim.cell import EPOCH_NS, SimulatedRun
+from otf_core.sim.drive import Drive
+from otf_core.sim.effects import displaced, run_state
+from otf_core.sim.signals import signal_courses
 from otf_core.threads import in_one_thread
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The moving samples of one run, straight line by straight line, piece by piece.
+
+    Attributes
+    ----------
+    state : State
+        Of all samples of the run.
+    config : SimulationConfig
+        Rate and colour of the noise.
+    use : ndarray of int64, shape (u,)
+        Samples that lie in pieces.
+    line, piece : ndarray of int64, shape (u,)
+        Which straight line and which piece each of them belongs to, both ascending.
+    """
+
+    state: State
+    config: SimulationConfig
+    use: Index
+    line: Index
+    piece: Index
+
+    def mean(self, values: Array) -> Array:
+        """Means over the pieces of values (u, k), shape (p, k)."""
+        sums = np.stack([np.bincount(self.piece, v) for v in values.T], axis=1)
+        return np.asarray(sums / np.bincount(self.piece)[:, None])
+
+    def seen(self, moved: Array) -> Array:
+        """Part of a displacement of all samples (n, 3) that lies across the path, (u, 2), m."""
+        return np.asarray(np.einsum('uij,uj->ui', self.across, moved[self.use]))
+
+    @cached_property
+    def first(self) -> Index:
+        """First sample of every piece, as a place in ``use``, shape (p,)."""
+        return np.asarray(np.unique(self.piece, return_index=True)[1])
+
+    @cached_property
+    def across(self) -> Array:
+        """Two unit vectors across the path for every sample, shape (u, 2, 3)."""
+        d = self.state.direction[self.use]
+        aside = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
+        aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+        return np.stack([aside, np.cross(d, aside)], axis=1)
+
+    @cached_property
+    def spread(self) -> Array:
+        """Lower Cholesky factor of G, shape (u, 2, 2), m."""
+        r, spec = self.state.beam[self.use], self.state.machine.tracker
+        square = np.einsum('ui,ui->u', r, r)[:, None, None]
+        outer = np.einsum('ui,uj->uij', r, r)
+        noise = spec.u_range**2 * outer / square + spec.u_angle**2 * (square * np.eye(3) - outer)
+        return np.linalg.cholesky(self.across @ noise @ self.across.transpose(0, 2, 1))
+
+    @cached_property
+    def colour(self) -> Array:
+        """Lower Cholesky factor of the correlation of samples in a row on the longest line."""
+        lag = np.arange(np.bincount(self.line).max()) / self.config.rate
+        slow = self.config.correlated_share * np.exp(-lag / self.config.correlation_time)
+        slow[0] = 1.0
+        return np.linalg.cholesky(toeplitz(slow))
+
+    def white_samples(self, values: Array) -> Array:
+        """Values across the path (u, 2) of single samples, freed of their noise."""
+        plain = np.linalg.solve(self.spread, values[:, :, None])[:, :, 0]
+        for rows in stretches(self.line):
+            n = rows.stop - rows.start
+            plain[rows] = solve_triangular(self.colour[:n, :n], plain[rows], lower=True)
+        return np.asarray(plain)
+
+    @cached_property
+    def piece_colour(self) -> list[tuple[slice, Array]]:
+        """Pieces of every line, lower Cholesky factor of the correlation of their means."""
+        found = []
+        lines = stretches(self.line), stretches(self.line[self.first])
+        for samples, rows in zip(*lines, strict=True):
+            number = self.piece[samples] - rows.start
+            share = (number == np.arange(rows.stop - rows.start)[:, None]).astype(float)
+            share /= share.sum(axis=1, keepdims=True)
+            half = share @ self.colour[: len(number), : len(number)]
+            found.append((rows, np.linalg.cholesky(half @ half.T)))
+        return found
+
+    def white_pieces(self, values: Array) -> Array:
+        """Values across the path (p, 2, k) of piece means, freed of their noise."""
+        plain = np.linalg.solve(self.spread[self.first], values)
+        for rows, factor in self.piece_colour:
+            flat = plain[rows].reshape(len(factor), -1)
+            plain[rows] = solve_triangular(factor, flat, lower=True).reshape(plain[rows].shape)
+        return np.asarray(plain)
+
+
+def stretches(line: Index) -> list[slice]:
+    """Slices of equal numbers in a row."""
+    cuts = [0, *(np.flatnonzero(np.diff(line)) + 1), len(line)]
+    return [slice(int(a), int(b)) for a, b in pairwise(cuts)]
+
+
+def see(state: State, config: SimulationConfig) -> Sight:
+    """Cut a run into pieces as long as those of a calibration, without corners and standstill."""
+    wanted = CalibrationConfig()
+    end = np.minimum(state.from_corner, state.to_corner)
+    use = np.flatnonzero((end > wanted.corner_exclusion) & (state.speed > wanted.standstill_speed))
+    turned = np.any(np.diff(state.direction, axis=0, prepend=state.direction[:1]) != 0, axis=1)
+    line = np.cumsum(turned)[use]
+    length = (state.from_corner + state.to_corner)[use]
+    parts = np.ceil(length / wanted.piece_length - 1e-9)
+    number = np.floor(state.from_corner[use] / length * parts)
+    fresh = (np.diff(line, prepend=-1) != 0) | (np.diff(number, prepend=-1.0) != 0)
+    line = np.unique(line, return_inverse=True)[1]
+    return Sight(state, config, use, line, np.cumsum(fresh) - 1)
+
 
 WIDE = 1e-3
 """m and rad; ten times the largest errors that are drawn."""
@@ -149,3 +271,70 @@ def observe(sights: Sequence[Sight], tables: ErrorTables) -> Observer:
     prior = np.eye(columns.shape[1]) / WIDE
     orthogonal, triangular = np.linalg.qr(np.concatenate([*white, prior]))
     return Observer(tuple(sights), columns, orthogonal[: len(columns)], triangular)
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """The runs of a trial without effects: measures what displacements leave.
+
+    Attributes
+    ----------
+    states : tuple of State
+        Of all samples of each run.
+    """
+
+    trial: Trial
+    runs: tuple[SimulatedRun, ...]
+    states: tuple[State, ...]
+    observer: Observer
+
+    def displacement(self, effects: Sequence[AppliedEffect]) -> list[Array]:
+        """Displacement of all samples of each run, (n, 3), m."""
+        return [displaced(s, effects) for s in self.states]
+
+    def raw(self, moved: Sequence[Array]) -> float:
+        """Root mean square of a displacement itself, m."""
+        return float(np.sqrt(np.mean(np.concatenate([(m**2).sum(axis=1) for m in moved]))))
+
+    def size(self, moved: Sequence[Array]) -> float:
+        """Root mean square per piece of what tables and poses leave across the path, m."""
+        return _per_piece(self.observer.left(moved)[0])
+
+    def snr(self, moved: Sequence[Array]) -> float:
+        """Length of what is left, freed of the noise: standard deviations of a perfect test."""
+        return self.observer.left(moved)[1]
+
+    def residual(self, moved: Sequence[Array] | None = None) -> float:
+        """Root mean square residual per piece, m, with a displacement added to the runs."""
+        plain = nodal(self.trial.tables)
+        noisy = [
+            run.samples.xyz @ run.rotation + run.place - exact_position(plain, state.q)
+            for run, state in zip(self.runs, self.states, strict=True)
+        ]
+        if moved is not None:
+            noisy = [a + b for a, b in zip(noisy, moved, strict=True)]
+        return _per_piece(self.observer.left(noisy)[0])
+
+
+def _per_piece(left: Sequence[Array]) -> float:
+    both = np.concatenate(left)
+    return float(np.sqrt(np.sum(both**2) / len(both)))
+
+
+def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:
+    """State of all samples of a simulated run, as the simulation itself uses it."""
+    config = trial.configs[k]
+    drive = Drive(trial.plan, config.acceleration)
+    time = np.arange(len(run.samples)) / config.rate
+    pose = RigidTransform(run.rotation.T, run.place)
+    clock = time * (1 + config.clock_drift)
+    beside = signal_courses(run.signals, EPOCH_NS, clock)
+    return run_state(trial.machine, trial.plan, drive, time, clock, pose, run.truth, beside)
+
+
+def make_ruler(trial: Trial) -> Ruler:
+    """Simulate a trial without effects."""
+    runs = tuple(trial.runs())
+    states = tuple(sample_state(trial, k, r) for k, r in enumerate(runs))
+    sights = [see(s, c) for s, c in zip(states, trial.configs, strict=True)]
+    return Ruler(trial, runs, states, observe(sights, trial.tables))

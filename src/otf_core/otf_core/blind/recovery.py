@@ -13,7 +13,7 @@ import numpy as np
 from otf_core.blind.cases import SIGNAL
 from otf_core.blind.draw import draw_trial
 from otf_core.blind.natures import OUTSIDE
-from otf_core.blind.trace import Ruler, make_ruler
+from otf_core.blind.observer import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError

@@ -1,17 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Criteria of a blind trial: who was named for whom, at what size, and how well sizes hold."""
+"""Criteria of a blind trial: who was named for whom, how sure, and how well sizes hold.
+
+Intervals are those of Clopper and Pearson (Biometrika 26 (1934) 404): their ends are quantiles of
+beta distributions, and they hold the true share in at least 95 % of all trials.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import betaincinv
 
-from otf_core.blind.counts import Row, expected_calibration_error, reliability
 from otf_core.blind.outcome import CONFIDENT, NOISE, Outcome
 from otf_core.blind.recovery import Recovery
+
+COVERED = 0.95
+CLASSES = (0.0, 0.5, 0.9, 0.99, 1.0)
+"""Limits of the classes of a stated confidence."""
+
+
+class Row(NamedTuple):
+    """One criterion: in how many cells, causes or sizes of how many.
+
+    Attributes
+    ----------
+    name : str
+        Begins with a comma if it is about the cells of a row before.
+    """
+
+    name: str
+    hits: int
+    of: int
+
+    @property
+    def share(self) -> str:
+        """As words, in percent too."""
+        percent = f' ({100 * self.hits / self.of:.0f} %)' if self.of else ''
+        return f'{self.hits} of {self.of}{percent}'
+
+    @property
+    def interval(self) -> str:
+        """95 % interval of the share, as words; empty where nothing was counted."""
+        if not self.of:
+            return ''
+        low, high = binomial_interval(self.hits, self.of)
+        return f'{100 * low:.0f} % to {100 * high:.0f} %'
+
+
+def binomial_interval(hits: int, of: int) -> tuple[float, float]:
+    """Interval of a share of which ``hits`` of ``of`` were seen."""
+    tail = 0.5 * (1.0 - COVERED)
+    low = float(betaincinv(hits, of - hits + 1, tail)) if hits else 0.0
+    high = float(betaincinv(hits + 1, of - hits, 1.0 - tail)) if hits < of else 1.0
+    return low, high
+
+
+class Stated(NamedTuple):
+    """A class of stated confidences.
+
+    Attributes
+    ----------
+    row : Row
+        How many of the causes are there.
+    mean : float
+        Confidence stated for them.
+    """
+
+    row: Row
+    mean: float
+
+
+def reliability(said: Sequence[tuple[float, bool]]) -> list[Stated]:
+    """Share of the causes that are there, by the confidence stated for them.
+
+    Parameters
+    ----------
+    said : sequence of (confidence, whether it is there)
+    """
+    classes = []
+    for low, high in pairwise(CLASSES):
+        own = [(c, there) for c, there in said if low <= c < high or c == high == 1.0]
+        if own:
+            name = f'{low:.2f} to {high:.2f}'
+            row = Row(name, sum(there for _, there in own), len(own))
+            classes.append(Stated(row, sum(c for c, _ in own) / len(own)))
+    return classes
+
+
+def expected_calibration_error(classes: Sequence[Stated]) -> float:
+    """Mean distance of the stated confidence from the share that is there, over all causes."""
+    count = sum(c.row.of for c in classes)
+    off = sum(c.row.of * abs(c.mean - c.row.hits / c.row.of) for c in classes)
+    return off / count if count else 0.0
+
 
 SIZES = ((0.0, 0.3), (0.3, 0.7), (0.7, 2.0), (2.0, 20.0))
 """um; classes of the size in the residual."""

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blind trial: draw and seal, diagnose, open the key, score."""
+"""The blind trial: draw and seal, diagnose, open the key, score.
+
+Every diagnosis is one process, which sees bags and machine.yaml only.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,136 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.blind.answers import Answer, Question, answer_file, ask_all
-from otf_core.blind.counts import reliability
 from otf_core.blind.depends import kin_of
-from otf_core.blind.diagram import reliability_svg
 from otf_core.blind.outcome import NOISE, Outcome, outcome
-from otf_core.blind.publish import DIAGRAM, PARTICULARS, TABLE, Measured, fragment
-from otf_core.blind.recovery import Recovery, recovery_from
-from otf_core.blind.score import score_to_dict, stated
-from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
-from otf_core.blind.table import (
+from otf_core.blind.publish import (
+    DIAGRAM,
+    PARTICULARS,
+    TABLE,
+    Measured,
     Table,
     as_text,
     criteria,
+    fragment,
     misses,
     particulars,
+    reliability_svg,
     shrink_words,
     without_itself,
 )
+from otf_core.blind.recovery import Recovery, recovery_from
+from otf_core.blind.score import reliability, score_to_dict, stated
+from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
 from otf_core.files.output_folder import MANIFEST, file_digest, write_manifest, written_files
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet import fleet
-from otf_core.fleet.fleet import RESULT, STATE, JobResult, Workers, call_job, run_fleet
+from otf_core.fleet.fleet import (
+    RESULT,
+    STATE,
+    VERBS,
+    Job,
+    JobResult,
+    Workers,
+    call_job,
+    hash_of,
+    run_fleet,
+)
 from otf_core.model.provenance import provenance
+from otf_core.sim.cell import EPOCH_NS
+
+Answer = dict[str, Any]
+
+GAP = 'gap.json'
+LIMIT = 1200.0
+"""s; a diagnosis that takes longer has failed: half a minute is usual."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One diagnosis.
+
+    Attributes
+    ----------
+    bags : tuple of str
+        Names of bags within the cell.
+    exclude : tuple of str
+        Effects taken out of the catalogue.
+    label : str
+        Folder of the answer beside those of other questions.
+    """
+
+    cell: str
+    bags: tuple[str, ...] = ('bag',)
+    exclude: tuple[str, ...] = ()
+    label: str = 'answers'
+
+    @property
+    def name(self) -> str:
+        """Name of its run in the trial."""
+        return f'{self.label}-{self.cell}'
+
+
+def answer_file(folder: Path, question: Question) -> Path:
+    """Where the answer to a question lies."""
+    return folder / question.label / question.cell / GAP
+
+
+def _job(question: Question, folder: Path, sealed: str) -> Job:
+    """Diagnose a cell from within the folder of the trial, so that no answer names it."""
+    cell, out = f'cells/{question.cell}', f'{question.label}/{question.cell}'
+    words = [VERBS, 'diagnose', *(f'{cell}/{b}' for b in question.bags)]
+    words += ['--machine', f'{cell}/machine.yaml', '--out', out, '--overwrite', '--quiet']
+    for name in question.exclude:
+        words += ['--exclude', name]
+    folder = folder.absolute()
+    return Job(
+        name=question.name,
+        words=tuple(words),
+        out=str(folder / out),
+        result=GAP,
+        inputs=hash_of(sealed, words),
+        date=EPOCH_NS // 10**9,
+        folder=str(folder),
+        limit=LIMIT,
+    )
+
+
+def ask_all(
+    questions: Sequence[Question],
+    folder: Path,
+    sealed: str,
+    workers: Workers,
+    progress: Callable[[str], None],
+) -> tuple[dict[tuple[str, str], Answer], dict[str, JobResult]]:
+    """Diagnose all.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the trial.
+    sealed : str
+        Hash of its key: other cells are other questions.
+    workers : callable(jobs)
+        See ``fleet.fleet``.
+
+    Returns
+    -------
+    answers : mapping of label and cell to mapping
+        gap.json, or the key ``failed`` with the message of the command.
+    outcomes : mapping of name to JobResult
+    """
+    jobs = [_job(question, folder, sealed) for question in questions]
+    outcomes = run_fleet(jobs, folder, workers, progress)
+    answers: dict[tuple[str, str], Answer] = {}
+    for question in questions:
+        ended = outcomes[question.name]
+        found = read_json(answer_file(folder, question)) if ended.done else None
+        answers[question.label, question.cell] = found or {
+            'failed': ended.message or f'exit code {ended.exit}'
+        }
+    return answers, outcomes
+
 
 WHOLE, FIRST, WITHOUT = 'answers', 'answers_first_place', 'answers_without'
 

@@ -63,7 +63,7 @@ from otf_core.solving.residuals import ResidualCheck, check_residuals, leg_numbe
 from otf_core.solving.sensitivity import across, piece_state, projected
 from otf_core.solving.unknowns import free_values
 
-LINES = 256
+LINES_PER_BLOCK = 256
 """Lines that are chained at a time."""
 
 
@@ -131,8 +131,8 @@ def _line(rows: Array, use: Index, slow: Array, time: Array, tau: Array) -> _Lin
 def _chained(lines: Sequence[_Line], size: int, tau: Array) -> Array:
     """Sum over pairs of lines of tail and head vectors, decaying with the time between."""
     tail, end, half = np.zeros((size, 3)), -np.inf, np.zeros((size, size))
-    for low in range(0, len(lines), LINES):
-        some = lines[low : low + LINES]
+    for low in range(0, len(lines), LINES_PER_BLOCK):
+        some = lines[low : low + LINES_PER_BLOCK]
         tails, heads = (np.zeros((size, 3 * len(some))) for _ in range(2))
         for k, line in enumerate(some):
             own = slice(3 * k, 3 * k + 3)
@@ -275,7 +275,7 @@ def welch_satterthwaite(variances: Array, freedoms: Array) -> Array:
     return np.asarray(1.0 / np.maximum(slack, 1e-300))
 
 
-ENOUGH = 50_000
+MAX_PIECES_OF_SHARING = 50_000
 """Pieces over which an uncertainty declared for the whole path is shared out; of longer runs
 every n-th."""
 
@@ -369,7 +369,7 @@ def systematic_pulls(
 
 def _uncertainty(source: Systematic, state: State) -> Array:
     """Standard uncertainty of every coefficient for one run, shape (k,)."""
-    some = state.part(slice(None, None, max(1, len(state) // ENOUGH)))
+    some = state.part(slice(None, None, max(1, len(state) // MAX_PIECES_OF_SHARING)))
     declared = state.machine.uncertainty or DeclaredUncertainty({})
     return source.uncertainty(source.effect.terms(some, source.acts.shape), some, declared)
 

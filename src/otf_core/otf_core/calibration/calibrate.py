@@ -66,7 +66,7 @@ MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
 MAX_OUTLIERS = 0.2
 """Share of left-out samples above which a calibration fails the quality gate."""
-MAX_ERROR = 5e-4
+MAX_MEAN_DISTANCE = 5e-4
 """m; mean distance from the path above which the input is not plausible for a machine tool."""
 
 
@@ -405,7 +405,7 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
             f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
             f'{100 * MAX_OUTLIERS:.0f} % allowed'
         )
-    if fit.path_mae_before > MAX_ERROR:
+    if fit.path_mae_before > MAX_MEAN_DISTANCE:
         failed.append(
             f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
             f'average; check units, scale and the machine description'

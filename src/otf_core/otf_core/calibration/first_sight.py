@@ -15,11 +15,11 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.tracking.alignment import align
 
-ASKED = 500
+MAX_SAMPLES = 500
 """So many samples, evenly spread, are asked for their distance from the path."""
-FOLLOWED = 0.8
+MIN_FOLLOWED_SHARE = 0.8
 """Share of the path driven so far that the track has to follow."""
-LEGS = 3
+MIN_LEGS = 3
 """Legs that have to be driven: fewer do not fix a tracker."""
 
 
@@ -52,7 +52,7 @@ class FirstSight:
 
 def first_legs(path: NominalPath) -> float:
     """Length of the legs of a path without which nothing is seen, m."""
-    last = path.corners()[1][: LEGS + 1][-1]
+    last = path.corners()[1][: MIN_LEGS + 1][-1]
     return float(path.leg_lengths[:last].sum())
 
 
@@ -78,19 +78,19 @@ def first_sight(
     """
     beginning = NominalPath(driven_part(path, travelled))
     found = align(samples.in_order(), beginning, config)
-    if found.coverage < FOLLOWED:
+    if found.coverage < MIN_FOLLOWED_SHARE:
         raise InputError(
             f'the target has travelled {travelled:.2f} m and followed only '
             f'{100 * found.coverage:.0f} % of the first {beginning.length:.2f} m of the path'
         )
-    few = np.unique(np.linspace(0, len(samples) - 1, ASKED).astype(int))
+    few = np.unique(np.linspace(0, len(samples) - 1, MAX_SAMPLES).astype(int))
     points = found.T_machine_tracker.apply(samples.xyz[few])
     away = np.linalg.norm(PathDistance(path).deviation(points), axis=1)
     share = min(1.0, travelled / path.length)
     return FirstSight(found.T_machine_tracker, len(samples), share, float(away.mean()))
 
 
-NEAR = 5e-3
+MAX_DISTANCE = 5e-3
 """m; a target that is nearer to a path than this follows it: far above the errors of a machine,
 and about what the rounding of corners takes off."""
 
@@ -137,9 +137,9 @@ def _on_the_present(run: TwoPaths, newer: Samples, config: CalibrationConfig) ->
         found = align(run.samples.in_order(), beginning, config)
     except InputError:
         return False
-    if found.coverage < FOLLOWED:
+    if found.coverage < MIN_FOLLOWED_SHARE:
         return False
-    few = np.unique(np.linspace(0, len(newer) - 1, ASKED).astype(int))
+    few = np.unique(np.linspace(0, len(newer) - 1, MAX_SAMPLES).astype(int))
     points = found.T_machine_tracker.apply(newer.xyz[few])
     away = np.linalg.norm(PathDistance(run.present).deviation(points), axis=1)
-    return float(np.mean(away < NEAR)) >= FOLLOWED
+    return float(np.mean(away < MAX_DISTANCE)) >= MIN_FOLLOWED_SHARE

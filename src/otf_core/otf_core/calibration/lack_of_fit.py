@@ -34,22 +34,22 @@ from otf_core.arrays import Array, Index
 from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution
 
-CELL = 0.008
+PLACE_LENGTH = 0.008
 """m; pieces whose middles lie in the same stretch of a line are the same place."""
 SAME_LINE, SAME_DIRECTION = 2e-3, 1e-3
 """m, and change of a unit vector, by which lines are told apart."""
-BENT = 1e-9
+MAX_BEND = 1e-9
 """m/s^2; pieces on curves are left out: their chords are no lines of their own."""
-ENOUGH = 400
+MAX_PAIRS = 400
 """Pairs of pieces of which the share of the unknowns is worked out."""
-FEWEST = 12
+MIN_REPEATED_LINES = 12
 """Lines that were driven more than once below which nothing is told."""
-SURE = 3.0
+MIN_SIGNIFICANCE = 3.0
 """Standard deviations, by the scatter between lines, from which on it is told. Of runs
 of which nothing comes again this was 2.6 at most in 48."""
-SHARE = 0.5
+MIN_SHARE_OF_U = 0.5
 """Of the uncertainty of the grid, below which it changes that by less than an eighth."""
-SAME = 0.5
+MIN_SHARE_BETWEEN_RUNS = 0.5
 """Share of what comes again within runs that comes again between them where it is the same."""
 
 
@@ -80,11 +80,15 @@ class Unfollowed:
 
     def warning(self, grid_u: float) -> str | None:
         """Words where it is sure, and matters beside the uncertainty of the grid (m)."""
-        if self.lines < FEWEST or self.square < SURE * self.u or self.size < SHARE * grid_u:
+        if (
+            self.lines < MIN_REPEATED_LINES
+            or self.square < MIN_SIGNIFICANCE * self.u
+            or self.size < MIN_SHARE_OF_U * grid_u
+        ):
             return None
         cause = (
             'the tracker errs as it points there, or the machine changed between the runs'
-            if self.between is not None and self.between < SAME * self.square
+            if self.between is not None and self.between < MIN_SHARE_BETWEEN_RUNS * self.square
             else 'the machine does what tables of single axes cannot follow (waves of a screw, '
             'steps, sag, the second order of large errors), or the tracker errs as it points there'
         )
@@ -117,9 +121,9 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
         return _told(line[which], one[which], other[which], residual, done)
 
     within, between = told(alike), told(~alike)
-    if between is None or between.lines < FEWEST:
+    if between is None or between.lines < MIN_REPEATED_LINES:
         return within
-    if within is None or within.lines < FEWEST:
+    if within is None or within.lines < MIN_REPEATED_LINES:
         return between
     return replace(within, between=between.square)
 
@@ -129,7 +133,7 @@ def _told(
 ) -> Unfollowed:
     """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
-    some = np.unique(np.linspace(0, len(one) - 1, ENOUGH).astype(np.int64))
+    some = np.unique(np.linspace(0, len(one) - 1, MAX_PAIRS).astype(np.int64))
     rows = [_rows(done, of[some]) for of in (one, other)]
     taken = np.einsum('pik,kl,pil->p', rows[0], done.solution.covariance, rows[1], optimize=True)
     total, count = np.bincount(line, product), np.bincount(line)
@@ -167,10 +171,10 @@ def _pairs(
         along = np.einsum('pi,pi->p', q, direction)
         foot = q - along[:, None] * direction
         lines.append(np.rint(np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])))
-        cells.append(np.floor(along / CELL).astype(np.int64))
+        cells.append(np.floor(along / PLACE_LENGTH).astype(np.int64))
         legs.append(np.column_stack([np.full(len(q), k), run.pieces.leg]))
         bend = run.pieces.bend if len(run.pieces.bend) else np.zeros((len(q), 3))
-        straight.append(np.linalg.norm(bend, axis=1) < BENT)
+        straight.append(np.linalg.norm(bend, axis=1) < MAX_BEND)
     use = np.flatnonzero(np.concatenate(straight))
     if not len(use):
         return use, use, use, np.zeros(0, dtype=bool)

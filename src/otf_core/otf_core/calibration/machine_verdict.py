@@ -39,13 +39,13 @@ from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
-SAID = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
+WORDS = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
 """States of a limit in words."""
 NOT_STATED = 'not stated'
 """State of a machine without limits."""
 MEASUREMENT_FAILED, LIMIT_NOT_PROVEN = 4, 5
 """Exit codes: a quality gate failed; the measurement is good, a limit is not proven to hold."""
-WHAT = {
+MEANING = {
     VOLUMETRIC: 'volumetric error, at the point that decides',
     UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
 }
@@ -75,8 +75,8 @@ class Judged:
     @property
     def words(self) -> str:
         """One line."""
-        limit = f'limit {1e6 * self.limit:g} {micro_unit(self.unit)}: {SAID[self.state]}'
-        what = WHAT.get(self.name, self.name)
+        limit = f'limit {1e6 * self.limit:g} {micro_unit(self.unit)}: {WORDS[self.state]}'
+        what = MEANING.get(self.name, self.name)
         if self.state == UNKNOWN:
             return f'{what}: the data do not show it, {limit}'
         if not self.U:
@@ -114,7 +114,7 @@ class Verdict:
         if self.passed:
             return f'{count} of {count} {limits} kept'
         states = [one.state for one in self.judged]
-        found = [(states.count(s), SAID[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
+        found = [(states.count(s), WORDS[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
         (first, said), *more = found
         rest = ''.join(f', {number} {word}' for number, word in more)
         return f'{first} of {count} {limits} {said}{rest}'

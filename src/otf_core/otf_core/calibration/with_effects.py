@@ -41,7 +41,13 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run
-from otf_core.solving.joint import FINE, JointSolution, Start, solve_robustly, tables_of
+from otf_core.solving.joint import (
+    PARTS_PER_INTERVAL,
+    JointSolution,
+    Start,
+    solve_robustly,
+    tables_of,
+)
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.residuals import sample_state
 from otf_core.solving.sensitivity import (
@@ -57,11 +63,11 @@ from otf_core.solving.system import nominal_positions
 from otf_core.threads import in_one_thread
 
 MAX_ROUNDS = 6
-SETTLED = 2e-8
+MAX_FINAL_CHANGE = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
 ROUNDING = 1e-10
 """Share of the squares of columns below which what tables leave of them is rounding."""
-ROUGH = 1e-6
+MAX_CHANGE_FOR_SAME_MODEL = 1e-6
 """m; a larger change can alter which functions and which reversal the data call for."""
 
 
@@ -136,7 +142,9 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
         for k, axis in enumerate(machine.axis_names):
             basis = done.unknowns.bases[axis]
-            share = float(np.mean(np.sum(basis.matrix(basis.finer(FINE)) ** 2, axis=1)))
+            share = float(
+                np.mean(np.sum(basis.matrix(basis.finer(PARTS_PER_INTERVAL)) ** 2, axis=1))
+            )
             variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
     return np.diag(variance)
 
@@ -292,7 +300,7 @@ def solve_with_effects(
     for _ in range(MAX_ROUNDS):
         found, step, size = estimates(solved.runs, solved.done, now)
         now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
-        if largest < SETTLED:
+        if largest < MAX_FINAL_CHANGE:
             break
         tables = tables_of(runs[0].machine, solved.done.unknowns, solved.done.solution)
         whole = [
@@ -300,7 +308,7 @@ def solve_with_effects(
             for r, s, k in zip(runs, solved.done.runs, solved.runs, strict=True)
         ]
         clean = corrected(whole, now, solved.done.unknowns.knots, tables)
-        if largest > ROUGH:
+        if largest > MAX_CHANGE_FOR_SAME_MODEL:
             solved = solve_with_reversal(clean, nodes, config, progress)
             continue
         start = Start.after(clean[0].machine, solved.done)

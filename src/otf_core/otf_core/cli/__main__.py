@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from otf_core.memory import seldom_look_for_cycles
 
-UNHEARD = 2.0
+SIGTERM_WAIT = 2.0
 """s after which SIGTERM counts as unheard: code in C may clear what a handler raises."""
 
 
@@ -21,7 +21,7 @@ class _Terminated(BaseException):
 
 
 def _terminate(*_: Any) -> None:
-    _end_in(UNHEARD, _Terminated)
+    _end_in(SIGTERM_WAIT, _Terminated)
     raise _Terminated
 
 

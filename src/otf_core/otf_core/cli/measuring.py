@@ -314,12 +314,12 @@ def run_compare(arguments: argparse.Namespace) -> int:
 
 # Verbs that answer in seconds: check, info, doctor.
 
-LOOKED_AT = ('match_tolerance', 'standstill_speed')
+CHECK_PARAMETERS = ('match_tolerance', 'standstill_speed')
 
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Say whether a recording is usable."""
-    config = parameters(CalibrationConfig, arguments, LOOKED_AT)
+    config = parameters(CalibrationConfig, arguments, CHECK_PARAMETERS)
     from otf_core.checking.checks import check, format_check
     from otf_core.model.machine import load_machine
 

@@ -262,11 +262,11 @@ def run_loop(arguments: argparse.Namespace) -> int:
 
 # Verbs on many runs, a process each, here or on other hosts: fleet, blind.
 
-LISTED = ('calibrate', 'diagnose')
+LIST_VERBS = ('calibrate', 'diagnose')
 BLIND, VALIDATE = 'blind', 'validate'
-MOST = {'trials': 100_000, 'seed': 10_000_000}
+MAX_VALUES = {'trials': 100_000, 'seed': 10_000_000}
 NEEDED = {
-    **dict.fromkeys(LISTED, ('list',)),
+    **dict.fromkeys(LIST_VERBS, ('list',)),
     **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
 }
 """Options that say what is done, by what is asked for; each takes no other of them."""
@@ -321,8 +321,8 @@ def _check_options(arguments: argparse.Namespace) -> None:
 def _check_cells(arguments: argparse.Namespace) -> None:
     for name, low in (('trials', 1), ('seed', 0)):
         value = getattr(arguments, name)
-        if not low <= value <= MOST[name]:
-            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MOST[name]}]')
+        if not low <= value <= MAX_VALUES[name]:
+            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MAX_VALUES[name]}]')
 
 
 def _workers(arguments: argparse.Namespace) -> Workers:

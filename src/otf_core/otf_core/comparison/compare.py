@@ -277,7 +277,7 @@ def squareness_rows(source: Source, common: Common, q: Array) -> Array:
 
 COVERAGE_FACTOR = 2.0
 """k of the expanded uncertainties."""
-GRID = 7
+GRID_POINTS = 7
 """points per axis."""
 
 
@@ -452,7 +452,7 @@ def _common_grid(sources: Sequence[Source]) -> Array:
     lows, highs = zip(*(table_ranges(s.tables) for s in sources), strict=True)
     low = np.max(lows, axis=0)
     high = np.maximum(low, np.min(highs, axis=0))
-    axes = (np.unique(np.linspace(a, b, GRID)) for a, b in zip(low, high, strict=True))
+    axes = (np.unique(np.linspace(a, b, GRID_POINTS)) for a, b in zip(low, high, strict=True))
     return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
 
 

@@ -13,14 +13,13 @@ from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_dialect import read_lines
 from otf_core.files.text_table import TextTable, fault_words, is_comment, read_text_table
-from otf_core.files.writing import write_text
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
 
 LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
-LARGEST = 0.01
+MAX_ERROR = 0.01
 """Of the travel, rad; no machine has larger errors."""
 TWO_WAYS = ('forward', 'backward')
 SAME_PLACE = 5e-5
@@ -140,8 +139,8 @@ def _check_size(
     """Refuse errors that no machine has: they are in another unit."""
     size = float(np.max(machine.upper - machine.lower))
     moved, turned = np.nanmax(np.abs([*numbers[1:4], 0.0])), np.nanmax(np.abs([*numbers[4:], 0.0]))
-    if moved > LARGEST * size or turned > LARGEST:
-        what = f'{moved:g} m' if moved > LARGEST * size else f'{turned:g} rad'
+    if moved > MAX_ERROR * size or turned > MAX_ERROR:
+        what = f'{moved:g} m' if moved > MAX_ERROR * size else f'{turned:g} rad'
         raise ConfigError(
             f'{where}: an error of {what} is none of a machine of {size:g} m; state its unit in '
             f'the header ({",".join(header)}), as in EX_um or EA_urad'
@@ -182,24 +181,3 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
         axes[axis] = AxisReadings(*_grid(found, f'{path}: axis {axis}'), point)
     scale = float(stated.get('u_length_scale', np.zeros(1))[0])
     return DirectMeasurement(axes, stated.get('target_offset'), scale, '; '.join(notes))
-
-
-def write_direct_csv(path: str | Path, measurement: DirectMeasurement) -> None:
-    """Write a direct measurement in SI units, whole or not at all."""
-    lines = [f'# {measurement.note}'] if measurement.note else []
-    for axis, readings in measurement.axes.items():
-        lines.append(f'# point {axis}: ' + ','.join(map(repr, readings.point.tolist())))
-    if measurement.target_offset is not None:
-        offset = measurement.target_offset.tolist()
-        lines.append('# target_offset: ' + ','.join(map(repr, offset)))
-    if measurement.u_length_scale:
-        lines.append(f'# u_length_scale: {measurement.u_length_scale!r}')
-    lines.append('axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad')
-    for axis, readings in measurement.axes.items():
-        runs, ways, positions, _ = readings.value.shape
-        for run, way, k in np.ndindex(runs, ways, positions):
-            k = k if way == 0 else positions - 1 - k
-            numbers = [readings.position[k], *readings.value[run, way, k]]
-            cells = ['' if np.isnan(v) else repr(float(v)) for v in numbers]
-            lines.append(f'{axis},{run + 1},{TWO_WAYS[way]},' + ','.join(cells))
-    write_text(path, '\n'.join(lines) + '\n')

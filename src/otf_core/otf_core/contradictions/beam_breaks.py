@@ -25,9 +25,9 @@ from otf_core.tracking.measured_track import broken
 
 MAX_COLUMNS = 400
 """Offsets that are solved for at most."""
-ROUNDS = 12
+ITERATIONS = 12
 """Rounds in which the width of the distribution settles."""
-WIDEST = 1e-3
+MAX_WIDTH = 1e-3
 """m; standard deviation of the offsets at most."""
 
 
@@ -114,15 +114,15 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     left, score = fit.left(columns), fit.score(columns)
     root, vectors = linalg.eigh(left)
     root, seen = np.maximum(root, 0.0), vectors.T @ score
-    variance = (WIDEST / 10) ** 2
+    variance = (MAX_WIDTH / 10) ** 2
     noise = fit.ratio**2
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         cover = 1.0 / (root / noise + 1.0 / variance)
         value = cover * seen / noise
         taken = float(2.0 * seen @ value - value @ (root * value))
         determined = float(np.sum(1.0 - cover / variance))
         variance = float(value @ value) / max(determined, 1e-9)
-        variance = float(np.clip(variance, 1e-16, WIDEST**2))
+        variance = float(np.clip(variance, 1e-16, MAX_WIDTH**2))
         noise = max(fit.square - taken, 1e-12) / max(fit.freedom - determined, 1.0)
     cover = 1.0 / (root / noise + 1.0 / variance)
     value = cover * seen / noise
@@ -139,9 +139,9 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     )
 
 
-EVIDENCE = 0.03
+MIN_EVIDENCE_PER_ROW = 0.03
 """Logarithm of the odds per row from which on offsets are real; other misfit gave up to 0.02."""
-BEYOND = 0.03
+MIN_EVIDENCE_OVER_CONTROL = 0.03
 """By how much they must be better placed at the breaks than between them, per row."""
 KINDS = {'vector': 3, 'range': 1}
 
@@ -182,7 +182,10 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
     best = max(real, key=lambda o: o.evidence)
     beside = of(between(segment), best.kind)
     size = rows.deviation.shape[0] * len(mine)
-    if best.evidence < EVIDENCE * size or best.evidence - beside.evidence < BEYOND * size:
+    if (
+        best.evidence < MIN_EVIDENCE_PER_ROW * size
+        or best.evidence - beside.evidence < MIN_EVIDENCE_OVER_CONTROL * size
+    ):
         return None
     return FoundAgain(run, segment, best)
 

@@ -67,7 +67,7 @@ def check_chain(model: Model) -> list[Finding]:
     ))]  # fmt: skip
 
 
-LEAST = 0.8
+MIN_DRIVEN_SHARE = 0.8
 """Share of the range of an axis that is to be driven."""
 
 
@@ -76,7 +76,7 @@ def check_driven_range(model: Model) -> list[Finding]:
     machine, q = model.rows.machine, model.rows.q
     low, high = q.min(axis=0), q.max(axis=0)
     size = machine.upper - machine.lower
-    short = [k for k in range(3) if high[k] - low[k] < LEAST * size[k]]
+    short = [k for k in range(3) if high[k] - low[k] < MIN_DRIVEN_SHARE * size[k]]
     if not short:
         return []
     parts = ', '.join(
@@ -91,14 +91,14 @@ def check_driven_range(model: Model) -> list[Finding]:
     ))]  # fmt: skip
 
 
-SAME = 1e-4
+MIN_OFFSET_DIFFERENCE = 1e-4
 """m; offsets that differ by less show nothing."""
 
 
 def check_target_offset(model: Model) -> list[Finding]:
     """Try other signs of the target offsets where runs with different ones fit badly together."""
     offsets = model.offsets
-    if model.fit.ratio < MAX_RATIO or np.ptp(offsets, axis=0).max() < SAME:
+    if model.fit.ratio < MAX_RATIO or np.ptp(offsets, axis=0).max() < MIN_OFFSET_DIFFERENCE:
         return []
     tried = _flips(offsets)
     chain = model.rows.machine.chain
@@ -130,9 +130,11 @@ class _Flip:
 def _flips(offsets: Array) -> list[_Flip]:
     """Other signs of the offset of each group of runs with the same one."""
     found = []
-    for offset in np.unique(np.round(offsets / SAME), axis=0) * SAME:
-        member = np.abs(offsets - offset).max(axis=1) < SAME
-        free = [(1.0, -1.0) if abs(v) > SAME else (1.0,) for v in offset]
+    for offset in (
+        np.unique(np.round(offsets / MIN_OFFSET_DIFFERENCE), axis=0) * MIN_OFFSET_DIFFERENCE
+    ):
+        member = np.abs(offsets - offset).max(axis=1) < MIN_OFFSET_DIFFERENCE
+        free = [(1.0, -1.0) if abs(v) > MIN_OFFSET_DIFFERENCE else (1.0,) for v in offset]
         for signs in list(product(*free))[1:]:
             moved = np.where(member[:, None], np.array(signs) * offsets, offsets)
             found.append(_Flip(offset, np.array(signs) * offset, moved))
@@ -143,11 +145,11 @@ def _metres(offset: Array) -> str:
     return f'[{", ".join(f"{v:g}" for v in np.round(offset, 6))}] m'
 
 
-WORSE = 1.3
+WARNING_RATIO = 1.3
 """Residual together over alone from which on something is said."""
-APART = 2.0
+GATE_RATIO = 2.0
 """The same, for a gate."""
-DIFFER, CHANGED, OTHER = 0.05, 0.1, 0.3
+WARNING_DIFFERENCE, CHANGED_DIFFERENCE, OTHER_MACHINE_DIFFERENCE = 0.05, 0.1, 0.3
 """Part of the errors by which runs differ: from which on it is said; they changed; they are of
 another machine."""
 
@@ -169,24 +171,24 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
         return []
     together = model.fit.ratio
     apart = _joined([m.fit.square for m in alone], [m.fit.freedom for m in alone])
-    if together < WORSE * apart:
+    if together < WARNING_RATIO * apart:
         return []
     unit = model.fit.rms / together
     extra = unit * np.sqrt(together**2 - apart**2)
     share = extra / max(_errors(model), 1e-12)
-    if share < DIFFER:
+    if share < WARNING_DIFFERENCE:
         return []
     which = _outsider(alone) if len(alone) > 2 else ''
     text = (
         f'each run alone fits to {1e6 * unit * apart:.2f} um, together they fit to '
         f'{1e6 * unit * together:.2f} um{which}'
     )
-    if share > OTHER and together > APART * apart:
+    if share > OTHER_MACHINE_DIFFERENCE and together > GATE_RATIO * apart:
         raise InputError(
             f'{_names(model.runs)}: {text}: they are not of one machine, or it was changed '
             f'between them (readjusted, crashed, referenced anew); calibrate them one by one'
         )
-    grave = share > CHANGED and together > APART * apart
+    grave = share > CHANGED_DIFFERENCE and together > GATE_RATIO * apart
     return [Finding('one machine', GATE if grave else WARNING, (
         f'{text}: the machine changed between the runs (temperature, load, readjustment), a '
         f'target offset is another than stated, or the model lacks something; calibrate them one '
@@ -221,31 +223,31 @@ def _outsider(alone: Sequence[Model]) -> str:
         ratio = Model.of([r for m in others for r in m.runs]).fit.ratio / apart
         if ratio < best:
             best, name = ratio, one.runs[0].recording.name or f'run {k + 1}'
-    return f' (without {name} the others fit)' if best < WORSE else ''
+    return f' (without {name} the others fit)' if best < WARNING_RATIO else ''
 
 
 def _names(runs: Sequence[Run]) -> str:
     return ', '.join(r.recording.name or f'run {k}' for k, r in enumerate(runs, start=1))
 
 
-ABOVE, BELOW = 5.0, 1.0 / 15.0
+MAX_NOISE_RATIO, MIN_NOISE_RATIO = 5.0, 1.0 / 15.0
 """Measured over specified noise that contradicts: trackers are often better than specified."""
-FITS = 0.3
+OVERSTATED_NOISE_RATIO = 0.3
 """Residual over noise below which the noise is smaller than assumed."""
-THIRD = np.sqrt(20.0)
+THIRD_DIFFERENCE_SIGMA = np.sqrt(20.0)
 """Standard deviation of the third difference of white noise of unit variance."""
 NORMAL_MEDIAN = 0.6745
 QUANTILES = (5.0, 85.0)
 """Percentiles of the third differences; corners spoil the uppermost."""
-TWO_LEVELS = 30.0
+MIN_RATIO_OF_TWO_KINDS = 30.0
 """Their ratio from which on there are two kinds of samples; normal noise gives 4, Student's t of
 three degrees of freedom 10."""
-EVEN, FEWEST = 0.25, 100
+MAX_UNEVENNESS, MIN_DIFFERENCES = 0.25, 100
 """Share by which intervals of stamps may differ from the usual one for differences from sample to
 sample to be taken; fewest of these, else all are."""
-RASTERS = (1e-3, 1e-4, 1e-5, 1e-6)
+ROUNDING_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
 """m; to what recordings are rounded."""
-MANY, TOO_MANY = 0.1, 0.3
+WARNING_OUTLIER_SHARE, GATE_OUTLIER_SHARE = 0.1, 0.3
 """Share of outliers from which on they are named; from which on the result is not relied on."""
 
 
@@ -265,8 +267,8 @@ def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
     distance = np.linalg.norm(middle, axis=1)
     along = np.einsum('ij,ij->i', third, middle) / distance
     across = np.linalg.norm(np.cross(middle / distance[:, None], third), axis=1) / distance
-    u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD
-    u_angle = float(np.median(across)) / 1.1774 / THIRD
+    u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD_DIFFERENCE_SIGMA
+    u_angle = float(np.median(across)) / 1.1774 / THIRD_DIFFERENCE_SIGMA
     return np.array([u_range, u_angle, u_angle]), 'from sample to sample'
 
 
@@ -275,15 +277,15 @@ def _third(samples: Samples) -> tuple[Array, Array]:
     third, middle = np.diff(samples.xyz, 3, axis=0), samples.xyz[1:-2]
     step = np.diff(samples.stamp_ns)
     usual = float(np.median(step))
-    even = np.abs(step - usual) <= EVEN * usual
+    even = np.abs(step - usual) <= MAX_UNEVENNESS * usual
     even = even[:-2] & even[1:-1] & even[2:]
-    return (third[even], middle[even]) if even.sum() >= FEWEST else (third, middle)
+    return (third[even], middle[even]) if even.sum() >= MIN_DIFFERENCES else (third, middle)
 
 
 def rounded_to(samples: Samples) -> float:
-    """Coarsest of ``RASTERS`` that all coordinates are multiples of, m; 0 if there is none."""
-    for step in RASTERS:
-        if all(_multiples(part, step) for part in (samples.xyz[:FEWEST], samples.xyz)):
+    """Coarsest of ``ROUNDING_STEPS`` that all coordinates are multiples of, m; else 0."""
+    for step in ROUNDING_STEPS:
+        if all(_multiples(part, step) for part in (samples.xyz[:MIN_DIFFERENCES], samples.xyz)):
             return step
     return 0.0
 
@@ -305,13 +307,13 @@ def outlying(samples: Samples) -> tuple[float, float]:
     size : float
         m; median length of what stands out.
     """
-    third = np.linalg.norm(_third(samples)[0], axis=1) / THIRD
+    third = np.linalg.norm(_third(samples)[0], axis=1) / THIRD_DIFFERENCE_SIGMA
     low, high = np.percentile(third, QUANTILES)
-    if high < TWO_LEVELS * low:
+    if high < MIN_RATIO_OF_TWO_KINDS * low:
         return 0.0, 0.0
     far = third > np.sqrt(low * high)
     share = 1.0 - (1.0 - float(np.mean(far))) ** 0.25
-    return share, float(np.median(third[far]) * THIRD / 3.0)
+    return share, float(np.median(third[far]) * THIRD_DIFFERENCE_SIGMA / 3.0)
 
 
 def _lever(samples: Samples) -> Array:
@@ -331,7 +333,7 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     level, where = measured_noise(run.recording.samples, config.standstill_speed)
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
-    above = max(ratios) > ABOVE
+    above = max(ratios) > MAX_NOISE_RATIO
     raster = rounded_to(run.recording.samples) if above else 0.0
     if raster and max(level * _lever(run.recording.samples)) < raster:
         return Finding('rounded', WARNING, (
@@ -339,15 +341,15 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
             f'tracker; record or export more digits'
         ))  # fmt: skip
     share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
-    if share > MANY:
-        return Finding('outliers', GATE if share > TOO_MANY else WARNING, (
+    if share > WARNING_OUTLIER_SHARE:
+        return Finding('outliers', GATE if share > GATE_OUTLIER_SHARE else WARNING, (
             f'{name}about {100 * share:.0f} % of the samples are outliers of about '
             f'{1e6 * size:.2g} um; look for reflections, a dirty target or a disturbed beam, and '
             f'record again'
         ))  # fmt: skip
     if above:
         kind = 'larger'
-    elif min(ratios) < BELOW and model.fit.ratio < FITS:
+    elif min(ratios) < MIN_NOISE_RATIO and model.fit.ratio < OVERSTATED_NOISE_RATIO:
         kind = 'smaller'
     else:
         return None
@@ -359,7 +361,7 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     ))  # fmt: skip
 
 
-AS_GOOD = 1.1
+MAX_RATIO_OF_STEPS = 1.1
 """Residual with steps, over that with offsets of segments, up to which steps are the answer."""
 
 
@@ -423,7 +425,7 @@ def _mended(
     if model.runs[0].pieces.standstill:
         return again, found + words
     stepped, steps = settle_steps(model, spacing, config, mend=mend)
-    if not words or (steps and stepped.fit.ratio < AS_GOOD * again.fit.ratio):
+    if not words or (steps and stepped.fit.ratio < MAX_RATIO_OF_STEPS * again.fit.ratio):
         return stepped, found + steps
     again, steps = settle_steps(again, spacing, config, mend=mend)
     return again, found + words + steps

@@ -30,25 +30,25 @@ from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.runs import Run
 from otf_core.tracking.curves import Lines
 
-CELL = 0.02
+STRETCH_LENGTH = 0.02
 """m; stretches of a line that are compared between passes."""
 SAME_POINT = 1e-3
 """m; raster by which lines are told apart."""
-CORNER, OF_LEG = 0.06, 0.25
+MAX_CORNER_DISTANCE, MAX_CORNER_SHARE_OF_LEG = 0.06, 0.25
 """m, and share of its leg, within which a sample lies near a corner."""
-REGULAR = 0.7
+MIN_REGULAR_SHARE = 0.7
 """Share of what is left out from which a rule holds."""
-OTHERS = 0.5
+MAX_SHARE_OF_ALL = 0.5
 """Share near corners of all samples, over that of those left out, up to which that is a rule."""
-FEWEST, PLACES = 20, 3
+MIN_SAMPLES, MIN_PLACES = 20, 3
 """Samples, and corners or stretches, of which a rule can be told."""
-MANY = 0.01
+WARNING_SHARE = 0.01
 """Share of all samples from which it is said in any case."""
-TOO_MANY = 0.1
+MANY_SHARE = 0.1
 """Share of all samples from which they are hardly bad ones, unless something reflects the beam."""
-LISTED = 4
+MAX_LISTED = 4
 """Places that are named."""
-ENOUGH = 400_000
+MAX_USED_SAMPLES = 400_000
 """Samples that were kept; of more, every second, third, ... is looked at."""
 
 
@@ -85,16 +85,19 @@ class LeftOut:
     @property
     def again(self) -> bool:
         """Whether it lies at the same places in every pass."""
-        return self._enough and self.repeated >= REGULAR
+        return self._enough and self.repeated >= MIN_REGULAR_SHARE
 
     @property
     def at_corners(self) -> bool:
         """Whether it lies near corners alone."""
-        return self._enough and self.others / OTHERS <= self.near_corners >= REGULAR
+        return (
+            self._enough
+            and self.others / MAX_SHARE_OF_ALL <= self.near_corners >= MIN_REGULAR_SHARE
+        )
 
     @property
     def _enough(self) -> bool:
-        return self.samples >= FEWEST and len(self.places) >= PLACES
+        return self.samples >= MIN_SAMPLES and len(self.places) >= MIN_PLACES
 
     @property
     def _shared(self) -> list[tuple[str, float]]:
@@ -103,14 +106,14 @@ class LeftOut:
         if not self.again or self.at_corners:
             return []
         middle = np.median(every, axis=0)
-        close = np.mean(np.abs(every - middle) < CELL, axis=0) >= REGULAR
+        close = np.mean(np.abs(every - middle) < STRETCH_LENGTH, axis=0) >= MIN_REGULAR_SHARE
         alone = close.sum() < len(XYZ)
         return [(a, float(m)) for a, m, c in zip(XYZ, middle, close, strict=True) if c and alone]
 
     @property
     def too_many(self) -> bool:
         """Whether it is more than bad samples ever are."""
-        return self._enough and self.samples > TOO_MANY * self.of
+        return self._enough and self.samples > MANY_SHARE * self.of
 
     @property
     def by_machine(self) -> bool:
@@ -121,9 +124,9 @@ class LeftOut:
         """What was left out, and where."""
         where = '; '.join(
             ' '.join(f'{a} {v:.3f}' for a, v in zip(XYZ, place, strict=True))
-            for place in self.places[:LISTED]
+            for place in self.places[:MAX_LISTED]
         )
-        more = ', ...' if len(self.places) > LISTED else ''
+        more = ', ...' if len(self.places) > MAX_LISTED else ''
         more += ''.join(f', all near {a} {v:.3f}' for a, v in self._shared)
         head = f'{self.name}: ' if self.name else ''
         if not self.places:
@@ -163,14 +166,16 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     lost = np.concatenate([np.flatnonzero(gone), run.pieces.far]).astype(np.int64)
     if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
         return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
-    step = max(1, len(kept.pieces.samples) // ENOUGH)
+    step = max(1, len(kept.pieces.samples) // MAX_USED_SAMPLES)
     stays = kept.pieces.samples[::step].astype(np.int64)
     index = np.concatenate([stays, lost])
     out = np.arange(len(index)) >= len(stays)
     lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
     along = lines.seen_from(run.pose).along(run.samples.xyz.take(index, axis=0), leg)
     whole, own = lines.total[leg], lines.start[leg] + along
-    near = np.minimum(own, whole - own) < np.minimum(CORNER, OF_LEG * whole)
+    near = np.minimum(own, whole - own) < np.minimum(
+        MAX_CORNER_DISTANCE, MAX_CORNER_SHARE_OF_LEG * whole
+    )
     cell = _cells(run.shape.corners, leg, along, lines.length[leg])
     places = _places(lines.at(along[out], leg[out]), cell[out])
     return LeftOut(
@@ -194,7 +199,7 @@ def _cells(corners: Array, leg: Index, along: Array, length: Array) -> Index:
     ends = np.where(turned[:, None], np.hstack([last, first]), np.hstack([first, last]))
     line = np.unique(ends, axis=0, return_inverse=True)[1].reshape(-1)
     place = np.where(turned[leg], length - along, along)
-    cell = np.floor(place / CELL).astype(np.int64)
+    cell = np.floor(place / STRETCH_LENGTH).astype(np.int64)
     lowest = int(cell.min(initial=0))
     return np.asarray(line[leg] * (int(cell.max(initial=0)) - lowest + 1) + cell - lowest)
 
@@ -236,5 +241,5 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:
     """What is to be said of samples that were left out."""
-    told = [r for r in runs if r.by_machine or r.samples > MANY * r.of]
+    told = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
     return [Finding('left out', WARNING, r.words()) for r in told]

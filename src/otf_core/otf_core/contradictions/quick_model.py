@@ -345,11 +345,11 @@ class Design:
         return found
 
 
-PRIOR = 1e-3
+PRIOR_SIGMA = 1e-3
 """m and rad; standard deviation of every unknown before the data: fixes what nothing shows."""
-FAR = 8.0
+MAX_DEVIATION = 8.0
 """Robust standard deviations beyond which a piece is left out."""
-REPEATS = 3
+MAX_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
@@ -402,7 +402,7 @@ class Fit:
         return np.asarray(columns.T @ (self.weight * self.residual))
 
 
-def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[Array, Array]:
+def gain(left: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, Array]:
     """Drop of the sum of squares that further columns bring, and their values.
 
     Parameters
@@ -427,7 +427,7 @@ def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[Array, Array]
 
 def _solve(design: Design, target: Array, weight: Array) -> tuple[tuple[Array, bool], Array]:
     data = design.normal(weight)
-    data[np.diag_indices_from(data)] += 1.0 / PRIOR**2
+    data[np.diag_indices_from(data)] += 1.0 / PRIOR_SIGMA**2
     factor = linalg.cho_factor(data, lower=True, overwrite_a=True, check_finite=False)
     score = design.products((weight * target)[:, None])[:, 0]
     return factor, linalg.cho_solve(factor, score, check_finite=False)
@@ -435,7 +435,7 @@ def _solve(design: Design, target: Array, weight: Array) -> tuple[tuple[Array, b
 
 def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
     inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # of a triangle, which tells the trace
-    unknowns = len(inverse) - float(np.sum(np.tril(inverse) ** 2)) / PRIOR**2
+    unknowns = len(inverse) - float(np.sum(np.tril(inverse) ** 2)) / PRIOR_SIGMA**2
     return float(np.sum(weight > 0)) - unknowns
 
 
@@ -451,12 +451,12 @@ def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
     given = weight is not None
     used = 1.0 / rows.sigma.ravel() ** 2 if weight is None else weight
     full = used
-    for _ in range(1 if given else REPEATS):
+    for _ in range(1 if given else MAX_ITERATIONS):
         factor, value = _solve(design, target, used)
         residual = target - design.times(value)
         size = np.sqrt(full * residual**2).reshape(rows.deviation.shape)
         distance = np.linalg.norm(size, axis=0)
-        far = distance > FAR * float(np.median(distance)) / RAYLEIGH_MEDIAN
+        far = distance > MAX_DEVIATION * float(np.median(distance)) / RAYLEIGH_MEDIAN
         now = full if given else np.where(np.tile(far, len(size)), 0.0, full)
         if np.array_equal(now > 0, used > 0):
             break
@@ -469,9 +469,9 @@ def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
     return Fit(design, used, factor, value, np.asarray(residual), freedom)
 
 
-ENOUGH = 10_000
+MAX_PIECES = 10_000
 """Pieces that are looked at: of more, spread evenly, every second, third, ..."""
-MAX_PIECES = 4000
+MAX_PIECES_OF_COMPARISON = 4000
 """The same where many models are compared."""
 
 
@@ -493,7 +493,7 @@ class Model:
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Model:
         """Set up and solve."""
-        rows = _thinned(build_rows(runs), ENOUGH)
+        rows = _thinned(build_rows(runs), MAX_PIECES)
         return cls(
             tuple(runs), rows, solve(rows, Design.of(rows, usual_columns(rows), rows.machines))
         )
@@ -511,7 +511,7 @@ class Model:
         ndarray, shape (k,), m
             Weighted root mean square of the residuals.
         """
-        chosen = _spread(len(self.rows), MAX_PIECES)
+        chosen = _spread(len(self.rows), MAX_PIECES_OF_COMPARISON)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
         usual, found = usual_columns(rows), []

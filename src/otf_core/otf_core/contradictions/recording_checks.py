@@ -25,9 +25,9 @@ from otf_core.pieces.runs import Recording, blamed
 
 SAME_PLACE = 1e-7
 """m; measured twice, a point differs by more: noise."""
-SHARE = 0.002
+MIN_COMMON_SHARE = 0.002
 """Share of the shorter recording from which on common samples are no chance."""
-COPIED = 0.5
+MIN_COPIED_SHARE = 0.5
 """The same where the stamps differ: rounded coordinates may be equal by chance."""
 
 
@@ -37,9 +37,9 @@ def check_same_samples(recordings: Sequence[Recording]) -> None:
         shorter = min(len(a.samples), len(b.samples))
         common = same_stamp_and_place(a.samples, b.samples)
         restamped = 0
-        if common <= SHARE * shorter:
+        if common <= MIN_COMMON_SHARE * shorter:
             restamped = same_points(a.samples, b.samples)
-        if common <= SHARE * shorter and restamped <= COPIED * shorter:
+        if common <= MIN_COMMON_SHARE * shorter and restamped <= MIN_COPIED_SHARE * shorter:
             continue
         first, second = a.name or f'run {i}', b.name or f'run {j}'
         count = max(common, restamped)
@@ -70,7 +70,7 @@ def _keys(xyz: Array) -> NDArray[np.void]:
     return rows.view(np.dtype((np.void, rows.dtype.itemsize * 3))).ravel()
 
 
-FAST, SLOW = 20.0, 1e-3
+MAX_SPEED, MIN_SPEED = 20.0, 1e-3
 """m/s; no machine tool drives faster, no calibration path is driven slower."""
 OTHER_UNIT = 30.0
 """Ratio of the sizes of track and path from which on one of them is in another unit."""
@@ -80,9 +80,9 @@ TO_AND_FRO = 5.0
 """Ratio of the roughness of a stream to that of every second sample: one stream has below 1."""
 STRIDES = 50
 """Steps between neighbours of two streams, in steps of one of them."""
-LOOKED_AT = 20000
+MAX_COMPARED_SAMPLES = 20000
 """Samples that are told apart one by one at most."""
-ENOUGH = 100_000
+MAX_CHECKED_SAMPLES = 100_000
 """Samples around which speed and roughness are looked at; of more, spread evenly."""
 
 
@@ -109,12 +109,12 @@ def check_samples(samples: Samples, path: NominalPath | None) -> None:
     if not 1.0 / OTHER_UNIT < larger < OTHER_UNIT:
         return  # the alignment names the unit
     speed = top_speed(samples)
-    if speed > FAST:
+    if speed > MAX_SPEED:
         raise InputError(
             f'the target moves at {speed:.3g} m/s by the stamps, and no machine tool does: are '
             f'they in another unit than ns?'
         )
-    if 0.0 < speed < SLOW:
+    if 0.0 < speed < MIN_SPEED:
         raise InputError(
             f'the target never moves faster than {1e3 * speed:.3g} mm/s by the stamps: are they '
             f'in another unit than ns, or was the path not driven?'
@@ -133,8 +133,8 @@ def top_speed(samples: Samples) -> float:
 
 
 def _step(count: int) -> int:
-    """From one sample to the next where about ``ENOUGH`` of many are looked at."""
-    return -(-count // ENOUGH)
+    """From one sample to the next where about ``MAX_CHECKED_SAMPLES`` of many are looked at."""
+    return -(-count // MAX_CHECKED_SAMPLES)
 
 
 def _extent(points: Array) -> float:
@@ -164,7 +164,7 @@ def two_streams(samples: Samples) -> str:
             f'every second sample lies {_length(0.5 * float(one))} beside its neighbours: two '
             f'streams, with clocks or places apart, are mixed on one topic; record one tracker'
         )
-    if _traced(xyz[:LOOKED_AT]):
+    if _traced(xyz[:MAX_COMPARED_SAMPLES]):
         apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))
         return (
             f'the samples jump between two tracks {_length(apart)} apart: two trackers publish '
@@ -195,9 +195,9 @@ def _traced(xyz: Array) -> bool:
     return bool(max(short) < large / STRIDES)
 
 
-BEYOND = 30.0
+MAX_TIMES_RANGE = 30.0
 """Times the range of an axis; a path so large is in another unit."""
-OUTSIDE = 1e-3
+MAX_OUTSIDE = 1e-3
 """m; beyond the range of an axis by less is rounding."""
 
 
@@ -214,7 +214,7 @@ def check_path(path: NominalPath, machine: Machine) -> None:
     low, high = points.min(axis=0), points.max(axis=0)
     travel, size = high - low, machine.upper - machine.lower
     reach = np.abs(points).max() / max(np.abs([machine.lower, machine.upper]).max(), 1e-9)
-    if max(float(np.max(travel / size)), float(reach)) > BEYOND:
+    if max(float(np.max(travel / size)), float(reach)) > MAX_TIMES_RANGE:
         worst = int(np.argmax(travel))
         reached = float(np.abs(points).max())
         unit = unit_hint(reached, float(np.abs([machine.lower, machine.upper]).max())) or 'mm'
@@ -225,7 +225,7 @@ def check_path(path: NominalPath, machine: Machine) -> None:
         )
     outside = np.maximum(machine.lower - low, high - machine.upper)
     worst = int(np.argmax(outside))
-    if outside[worst] > OUTSIDE:
+    if outside[worst] > MAX_OUTSIDE:
         raise InputError(
             f'path: leaves the range of axis {machine.axis_names[worst]} by '
             f'{1e3 * outside[worst]:.1f} mm: it spans {low[worst]:g} to {high[worst]:g} m, '

@@ -22,7 +22,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 
 _log = logging.getLogger(__name__)
 
-MOST_UNKNOWNS = 6000
+MAX_UNKNOWNS = 6000
 """Values of all nodes; solving for more takes gigabytes and hours."""
 
 
@@ -52,10 +52,10 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
         f'{name} {1e3 * machine.axes[name].table_pitch:g} mm ({nodes[name]} nodes)'
         for name in fine or nodes
     )
-    if values > MOST_UNKNOWNS:
-        wide = max(6 * sum(a.max - a.min for a in machine.axes.values()) / MOST_UNKNOWNS, 1e-3)
+    if values > MAX_UNKNOWNS:
+        wide = max(6 * sum(a.max - a.min for a in machine.axes.values()) / MAX_UNKNOWNS, 1e-3)
         raise ConfigError(
-            f'axes: table_pitch: {named} make {values} unknowns, more than the {MOST_UNKNOWNS} '
+            f'axes: table_pitch: {named} make {values} unknowns, more than the {MAX_UNKNOWNS} '
             f'that can be solved for; a table_pitch of {1e3 * wide:.2g} mm or more on all axes '
             f'can; is it meant in another unit?'
         )
@@ -70,9 +70,9 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
     return words
 
 
-COUNT = 4
+LATTICE_POINTS = 4
 """Points per axis of the lattice that is looked at."""
-REST = 5.0
+MAX_U_OF_GOOD_MACHINE = 5.0
 """Uncertainty over the noise of a sample below which small errors mean a good machine."""
 
 
@@ -81,7 +81,9 @@ def lattice_of(tables: ErrorTables) -> Array:
     lines = []
     for axis in tables.machine.axis_names:
         position = tables.motions[f'E{axis}{axis}'].position
-        lines.append(position[np.unique(np.linspace(0, len(position) - 1, COUNT).astype(int))])
+        lines.append(
+            position[np.unique(np.linspace(0, len(position) - 1, LATTICE_POINTS).astype(int))]
+        )
     grids = np.meshgrid(*lines, indexing='ij')
     return np.stack([g.ravel() for g in grids], axis=1)
 
@@ -138,7 +140,7 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
         f'the volumetric error that the tables state is {1e6 * error:.2f} um, its standard '
         f'uncertainty in half of the driven volume is above {1e6 * u:.2f} um'
     )
-    if u < REST * noise:
+    if u < MAX_U_OF_GOOD_MACHINE * noise:
         return [Finding('worth', WARNING, (
             f'{text}: no more than the tracker can see; the machine needs no tables, or a '
             f'better place of the tracker'

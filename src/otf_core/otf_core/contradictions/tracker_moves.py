@@ -98,7 +98,7 @@ def step_profile(
     return Profile(starts, *gain(left, score, prior))
 
 
-ORDER, USUAL = 6, 3
+MAX_ORDER, ORDER_OF_DRIFT = 6, 3
 """Highest order of the polynomials, and that of the rigid motions in the usual model."""
 
 
@@ -136,10 +136,10 @@ def _smooth(rows: Rows, mine: NDArray[np.bool_], pose: Array) -> list[Array]:
     ], axis=1)  # fmt: skip
     other = np.hstack([strain, reversal_columns(rows)])
     found = []
-    for order in range(1, ORDER + 1):
+    for order in range(1, MAX_ORDER + 1):
         course = _per_row(rows, np.where(mine, Legendre.basis(order)(x), 0.0))
         found.append(other * course)
-        if order > USUAL:
+        if order > ORDER_OF_DRIFT:
             found.append(pose * course)
     return found
 
@@ -151,26 +151,26 @@ def _per_row(rows: Rows, values: Array | NDArray[np.bool_]) -> Array:
 
 MOMENTS = 200
 """Moments that are tried at first."""
-SHARE = 0.06
+MIN_EXPLAINED_SHARE = 0.06
 """Share of the sum of squares that a step must explain; other misfit gave up to 0.03."""
-GAIN, LARGE_GAIN = 45.0, 100.0
+MIN_GAIN, MIN_GAIN_OF_SEVERAL = 45.0, 100.0
 """Drop of the sum of squares for each of the six numbers, in residual variances: at least; where
 there may be several steps."""
-LEAST = 2.0
+MIN_SIZE = 2.0
 """Standard deviations of a sample that a step measures at least: noise that wanders does less."""
-NEAR, AWAY = (0.03, 0.06), 0.1
+NEAR_PEAK, AWAY_FROM_PEAK = (0.03, 0.06), 0.1
 """Distances from a peak, as shares of the run."""
-LONELY = 0.5
+MAX_SHARE_AWAY = 0.5
 """What a step away from the peak explains of it where one step is all there is."""
-STEEP, CLEAR = 0.8, 5.0
+MAX_SHARE_NEAR, MIN_SIZE_OF_SEVERAL = 0.8, 5.0
 """What a step near the peak explains of it at most, and how many standard deviations of a sample
 it measures, where there may be several; noise that wanders gives small and broad peaks."""
-SHARP = 0.03
+MIN_SHARP_SHARE = 0.03
 """Share of what a step explains that a smooth change must not explain as well; axes that warm up
 gave up to 0.011, steps 0.07 and more."""
 MAX_STEPS = 5
 """Steps that are looked for in one run; as many are none: something changes all the time."""
-LEFT = 1.0 / 3.0
+MAX_SHARE_AFTER_STEPS = 1.0 / 3.0
 """Share of the sum of squares beyond noise that several steps may leave: moves leave none. What
 changes all the time, as a cycle does, is a step at many moments, and cuts do not end it."""
 MIN_PIECES = 60
@@ -231,7 +231,7 @@ def find_step(model: Model, run: int) -> Step | None:
     best = int(np.argmax(profile.gain))
     share = float(profile.gain[best]) / fit.square
     drop = float(profile.gain[best]) / 6.0 / fit.ratio**2
-    if share < SHARE or drop < GAIN:
+    if share < MIN_EXPLAINED_SHARE or drop < MIN_GAIN:
         return None
     low, high = (profile.start[np.clip(best + k, 0, len(profile.start) - 1)] for k in (-1, 1))
     fine = step_profile(rows, fit, columns, order, np.unique(np.arange(low, high + 1)))
@@ -247,12 +247,12 @@ def find_step(model: Model, run: int) -> Step | None:
         float(fine.gain[top]) / fit.square,
     )
     level = _level(model.runs[run])
-    if step.shift < LEAST * level:
+    if step.shift < MIN_SIZE * level:
         return None
-    clear = drop > LARGE_GAIN and step.shift > CLEAR * level
+    clear = drop > MIN_GAIN_OF_SEVERAL and step.shift > MIN_SIZE_OF_SEVERAL * level
     if not _is_peak(profile, best, len(order), clear=clear):
         return None
-    return step if sharp_share(rows, fit, run, step.time) > SHARP else None
+    return step if sharp_share(rows, fit, run, step.time) > MIN_SHARP_SHARE else None
 
 
 def _level(run: Run) -> float:
@@ -266,9 +266,9 @@ def _level(run: Run) -> float:
 def _is_peak(profile: Profile, best: int, pieces: int, *, clear: bool) -> bool:
     away = np.abs(profile.start - profile.start[best]) / pieces
     share = profile.gain / profile.gain[best]
-    near = (away > NEAR[0]) & (away < NEAR[1])
-    lonely = bool(share[away > AWAY].max(initial=0.0) < LONELY)
-    return lonely or (clear and bool(share[near].max(initial=0.0) < STEEP))
+    near = (away > NEAR_PEAK[0]) & (away < NEAR_PEAK[1])
+    lonely = bool(share[away > AWAY_FROM_PEAK].max(initial=0.0) < MAX_SHARE_AWAY)
+    return lonely or (clear and bool(share[near].max(initial=0.0) < MAX_SHARE_NEAR))
 
 
 def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: CalibrationConfig
@@ -353,7 +353,7 @@ def settle_steps(
 
 def _leaves_much(parts: Model, whole: Model) -> bool:
     left, before = (max(m.fit.ratio**2 - 1.0, 0.0) for m in (parts, whole))
-    return left > LEFT * before
+    return left > MAX_SHARE_AFTER_STEPS * before
 
 
 def _restless(name: str, count: int) -> Finding:

@@ -48,7 +48,7 @@ Field = Callable[[Array], Array]
 
 MARK = 'otf export'
 """Stands in every file: what does not hold it is somebody else's and never overwritten."""
-NEAR = 4000
+MARK_BYTES = 4000
 """Bytes at either end of a file in which the mark stands."""
 ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
@@ -230,12 +230,12 @@ def is_export(path: Path) -> bool:
     except OSError:
         return False
     mark = MARK.encode()
-    return mark in content[:NEAR] or mark in content[-NEAR:]
+    return mark in content[:MARK_BYTES] or mark in content[-MARK_BYTES:]
 
 
 # The volumetric error that remains when a control takes off what a format holds.
 
-FINER = 13
+POINTS_BETWEEN = 13
 """Points per axis between those of the volumetric error; they share few positions with nodes."""
 
 
@@ -299,7 +299,7 @@ def remaining_error(
         Entry of error_tables.json; decides how many digits are stated.
     """
     q = lattice(tables.machine)
-    finer = covered_grid(tables.machine, np.array(table_ranges(tables)), FINER)
+    finer = covered_grid(tables.machine, np.array(table_ranges(tables)), POINTS_BETWEEN)
     error = displacement(tables, q)
     before = np.linalg.norm(without_rigid_motion(error, q), axis=1)
     after = np.linalg.norm(without_rigid_motion(error - held(q), q), axis=1)

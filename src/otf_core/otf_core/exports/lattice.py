@@ -241,7 +241,7 @@ FEWEST, MOST = 2, 101
 """Points per axis."""
 MOST_AT_NODES, INSTEAD = 60_000, 33
 """Points of a lattice at the nodes at most, and points per axis where they make more."""
-FINER = 4
+REFINEMENT = 4
 """What trilinear interpolation leaves of a quadratic course falls to a sixteenth."""
 
 
@@ -282,7 +282,7 @@ def sampled_lattice(tables: ErrorTables, points: int | None) -> tuple[Lattice, t
         model is linear between them in the coordinates of axes that carry the target, so that
         trilinear interpolation is exact; rotations of an axis that carries the table act on its
         own travel too, which makes it quadratic there: these intervals are divided by
-        ``FINER``. If that makes more than ``MOST_AT_NODES`` points, ``INSTEAD`` per axis.
+        ``REFINEMENT``. If that makes more than ``MOST_AT_NODES`` points, ``INSTEAD`` per axis.
 
     Returns
     -------
@@ -316,7 +316,7 @@ def _planes(tables: ErrorTables, axis: int, points: int | None) -> Array:
     machine = tables.machine
     if points is not None or machine.axis_names[axis] not in machine.chain.table_side:
         return nodes
-    fine = np.arange(FINER * (len(nodes) - 1) + 1) / FINER
+    fine = np.arange(REFINEMENT * (len(nodes) - 1) + 1) / REFINEMENT
     return np.asarray(np.interp(fine, np.arange(len(nodes)), nodes).round(12))
 
 
@@ -345,14 +345,14 @@ def lattice_covariance(content: TablesFile, q: Array) -> Array:
 # Rotations that act like translations, since no other axis changes their lever, are these: they
 # are zero and marked as not seen, so that a prediction for another target offset knows it.
 
-SMALLEST = 1e-10
+SINGULAR_VALUE_RATIO = 1e-10
 """Relative size of singular values below which a combination is not determined."""
-EDGE = 1e-3
+OUTSIDE_TOLERANCE = 1e-3
 """m; a lattice further outside the axes is not of this machine."""
 
-LARGEST = 0.01
+MAX_ERROR_RATIO = 0.01
 """Of the travel; no machine has larger errors."""
-SMALLEST_IN_UM = 1.0
+MAX_ERROR_RATIO_IN_MM = 1.0
 """Of the travel; errors in mm, read as m, are less."""
 
 
@@ -402,7 +402,7 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     scale[np.repeat([False] * len(SQUARENESS) + [m in hidden for m in MOTIONS], sizes)] = 0.0
     scaled, wanted = matrix * scale, lattice.error.reshape(-1)
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    seen = values > SMALLEST * values[-1]
+    seen = values > SINGULAR_VALUE_RATIO * values[-1]
     basis = vectors[:, seen]
     solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
     left = wanted - matrix @ solved
@@ -414,7 +414,7 @@ def _check_size(lattice: Lattice, machine: Machine) -> None:
     """Refuse positions and errors in another unit than m."""
     q, size = lattice.points, float(np.max(machine.upper - machine.lower))
     beyond = float(np.maximum(machine.lower - q, q - machine.upper).max())
-    if beyond > EDGE:
+    if beyond > OUTSIDE_TOLERANCE:
         reach = float(np.abs([machine.lower, machine.upper]).max())
         hint = unit_hint(float(np.abs(q).max()), reach)
         named = f'x_{hint},y_{hint},z_{hint}'
@@ -424,8 +424,8 @@ def _check_size(lattice: Lattice, machine: Machine) -> None:
             f'positions are in m{words if hint else ""}'
         )
     largest = float(np.abs(lattice.error).max())
-    if largest > LARGEST * size:
-        unit = 'um' if largest > SMALLEST_IN_UM * size else 'mm'
+    if largest > MAX_ERROR_RATIO * size:
+        unit = 'um' if largest > MAX_ERROR_RATIO_IN_MM * size else 'mm'
         raise ConfigError(
             f'lattice: an error of {largest:g} m is none of a machine of {size:g} m; are dx, dy, '
             f'dz in {unit_words(unit)}? write dx_{unit},dy_{unit},dz_{unit} into the header'

@@ -16,7 +16,7 @@ from otf_core.prediction.predict import predict
 
 HEADER = ('x', 'y', 'z', 'dx', 'dy', 'dz', 'u_dx', 'u_dy', 'u_dz')
 DECIMALS = 12
-SAME = 1e-9
+SAME_COORDINATE = 1e-9
 """m; coordinates that differ by less are one plane of the lattice."""
 
 
@@ -60,7 +60,7 @@ def read_lattice_csv(path: str | Path) -> Lattice:
     axes, places = [], []
     for k in range(3):
         order = np.unique(q[:, k])
-        axes.append(order[np.concatenate([[True], np.diff(order) > SAME])])
+        axes.append(order[np.concatenate([[True], np.diff(order) > SAME_COORDINATE])])
         places.append(np.abs(q[:, k, None] - axes[k]).argmin(axis=1))
     shape = tuple(map(len, axes))
     filled = np.full((*shape, 3), np.nan)

@@ -12,8 +12,8 @@ from otf_core.exports.format import POINT_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import lattice_covariance, sampled_lattice
 from otf_core.prediction.predict import predict
 
-MOST_PER_AXIS = 8
-MOST = MOST_PER_AXIS**3
+COVARIANCE_POINTS_PER_AXIS = 8
+COVARIANCE_POINTS = COVARIANCE_POINTS_PER_AXIS**3
 """Points whose covariance is held: that of so many takes 19 MB, and grows with their square."""
 
 
@@ -24,7 +24,8 @@ class LatticeNpz(Format):
     value_words = POINT_WORDS
     lacks = (
         'the course between lattice points (take trilinear interpolation), other target offsets '
-        f'than the measured one, the covariance of more than {MOST} points; differences between '
+        f'than the measured one, the covariance of more than {COVARIANCE_POINTS} points; '
+        f'differences between '
         'the directions of travel'
     )
     takes_points = True
@@ -43,12 +44,13 @@ class LatticeNpz(Format):
         q = lattice.points
         held: dict[str, Any] = {'error': lattice.error}
         held['u'] = predict(request.content, q).u.reshape(lattice.error.shape)
-        if len(q) <= MOST:
+        if len(q) <= COVARIANCE_POINTS:
             held['covariance'] = lattice_covariance(request.content, q)
         else:
             remarks += (
-                f'without covariance, since {len(q)} points are more than {MOST}; --points '
-                f'{MOST_PER_AXIS} or fewer has it',
+                f'without covariance, since {len(q)} points are more than {COVARIANCE_POINTS}; '
+                f'--points '
+                f'{COVARIANCE_POINTS_PER_AXIS} or fewer has it',
             )
         packed = io.BytesIO()
         x, y, z = lattice.axes

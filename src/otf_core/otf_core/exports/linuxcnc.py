@@ -26,7 +26,7 @@ from otf_core.exports.lattice import (
 )
 from otf_core.model.tables import ErrorTables
 
-MOST = 256
+MAX_LINES = 256
 """Lines that the control reads of a file."""
 DECIMALS = 6
 
@@ -86,10 +86,11 @@ def _positions(tables: ErrorTables, points: int | None) -> tuple[dict[int, Array
     for k, axis in enumerate(tables.machine.axis_names):
         positions[k] = axis_positions(tables, k, points)
         count = len(positions[k])
-        if count > MOST:
-            positions[k] = axis_positions(tables, k, MOST)
+        if count > MAX_LINES:
+            positions[k] = axis_positions(tables, k, MAX_LINES)
             remarks.append(
-                f'{axis}: {MOST} lines, evenly spread, instead of {count}; the control reads no '
+                f'{axis}: {MAX_LINES} lines, evenly spread, instead of {count}; the control '
+                f'reads no '
                 f'more'
             )
     return positions, remarks

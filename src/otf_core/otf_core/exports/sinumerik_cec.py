@@ -22,11 +22,12 @@ from otf_core.exports.lattice import (
     without_table,
 )
 
-MOST = 200
+MAX_POINTS = 200
 """Points of a table on a SINUMERIK 828D, which cannot be changed."""
 DECIMALS = 6
 _MOST_WORDS = (
-    f'no table has more than {MOST} points, what an 828D holds, though the nodes of the error '
+    f'no table has more than {MAX_POINTS} points, what an 828D holds, though the nodes of the '
+    f'error '
     f'tables may be closer together; --points names another number'
 )
 
@@ -51,7 +52,7 @@ class SinumerikCec(Format):
         """Make the file."""
         self.check(request)
         tables = request.content.tables
-        terms = even_terms(tables, CROSS_PAIRS, request.points, MOST, DECIMALS)
+        terms = even_terms(tables, CROSS_PAIRS, request.points, MAX_POINTS, DECIMALS)
         lines = ['%_N_NC_CEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         axes = tables.machine.axis_names
         for number, (pair, term) in enumerate(terms.items()):
@@ -63,7 +64,7 @@ class SinumerikCec(Format):
             (
                 f'needs {len(terms)} tables of at least {most} points (MD18342); load with '
                 f'MD32710 = 0, then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
-                *((_MOST_WORDS,) if request.points is None and most == MOST else ()),
+                *((_MOST_WORDS,) if request.points is None and most == MAX_POINTS else ()),
                 *without_table(tables),
             ),
         )

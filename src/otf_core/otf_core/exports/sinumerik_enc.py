@@ -12,7 +12,7 @@ from __future__ import annotations
 from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import OWN_PAIRS, LineTerm, even_terms, held_by, without_table
 
-MOST = 5000
+MAX_POINTS = 5000
 DECIMALS = 6
 
 
@@ -38,7 +38,7 @@ class SinumerikEnc(Format):
         """Make the file."""
         self.check(request)
         tables = request.content.tables
-        terms = even_terms(tables, OWN_PAIRS, request.points, MOST, DECIMALS)
+        terms = even_terms(tables, OWN_PAIRS, request.points, MAX_POINTS, DECIMALS)
         lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         axes = tables.machine.axis_names
         for (_, k), term in terms.items():

@@ -97,7 +97,7 @@ def foreign(folder: Path) -> list[Path]:
 
 RESERVED = 8192
 """Space kept for the manifest while the other files are written, byte."""
-SHOWN = 3
+FILES_SHOWN = 3
 """Foreign files named in a message."""
 
 
@@ -226,8 +226,8 @@ class OutputFolder:
                 self.path,
                 f'{self._occupied}; choose another folder, or --overwrite replaces the results',
             )
-        names = ', '.join(str(p.relative_to(final)) for p in strange[:SHOWN])
-        more = ', ...' if len(strange) > SHOWN else ''
+        names = ', '.join(str(p.relative_to(final)) for p in strange[:FILES_SHOWN])
+        more = ', ...' if len(strange) > FILES_SHOWN else ''
         raise _refuse(
             self.path,
             f'{self._occupied}, and not only unchanged results of otf ({names}{more}): these are '

@@ -19,9 +19,9 @@ from otf_core.files.writing import unreadable
 
 # Strict YAML: duplicate, unknown, missing and mistyped keys are errors that name the key.
 
-DEEPEST = 100
+MAX_NESTING = 100
 """Levels of nesting; each costs the parser more than the one before."""
-NEAR = 0.9
+SIMILARITY = 0.9
 """Likeness from which a key may be another one misspelt; u_range and u_angle have 0.86."""
 
 
@@ -35,7 +35,7 @@ def _loader() -> Any:
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             self.level += 1
-            if self.level > DEEPEST:
+            if self.level > MAX_NESTING:
                 raise RecursionError
             node = super().compose_node(parent, index)
             self.level -= 1
@@ -61,7 +61,7 @@ def _loader() -> Any:
 
 
 _WORDS = reprlib.Repr()
-_LONGEST = 250
+_MAX_SHOWN_LETTERS = 250
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
 
@@ -72,7 +72,7 @@ def shown(value: Any) -> str:
         text = _WORDS.repr(value)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return 'a number of thousands of digits'
-    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]} ...'
+    return text if len(text) <= _MAX_SHOWN_LETTERS else f'{text[:_MAX_SHOWN_LETTERS]} ...'
 
 
 def number_words(error: Exception) -> str:
@@ -181,7 +181,9 @@ class Fields:
         """Return the value of a key that must be there."""
         self._taken.append(key)
         if key not in self._data:
-            near = [k for k in self._data if get_close_matches(key, [k.lower()], cutoff=NEAR)]
+            near = [
+                k for k in self._data if get_close_matches(key, [k.lower()], cutoff=SIMILARITY)
+            ]
             near = near or [k for k in self._data if self._known and k not in self._known]
             if near:
                 self.fail(near[0], f'unknown key; is {key} meant?')

@@ -28,7 +28,7 @@ SEPARATORS = ('\t', ';', '|', ',', None)
 """In the order in which they are tried; None: any white space."""
 QUOTED_HEAD = 200
 """Lines in which fields of a head may take several."""
-FEWEST = 3
+MIN_NUMBER_COLUMNS = 3
 """Columns with numbers that a table has at least."""
 COMMENT = re.compile(r'^\s*(#|//|!|%|"""|\*)+\s?')
 _DIGITS = r"[\d.,'’\u00a0\u202f ]*\d"
@@ -135,23 +135,23 @@ def _unquoted(field: str) -> str:
 
 def is_number(text: str) -> bool:
     """Tell whether a field is a number in the form of any country, well formed or not."""
-    return len(text) <= LONGEST and NUMBER.match(text) is not None
+    return len(text) <= MAX_NUMBER_LETTERS and NUMBER.match(text) is not None
 
 
 def is_value(text: str) -> bool:
     """Tell whether a field is a number, in any form, or a time of day."""
-    if len(text) > LONGEST:
+    if len(text) > MAX_NUMBER_LETTERS:
         return False
     return bool(NUMBER.match(text) or is_moment(text)) or text.lower() in ('nan', 'inf', '-inf')
 
 
-LONGEST = 80
+MAX_NUMBER_LETTERS = 80
 """Letters of a field that may be a number."""
 
 
 def is_missing(text: str) -> bool:
     """Tell whether a field says that there is no number."""
-    return len(text) <= LONGEST and MISSING.fullmatch(text) is not None
+    return len(text) <= MAX_NUMBER_LETTERS and MISSING.fullmatch(text) is not None
 
 
 def read_lines(path: str | Path) -> list[str]:
@@ -186,7 +186,7 @@ def read_lines(path: str | Path) -> list[str]:
     return lines
 
 
-BROKEN = 5
+MAX_FIELD_LINES = 5
 """Lines that a field of the head may take."""
 
 
@@ -195,7 +195,7 @@ def _join_quoted(lines: list[str]) -> None:
     for first in range(min(len(lines), QUOTED_HEAD)):
         if lines[first].count('"') % 2 == 0 or COMMENT.match(lines[first]):
             continue
-        for last in range(first + 1, min(first + BROKEN, len(lines))):
+        for last in range(first + 1, min(first + MAX_FIELD_LINES, len(lines))):
             if lines[last].count('"') % 2:
                 lines[first] = ' '.join(lines[first : last + 1])
                 lines[first + 1 : last + 1] = [''] * (last - first)
@@ -238,7 +238,7 @@ def _width(dialect: Dialect, line: str) -> int:
     """Columns of a line of data; 0 if it is none."""
     fields = dialect.fields(line)
     values = sum(map(is_value, fields))
-    if values == 0 or values + sum(map(is_missing, fields)) < FEWEST:
+    if values == 0 or values + sum(map(is_missing, fields)) < MIN_NUMBER_COLUMNS:
         return 0
     if dialect.separator == ',' and any(SPACED.search(f) and not is_moment(f) for f in fields):
         return 0

@@ -13,7 +13,7 @@ from otf_core.errors import InputError
 from otf_core.files.strict_yaml import shown
 from otf_core.files.text_dialect import (
     COMMENT,
-    FEWEST,
+    MIN_NUMBER_COLUMNS,
     Dialect,
     NumberColumn,
     candidates,
@@ -67,7 +67,7 @@ SUFFIX = re.compile(
     r'rad|mrad|urad|dmy|mdy|ymd)$'
 )
 
-LONGEST = 200
+MAX_HEADING_LETTERS = 200
 """Letters of a heading."""
 LINK = re.compile(r'(?:\s+in|[\s/,:-]+)$')
 """Between a name and its unit: 'X in mm', 'X / mm'."""
@@ -81,8 +81,8 @@ def is_unit(text: str) -> bool:
 
 def parted(heading: str) -> tuple[str, str | None]:
     """Name, in lower case, and unit of a heading; what stands in brackets and is no unit stays."""
-    if len(heading) > LONGEST:
-        return heading[:LONGEST].lower(), None
+    if len(heading) > MAX_HEADING_LETTERS:
+        return heading[:MAX_HEADING_LETTERS].lower(), None
     text = ' '.join(heading.strip().lstrip('%').split())
     match = BRACKETED.match(text)
     if match is not None and not match['name'].strip():
@@ -236,11 +236,15 @@ def fault_words(faults: Mapping[int, str]) -> str:
         else f'1 line: {found.reason} (line {found.first_line})'
         for found in counted(faults)
     ]
-    shown = parts if len(parts) <= SHOWN else [*parts[:SHOWN], f'{len(parts) - SHOWN} more kinds']
+    shown = (
+        parts
+        if len(parts) <= REASONS_SHOWN
+        else [*parts[:REASONS_SHOWN], f'{len(parts) - REASONS_SHOWN} more kinds']
+    )
     return '; '.join(shown)
 
 
-SHOWN = 6
+REASONS_SHOWN = 6
 """Reasons in a message."""
 
 
@@ -263,7 +267,7 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
     """
     where, every = str(path), read_lines(path)
     _open_ply(where, every)
-    plain = _plain(every[:LOOKED_AT])
+    plain = _plain(every[:EXAMINED_LINES])
     widths = [_head_width(plain, dialect, is_head) for dialect in candidates()] if is_head else ()
     dialect = find_dialect(_sample(every), widths)
     if dialect is None:
@@ -272,7 +276,8 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
             raise InputError(f'{where}: holds no points: no line of numbers below line {head + 1}')
         first = next((line.strip()[:60] for line in every if line.strip()), '')
         raise InputError(
-            f'{where}: holds no lines of at least {FEWEST} numbers; the first line is {first!r}; '
+            f'{where}: holds no lines of at least {MIN_NUMBER_COLUMNS} numbers; the first line '
+            f'is {first!r}; '
             f'export time, x, y, z of every sample, one sample a line'
         )
     return _Reader(where, every, dialect, is_head).table()
@@ -285,14 +290,18 @@ def _plain(lines: Sequence[str]) -> list[str]:
 
 def _sample(lines: Sequence[str]) -> list[str]:
     """Lines of the beginning, the middle and the end, from which the dialect is found."""
-    if len(lines) <= 3 * LOOKED_AT:
+    if len(lines) <= 3 * EXAMINED_LINES:
         return _plain(lines)
-    middle = len(lines) // 2 - LOOKED_AT // 2
-    parts = lines[:LOOKED_AT], lines[middle : middle + LOOKED_AT], lines[-LOOKED_AT:]
+    middle = len(lines) // 2 - EXAMINED_LINES // 2
+    parts = (
+        lines[:EXAMINED_LINES],
+        lines[middle : middle + EXAMINED_LINES],
+        lines[-EXAMINED_LINES:],
+    )
     return [line for part in parts for line in _plain(part)]
 
 
-LOOKED_AT = 300
+EXAMINED_LINES = 300
 """Lines of each."""
 
 
@@ -353,7 +362,9 @@ def _named_fields(line: str, dialect: Dialect) -> list[str]:
     if STATEMENT.match(line):
         return []
     fields = dialect.fields(_APART.sub(_together, line) if dialect.separator is None else line)
-    is_none = len(fields) < FEWEST or any(is_value(f) or (f and is_missing(f)) for f in fields)
+    is_none = len(fields) < MIN_NUMBER_COLUMNS or any(
+        is_value(f) or (f and is_missing(f)) for f in fields
+    )
     return [] if is_none else fields
 
 
@@ -399,9 +410,13 @@ class _Reader:
             if len(fields) != self.dialect.width:
                 continue
             values = sum(map(is_value, fields))
-            if values >= FEWEST:
+            if values >= MIN_NUMBER_COLUMNS:
                 return k
-            if lame is None and values and values + sum(map(is_missing, fields)) >= FEWEST:
+            if (
+                lame is None
+                and values
+                and values + sum(map(is_missing, fields)) >= MIN_NUMBER_COLUMNS
+            ):
                 lame = k
         if lame is None:
             raise AssertionError('a dialect was found, so there is a row')
@@ -468,7 +483,7 @@ class _Reader:
 
     def _are_units(self, fields: Sequence[str]) -> bool:
         texts = [f.strip('[](){} ') for f in fields if f.strip('[](){} -')]
-        return len(texts) >= FEWEST and all(map(is_unit, texts))
+        return len(texts) >= MIN_NUMBER_COLUMNS and all(map(is_unit, texts))
 
     def _is_datum(self, fields: Sequence[str], line: str, *, headed: bool) -> bool:
         """Tell whether a line before the first row is one of data with a fault."""

@@ -20,9 +20,9 @@ from otf_core.model.expanded import COVERAGE_FACTOR
 # of one tracker, are counted twice in C: the test errs to the side of no change. Motions that are
 # looked at together share one probability of a false alarm (Bonferroni).
 
-LEVEL = 0.0027
+FALSE_ALARM_CHANGE = 0.0027
 """Probability of a false alarm, all motions together: limits of three sigma of a control chart."""
-SMALLEST = 1e-9
+SINGULAR_VALUE_RATIO = 1e-9
 """Relative size of singular values that count as zero."""
 
 
@@ -50,14 +50,14 @@ class Change:
     @property
     def significant(self) -> bool:
         """Tell whether it is beyond the limits of a control chart."""
-        return self.p < LEVEL / self.tests
+        return self.p < FALSE_ALARM_CHANGE / self.tests
 
 
 def chi_square(difference: Array, covariance: Array) -> tuple[float, int]:
     """Chi-square of a difference and its degrees of freedom."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    seen = values > SMALLEST * max(float(values[-1]), 1e-300)
+    seen = values > SINGULAR_VALUE_RATIO * max(float(values[-1]), 1e-300)
     parts = vectors[:, seen].T @ (difference / scale)
     return float(np.sum(parts**2 / values[seen])), int(seen.sum())
 
@@ -120,7 +120,7 @@ def volume_change(series: Series, a: int, b: int) -> Change:
 # does not, the line says nothing about the days to come, and the pace of the last step stands in
 # for it.
 
-CHANCE = 0.05
+FALSE_ALARM_DRIFT = 0.05
 """Probability of a false alarm of a drift."""
 
 
@@ -163,12 +163,12 @@ class Drift:
 
         Two runs are one step, which is judged as every other step.
         """
-        return self.p < (CHANCE if self.runs > 2 else LEVEL)
+        return self.p < (FALSE_ALARM_DRIFT if self.runs > 2 else FALSE_ALARM_CHANGE)
 
     @property
     def bent(self) -> list[str]:
         """Motions that a straight line does not describe, the worst first."""
-        found = [n for n, p in self.p_line.items() if p < LEVEL / len(self.p_line)]
+        found = [n for n, p in self.p_line.items() if p < FALSE_ALARM_CHANGE / len(self.p_line)]
         return sorted(found, key=self.p_line.__getitem__)
 
 
@@ -230,7 +230,7 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     """Pseudo-inverse of a symmetric matrix, and its rank."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    seen = values > SMALLEST * max(float(values[-1]), 1e-300)
+    seen = values > SINGULAR_VALUE_RATIO * max(float(values[-1]), 1e-300)
     root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
     return root @ root.T, int(seen.sum())
 

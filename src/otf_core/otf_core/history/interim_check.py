@@ -26,13 +26,13 @@ from otf_core.tracking.alignment import line_step
 
 LEVELS = 3
 """Lattice points per axis."""
-SAMPLES = 12
+POINTS_PER_LINE = 12
 """Points at which a line is looked at."""
 FEED, ACCELERATION, DWELL = 0.25, 2.0, 0.2
 """m/s, m/s^2, s; as the planner and the simulator take them."""
 RIGID_ALONE = 1e-3
 """Weight of what rigid motion still explains: it decides while too few lines are driven."""
-AGAIN = 0.25
+REPEATED_WEIGHT = 0.25
 """A line that was driven counts less when driven again."""
 
 
@@ -72,13 +72,13 @@ def drifting(history: History) -> tuple[Array, str]:
 
 
 def _line(series: Series, vector: Array, start: Array, end: Array) -> _Seen:
-    share = (np.arange(SAMPLES)[:, None] + 0.5) / SAMPLES
+    share = (np.arange(POINTS_PER_LINE)[:, None] + 0.5) / POINTS_PER_LINE
     q = start + share * (end - start)
     unit = (end - start) / np.linalg.norm(end - start)
     across = np.eye(3) - np.outer(unit, unit)
     drift = (series.rows(q) @ vector) @ across
     rigid = np.einsum('ij,njk->nik', across, rigid_columns(q))
-    length = float(np.linalg.norm(end - start)) / SAMPLES
+    length = float(np.linalg.norm(end - start)) / POINTS_PER_LINE
     return _Seen(
         length * np.einsum('nci,ncj->ij', rigid, rigid),
         length * np.einsum('nci,nc->i', rigid, drift),
@@ -111,7 +111,7 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
             pair = min(here, there), max(here, there)
             if pair not in lines:
                 lines[pair] = _line(series, vector, points[here], points[there])
-            line = lines[pair].times(AGAIN ** driven.get(pair, 0))
+            line = lines[pair].times(REPEATED_WEIGHT ** driven.get(pair, 0))
             total = line if seen is None else seen + line
             gain = (total.worth - (0.0 if seen is None else seen.worth)) / time
             if best is None or gain > best[0]:
@@ -132,7 +132,7 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
 # covariance of the tables at the line, noise of the run averaged over it.
 
 ITERATIONS = 6
-HOLDS = 1.25
+HOLDING_RATIO = 1.25
 """Tables hold if the mean deviations of the lines are no larger than so many times expected."""
 
 
@@ -159,7 +159,7 @@ class InterimCheck:
     @property
     def holds(self) -> bool:
         """Tell whether the tables still hold."""
-        return self.ratio <= HOLDS
+        return self.ratio <= HOLDING_RATIO
 
     @property
     def words(self) -> str:
@@ -167,7 +167,8 @@ class InterimCheck:
         verdict = 'the tables still hold' if self.holds else 'the tables no longer hold'
         return (
             f'{verdict}: mean deviation of {self.lines} lines {1e6 * self.left:.2f} um, '
-            f'{1e6 * self.expected:.2f} um expected ({self.ratio:.1f} times; up to {HOLDS} is '
+            f'{1e6 * self.expected:.2f} um expected ({self.ratio:.1f} times; up to '
+            f'{HOLDING_RATIO} is '
             f'chance)'
         )
 

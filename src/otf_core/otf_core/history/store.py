@@ -16,7 +16,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.comparison.compare import (
-    GRID,
+    GRID_POINTS,
     Common,
     Source,
     common_ground,
@@ -40,7 +40,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 
 SCHEMA = 'otf-history-entry/1'
 RUN, EVENT = 'run', 'event'
-SHOWN = 12
+HASH_DIGITS = 12
 """Digits of a hash that are shown."""
 
 
@@ -167,7 +167,7 @@ def _add(folder: Path, entry: dict[str, Any]) -> tuple[str, bool]:
     new = not path.exists()
     if new:
         write_text(path, text)
-    return digest[:SHOWN], new
+    return digest[:HASH_DIGITS], new
 
 
 def read_store(folder: str | Path) -> Store:
@@ -194,7 +194,7 @@ def read_store(folder: str | Path) -> Store:
             events.append(StoredEvent(at, str(entry['machine']), str(entry['words'])))
         else:
             content = tables_from_dict(entry['tables'], str(path))
-            runs.append(StoredRun(path.stem[:SHOWN], at, content))
+            runs.append(StoredRun(path.stem[:HASH_DIGITS], at, content))
     if not runs:
         raise ConfigError(f'{folder}: holds no runs; otf history {folder} --add RESULTS adds one')
     return Store(_in_time(runs), tuple(sorted(events, key=lambda e: (e.at, e.words))))
@@ -224,7 +224,7 @@ def _read_entry(path: Path) -> dict[str, Any]:
 # the motions of a run, so that the vector is the errors that the run knows but for a rigid motion.
 
 DAY = 86400.0
-NEAR = 1e-3
+SAME_OFFSET = 1e-3
 """m; target offsets that differ by less count as one: of 100 urad that is 0.1 um."""
 
 
@@ -271,7 +271,7 @@ class Series:
         for run in self.runs:
             tables = run.content.tables
             unseen = [m for m in self.common.folded if not tables.motions[m].identifiable]
-            if unseen and not np.allclose(tables.machine.target_offset, offset, atol=NEAR):
+            if unseen and not np.allclose(tables.machine.target_offset, offset, atol=SAME_OFFSET):
                 words.append(
                     f'the run {run.name} of {run.at:%Y-%m-%d} was measured with the target '
                     f'offset {_millimetres(tables.machine.target_offset)}, the latest run with '
@@ -311,7 +311,7 @@ def _millimetres(offset: Array) -> str:
 
 
 def _grid(common: Common) -> Array:
-    ends = [np.linspace(*_ends(common, a), GRID) for a in common.machine.axis_names]
+    ends = [np.linspace(*_ends(common, a), GRID_POINTS) for a in common.machine.axis_names]
     return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
 
 

@@ -18,7 +18,7 @@ from otf_core.bags.bag_reading import BagReading, path_of
 from otf_core.bags.bag_source import is_storage
 from otf_core.bags.rosbag2_metadata import PATH, POINT
 from otf_core.errors import ConfigError, OtfError
-from otf_core.exports.format import MARK, NEAR, is_export
+from otf_core.exports.format import MARK, MARK_BYTES, is_export
 from otf_core.files.output_folder import MANIFEST, is_as_listed, listed
 from otf_core.files.strict_yaml import read_json, read_yaml
 from otf_core.files.writing import unreadable
@@ -433,7 +433,11 @@ def _is_export(path: Path) -> bool:
 
 def _explain_export(path: Path) -> Explained:
     content = path.read_bytes()
-    both = content if len(content) <= 2 * NEAR else content[:NEAR] + b'\n' + content[-NEAR:]
+    both = (
+        content
+        if len(content) <= 2 * MARK_BYTES
+        else content[:MARK_BYTES] + b'\n' + content[-MARK_BYTES:]
+    )
     text = both.decode('utf-8', errors='replace')
     found = EXPORT_HEAD.search(text)
     if found is None:

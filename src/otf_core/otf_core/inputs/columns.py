@@ -488,7 +488,7 @@ def _labels_between(table: TextTable) -> Columns | None:
     return columns_of(labelled, table.where)
 
 
-SHARE = 0.9
+NUMBER_SHARE = 0.9
 """Of the rows in which a column without a name holds a number."""
 
 
@@ -497,21 +497,21 @@ def _value_places(table: TextTable) -> list[int]:
     found = []
     for place, column in enumerate(table.columns):
         texts = [text.strip() for text in column[:: max(len(column) // 500, 1)]]
-        if sum(is_value(t) or is_missing(t) for t in texts) >= SHARE * len(texts):
+        if sum(is_value(t) or is_missing(t) for t in texts) >= NUMBER_SHARE * len(texts):
             found.append(place)
     return found
 
 
 def counts_rows(texts: Sequence[str]) -> bool:
     """Tell whether a column only counts: 1, 2, 3, with a few left out at most."""
-    if len(texts) < FEW or not all(text.isdigit() for text in texts):
+    if len(texts) < CHANCE_ROWS or not all(text.isdigit() for text in texts):
         return False
     numbers = [int(text) for text in texts]
     steps = [after - before for before, after in pairwise(numbers)]
-    return min(steps) >= 1 and steps.count(1) >= SHARE * len(steps)
+    return min(steps) >= 1 and steps.count(1) >= NUMBER_SHARE * len(steps)
 
 
-FEW = 3
+CHANCE_ROWS = 3
 """Rows with which a column may count by chance."""
 
 
@@ -596,9 +596,9 @@ def _wanted(table: TextTable, wanted: str) -> Columns:
 def _is_known(heading: str) -> bool:
     name = parted(heading)[0]
     return bool(_times([heading])) or name in POLAR or (
-        coordinate_of(name) is not None and len(name) <= LONGEST
+        coordinate_of(name) is not None and len(name) <= MAX_NAME_LETTERS
     )  # fmt: skip
 
 
-LONGEST = 12
+MAX_NAME_LETTERS = 12
 """Letters of a name in --columns."""

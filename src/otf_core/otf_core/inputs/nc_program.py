@@ -494,7 +494,7 @@ class Klartext:
 
 # An NC program as a path: the corner points of its moves, whatever the control.
 
-LOOKED_AT = 65536
+EXAMINED_BYTES = 65536
 """Bytes by which a file is known to be a program."""
 KLARTEXT = re.compile(r'^\s*\d*\s*(BEGIN PGM\b|L\s+I?[XYZ][-+]?\d)', re.MULTILINE | re.IGNORECASE)
 BLOCK = re.compile(
@@ -547,7 +547,7 @@ def is_program(name: str | Path) -> bool:
     """Tell whether a file is an NC program, by its beginning; False if it cannot be read."""
     if not Path(name).is_file():
         return False
-    text = _text(name, LOOKED_AT)
+    text = _text(name, EXAMINED_BYTES)
     if '\0' in text:
         return False
     if is_klartext(text):

@@ -63,7 +63,7 @@ RATES = (0.5, 1e4)
 """Hz, that samples may have."""
 GUESSED = ('s', 'ms', 'us', 'ns', 'days')
 SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'days': 86400.0}
-FAST = 75.0
+SPEED_PERCENTILE = 75.0
 """Percentile of the speeds that is taken for that of the machine."""
 TOO_LARGE = 'a time does not fit into 64 bits of nanoseconds'
 SPREADSHEET, MATLAB = (36_526, 54_789), (730_486, 748_749)
@@ -239,7 +239,7 @@ def _speed(times: Array, xyz: Array) -> float:
     if not np.any(step > 0):
         return 0.0
     moved = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    return float(np.percentile(moved[step > 0] / step[step > 0], FAST))
+    return float(np.percentile(moved[step > 0] / step[step > 0], SPEED_PERCENTILE))
 
 
 def _guessed(times: Array, xyz: Array) -> str:
@@ -261,15 +261,15 @@ def _guessed(times: Array, xyz: Array) -> str:
 # the unit of time from the speed that follows from it.
 
 SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log', '.ply')
-LEFT_OUT = 0.1
+MAX_LEFT_OUT = 0.1
 """Share of the lines that may be no samples."""
 NOISE_SAMPLES = 100
 """From so many on noise can be missed."""
-QUIET = 2e-8
+SMALLEST_NOISE = 2e-8
 """m; no tracker has less noise."""
-MOVED = 1e-3
+MIN_TRAVEL = 1e-3
 """m; a target that hardly moves says nothing."""
-LARGE = 60.0
+TRACKER_RANGE = 60.0
 """Farther from the tracker is no metre: the range of trackers ends there."""
 
 
@@ -428,7 +428,7 @@ def _is_decimal(texts: Sequence[str]) -> bool:
 
 def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None:
     """Refuse a table of which many lines are no samples."""
-    if len(faults) > LEFT_OUT * (len(faults) + kept):
+    if len(faults) > MAX_LEFT_OUT * (len(faults) + kept):
         raise InputError(
             f'{table.where}: {len(faults)} of {len(faults) + kept} lines are no samples: '
             f'{fault_words(faults)}; give one table a file, and export the samples that were '
@@ -454,7 +454,7 @@ def _length(where: str, stated: str | None, values: Array) -> tuple[str, str]:
         raise InputError(
             f'{where}: {stated!r} is no unit of length that is read; possible: {known_lengths()}'
         )
-    unit = stated or ('mm' if np.nanmax(np.abs(values), initial=0.0) > LARGE else 'm')
+    unit = stated or ('mm' if np.nanmax(np.abs(values), initial=0.0) > TRACKER_RANGE else 'm')
     return unit, unit if stated else f'{unit} (not stated, by their size)'
 
 
@@ -514,7 +514,10 @@ def _without_noise(chosen: _Chosen, columns: Columns, unit: float, xyz: Array) -
     size = np.nanmedian(np.abs(np.diff(xyz, n=2, axis=0)), axis=0)
     digits = [max(len(t.partition('.')[2]) for t in c.texts[:NOISE_SAMPLES]) for c in chosen.point]
     step = unit * 10.0 ** -np.array(digits, dtype=float)
-    if not np.all(size <= np.maximum(1.01 * step, QUIET)) or np.ptp(xyz, axis=0).max() < MOVED:
+    if (
+        not np.all(size <= np.maximum(1.01 * step, SMALLEST_NOISE))
+        or np.ptp(xyz, axis=0).max() < MIN_TRAVEL
+    ):
         return ''
     size_um = max(1e6 * float(step.max()), 1e-6)
     return (

@@ -45,8 +45,8 @@ from otf_core.sim.watched import watched
 
 # Lines to prove a compensation on: drawn in the volume, none of them one that was fitted.
 
-POINTS = 13
-SHORTEST = 0.3
+POINTS_PER_LINE = 13
+SHORTEST_LINE = 0.3
 """Share of the space diagonal; shorter lines are drawn again."""
 INNER = 0.03
 """Share of every axis kept free at either end."""
@@ -69,9 +69,9 @@ def check_plan(machine: Machine, feed: float, rng: np.random.Generator) -> Plan:
     points = [rng.uniform(low, high)]
     for _ in range(MOST_TRIES):
         point = rng.uniform(low, high)
-        if np.linalg.norm(point - points[-1]) > SHORTEST * np.linalg.norm(size):
+        if np.linalg.norm(point - points[-1]) > SHORTEST_LINE * np.linalg.norm(size):
             points.append(point)
-        if len(points) == POINTS:
+        if len(points) == POINTS_PER_LINE:
             break
     return Plan(
         NominalPath(np.array(points)), np.full(len(points) - 1, feed), np.full(len(points), DWELL)
@@ -84,7 +84,7 @@ def check_plan(machine: Machine, feed: float, rng: np.random.Generator) -> Plan:
 # parts are blended within ``TOLERANCE``; at the corner points of the nominal path the machine
 # stops by its dwell as before.
 
-PART = 0.01
+LONGEST_PART = 0.01
 """m; longest part of a line."""
 TOLERANCE = 1e-7
 """m; blending between parts (G64 P)."""
@@ -101,10 +101,10 @@ INCREMENT = 1e-7
 
 
 def in_parts(plan: Plan) -> Plan:
-    """Cut every leg of a plan into parts of at most ``PART``; only its own corners dwell."""
+    """Cut every leg into parts of at most ``LONGEST_PART``; only corners of the plan dwell."""
     points, feed, dwell = [plan.path.points[0]], [], [plan.dwell[0]]
     for k, length in enumerate(plan.path.leg_lengths):
-        count = max(1, int(np.ceil(length / PART)))
+        count = max(1, int(np.ceil(length / LONGEST_PART)))
         share = np.arange(1, count + 1)[:, None] / count
         start, end = plan.path.points[k], plan.path.points[k + 1]
         points.extend(start + share * (end - start))
@@ -143,9 +143,9 @@ def corrected_program(plan: Plan, header: Sequence[str]) -> str:
 # by the length driven since the start: the control runs along the points of its program, so equal
 # shares of that length are equal places in it, whatever the correction has moved.
 
-REACHED = 2e-6
+POSITION_TOLERANCE = 2e-6
 """m; the control stands at a point."""
-STEP = 1e-3
+ERROR_STEP = 1e-3
 """m; the error is taken this often along the path."""
 DETOUR = 1e-4
 """Largest relative difference of the length driven from that of the program."""
@@ -172,7 +172,7 @@ class OnPath:
 
 def start_row(driven: Driven, point: Array) -> int:
     """First servo period in which the control stands at the start of the path."""
-    there = np.flatnonzero(np.linalg.norm(driven.believed - point, axis=1) < REACHED)
+    there = np.flatnonzero(np.linalg.norm(driven.believed - point, axis=1) < POSITION_TOLERANCE)
     if not len(there):
         raise InputError('LinuxCNC: never reached the start of the path')
     return int(there[0])
@@ -200,7 +200,7 @@ def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None
     if abs(reach[-1] - corners[-1]) > DETOUR * corners[-1]:
         raise InputError(f'LinuxCNC: drove {reach[-1]:.6f} m of a program of {corners[-1]:.6f} m')
     reach *= corners[-1] / reach[-1]
-    wanted = np.arange(STEP, corners[-1], STEP)
+    wanted = np.arange(ERROR_STEP, corners[-1], ERROR_STEP)
     row = np.minimum(np.searchsorted(reach, wanted), len(reach) - 1)
     if nominal is None:
         return OnPath(first + row, driven.believed[first + row], wanted / corners[-1])

@@ -3,8 +3,8 @@
 
 Runs under the Python of the system, where the module ``hal`` is; reads the neutral lattice
 (errors in m) and sets counts of 10 nm. Evaluated where the target will be in half a period of
-its own: the speed comes from the last two looks. A correction beyond ``LIMIT``, or a look that
-comes ``LATE``, holds the feed and is told on stderr.
+its own; the speed is that between the last two readings. A correction beyond ``MAX_OFFSET``, or a
+reading delayed by more than ``MAX_DELAY``, holds the feed and is reported on stderr.
 """
 
 import bisect
@@ -19,13 +19,13 @@ Table: TypeAlias = dict[tuple[int, ...], tuple[float, ...]]
 
 COUNT = 1e-8
 """m"""
-LIMIT = 1e-3
+MAX_OFFSET = 1e-3
 """m"""
-LATE = 0.25
+MAX_DELAY = 0.25
 """s"""
 PERIOD = 0.001
 """s"""
-AHEAD = 0.003
+LEAD_TIME = 0.003
 """s; from reading a position to the offset in the motors: planner of the offsets included."""
 
 
@@ -88,15 +88,15 @@ def look(
         before, then = last
         step = now - then
         made['slowest'] = max(made['slowest'], step)
-        if step > LATE and q != before:
+        if step > MAX_DELAY and q != before:
             made['fault'] = True
             sys.stderr.write(f'otf-volume: a look {step:.3f} s late at {q}: feed held\n')
-        if 0 < step < LATE:
-            ahead = [b + (b - a) * AHEAD / step for a, b in zip(before, q, strict=True)]
+        if 0 < step < MAX_DELAY:
+            ahead = [b + (b - a) * LEAD_TIME / step for a, b in zip(before, q, strict=True)]
     error = error_at(axes, table, ahead)
-    if max(map(abs, error)) > LIMIT:
+    if max(map(abs, error)) > MAX_OFFSET:
         made['fault'] = True
-        sys.stderr.write(f'otf-volume: correction {error} m beyond {LIMIT} m: feed held\n')
+        sys.stderr.write(f'otf-volume: correction {error} m beyond {MAX_OFFSET} m: feed held\n')
     else:
         for axis, value in zip('xyz', error, strict=True):
             made[f'counts-{axis}'] = round(-value / COUNT)

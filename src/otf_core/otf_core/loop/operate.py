@@ -13,7 +13,7 @@ from typing import Any
 
 import linuxcnc  # type: ignore[import-not-found]
 
-STEP = 0.02
+POLL_PERIOD = 0.02
 """s between two looks at the control."""
 
 
@@ -30,7 +30,7 @@ def until(stat: Any, reached: Callable[[Any], bool], seconds: float, what: str) 
             return
         if time.monotonic() > end:
             raise Failed(f'{what} not within {seconds:.0f} s')
-        time.sleep(STEP)
+        time.sleep(POLL_PERIOD)
 
 
 def switched_on(command: Any, stat: Any) -> None:
@@ -67,7 +67,7 @@ def driven(command: Any, stat: Any, errors: Any, name: str, samples: str, second
                 command.auto(linuxcnc.AUTO_RESUME)  # the program waits for the recording
             if time.monotonic() > end:
                 raise Failed(f'{name}: not done within {seconds:.0f} s')
-            time.sleep(STEP)
+            time.sleep(POLL_PERIOD)
             stat.poll()
         time.sleep(0.3)
     finally:

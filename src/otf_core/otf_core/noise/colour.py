@@ -25,9 +25,9 @@ MAX_LAG = 0.75
 TYPICAL_TIME, SPREAD = 0.3, 10.0
 """s and factor; what is known of correlation times before: recorded ones lie within
 (docs/noise.md). Decides only where the recording does not."""
-PASSES = 5
+MAX_ITERATIONS = 5
 """Of the fit; each weighs with the model of the one before."""
-NO_COLOUR = 0.02
+MIN_SLOW_SHARE = 0.02
 """Share of the variance below which a slow part is not told from none."""
 SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
 """s; correlation times looked for, further limited by the interval and length of the windows."""
@@ -88,7 +88,9 @@ def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Arr
     least = 1e-3 * seen.value.max(axis=1, keepdims=True) + 1e-300
     value = np.maximum(seen.value, least)
     model = np.broadcast_to(value, (len(times), *value.shape))
-    for _ in range(PASSES):  # the precision is that of the model, not of the value it has to fit
+    for _ in range(
+        MAX_ITERATIONS
+    ):  # the precision is that of the model, not of the value it has to fit
         scale = value.max(axis=1, keepdims=True)
         white, slow = _weighted(seen.value, shape, seen.freedom * (scale / model) ** 2)
         model = np.maximum(white[..., None] + slow[..., None] * shape, least)
@@ -131,7 +133,7 @@ def fit_colour(windows: Sequence[Array], step: float) -> tuple[NoiseComponent, .
         times = np.geomspace(times[max(best - 1, 0)], times[min(best + 1, len(times) - 1)], 13)
     _, (white,), (slow,) = _fits(seen, step, np.array([centre]))
     total, time = white + slow, float(centre)
-    if not np.any(slow > NO_COLOUR * total):
+    if not np.any(slow > MIN_SLOW_SHARE * total):
         white, time = total, 0.0
     levels = zip(np.sqrt(total), np.sqrt(white), strict=True)
     return tuple(NoiseComponent(float(u), float(w), time) for u, w in levels)

@@ -3,10 +3,10 @@
 
 Two hypotheses share the evidence for each property. As specified: its logarithm is normal about
 that of the specified (for the correlation time: the typical) value, the limit being two standard
-deviations away. Otherwise: it lies between the limit and ``WIDEST`` limits, all logarithms alike.
-What standstills show of a level or time is the logarithm of the fitted value, with its jackknife
-uncertainty (Student's t, one degree of freedom less than groups): so number and length of the
-standstills, colour and tails all enter. Tails have the likelihood of Student's t.
+deviations away. Otherwise: it lies between the limit and ``MAX_LIMIT_FACTOR`` limits, all
+logarithms alike. What standstills show of a level or time is the logarithm of the fitted value,
+with its jackknife uncertainty (Student's t, one degree of freedom less than groups): so number and
+length of the standstills, colour and tails all enter. Tails have the likelihood of Student's t.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from otf_core.noise.standstill import (
     student_likelihood,
 )
 
-LEVEL = 1.6
+MAX_LEVEL_RATIO = 1.6
 """Actual over specified standard deviation that still passes as specified."""
-SLOW = 1.0
+SLOW_TIME = 1.0
 """s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
-HEAVY = 5.0
+HEAVY_TAILS = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
-WIDEST = 10.0
+MAX_LIMIT_FACTOR = 10.0
 """Factor on a limit beyond which nothing is expected."""
-BEST = 0.01
+MIN_U_OF_LOGARITHM = 0.01
 """Standard uncertainty of a logarithm at best."""
 
 
@@ -78,7 +78,8 @@ def probability_beyond(seen: float, u: float, limit: float, freedom: float) -> f
     Parameters
     ----------
     seen : float
-        Measured over specified value; what is below 1 or above ``WIDEST`` limits counts as these.
+        Measured over specified value; what is below 1 or above ``MAX_LIMIT_FACTOR`` limits counts
+        as these.
     u : float
         Standard uncertainty of its logarithm.
     limit : float
@@ -86,10 +87,10 @@ def probability_beyond(seen: float, u: float, limit: float, freedom: float) -> f
     freedom : float
         Degrees of freedom of ``u``.
     """
-    edge, end = float(np.log(limit)), float(np.log(WIDEST * limit))
-    at, u, spread = float(np.clip(np.log(seen), 0.0, end)), max(u, BEST), 0.5 * edge
+    edge, end = float(np.log(limit)), float(np.log(MAX_LIMIT_FACTOR * limit))
+    at, u, spread = float(np.clip(np.log(seen), 0.0, end)), max(u, MIN_U_OF_LOGARITHM), 0.5 * edge
     # means of the likelihood over both priors
-    y = np.arange(-5.0 * spread, end, 0.2 * BEST)
+    y = np.arange(-5.0 * spread, end, 0.2 * MIN_U_OF_LOGARITHM)
     prior, seen_at = np.exp(-0.5 * (y / spread) ** 2), _student_density((y - at) / u, freedom) / u
     specified = float(np.sum(prior * seen_at) / np.sum(prior))
     inside = np.diff(stdtr(freedom, (np.array([edge, end]) - at) / u))[0]
@@ -105,10 +106,10 @@ def _student_density(t: Array, freedom: float) -> Array:
 
 
 def _tails(windows: list[Array], step: float) -> tuple[float, float]:
-    """Likeliest degrees of freedom, and probability that they are below ``HEAVY``."""
+    """Likeliest degrees of freedom, and probability that they are below ``HEAVY_TAILS``."""
     found = [student_likelihood(column) for column in fast_part(windows, step).T]
     student, normal = np.sum([s for s, _ in found], axis=0), sum(n for _, n in found)
-    heavy = FREEDOMS < HEAVY
+    heavy = FREEDOMS < HEAVY_TAILS
     beyond = logsumexp(student[heavy]) - np.log(heavy.sum())
     specified = logsumexp([*student[~heavy], normal]) - np.log(1 + (~heavy).sum())
     return float(FREEDOMS[np.argmax(student)]), float(1.0 / (1.0 + np.exp(specified - beyond)))
@@ -122,7 +123,7 @@ def as_simulated(noise: NoiseModel, spec: TrackerSpec) -> NoiseModel:
     """
     limits = (spec.u_range, spec.u_angle, spec.u_angle)
     parts = zip(noise, limits, strict=True)
-    return NoiseModel(*(c if c.level <= LEVEL * u else c.at_most(u) for c, u in parts))
+    return NoiseModel(*(c if c.level <= MAX_LEVEL_RATIO * u else c.at_most(u) for c, u in parts))
 
 
 def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Departure | None:
@@ -149,7 +150,10 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
         return None
     seen, parts = noise_of_windows(windows, step).noise, left_out_fits(windows, step)
     *level, time = _over_specified(seen, spec)
-    freedom, limits = len(parts) - 1.0, [LEVEL] * 3 + [SLOW / TYPICAL_CORRELATION_TIME]
+    freedom, limits = (
+        len(parts) - 1.0,
+        [MAX_LEVEL_RATIO] * 3 + [SLOW_TIME / TYPICAL_CORRELATION_TIME],
+    )
     u = jackknife_u(np.log([_over_specified(p, spec) for p in parts]))
     *of_level, of_time = (
         probability_beyond(float(v), float(s), limit, freedom)

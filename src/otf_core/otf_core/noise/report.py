@@ -23,7 +23,7 @@ from otf_core.noise.colour import (
     variogram,
 )
 from otf_core.noise.standstill import (
-    HELD,
+    MAX_REPEATED_DIFFERENCE,
     MIN_DURATION,
     Drift,
     Lost,
@@ -40,17 +40,17 @@ from otf_core.noise.standstill import (
 
 MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""
-ENOUGH = 5.0
+MIN_TOTAL_FOR_COLOUR = 5.0
 """s; with less, level and colour are rough."""
-REPEATED = 0.2
+MAX_REPEATED_SHARE = 0.2
 """Share of successive samples without any change beyond which the recording is coarse."""
-LOST = 0.01
+MAX_LOST_SHARE = 0.01
 """Share of lost samples that is warned of."""
-LOUDEST = 20e-6
+MAX_LEVEL = 20e-6
 """m and rad; no laser tracker at work is louder, so the target itself moves."""
-SLOW = 0.95
+LONG_TIME_SHARE = 0.95
 """Share of the longest correlation time looked for, from which on it may be longer."""
-FASTEST = 1e-4
+MIN_INTERVAL = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
 
 
@@ -109,7 +109,7 @@ def _coarse(windows: list[Array]) -> str | None:
     new = [np.concatenate([[True], np.diff(w, axis=0).any(axis=1)]) for w in windows]
     count = sum(len(w) for w in windows)
     share = 1.0 - sum(int(n.sum()) for n in new) / count
-    if share <= REPEATED:
+    if share <= MAX_REPEATED_SHARE:
         return None
     # a rounded value comes back after others have been seen, a held one does not
     visits = sum(int(n.sum()) for n in new)
@@ -131,16 +131,16 @@ def _warnings(
 ) -> tuple[str, ...]:
     coarse = _coarse(windows)
     found = [coarse] if coarse else []
-    if lost.samples > LOST * count:
+    if lost.samples > MAX_LOST_SHARE * count:
         found.append(
             f'{lost.samples} samples lost in {lost.gaps} gaps '
             f'({100 * lost.samples / (lost.samples + count):.0f} %), the longest '
             f'{lost.longest:.2f} s: check tracker, driver and network'
         )
-    if duration < ENOUGH:
+    if duration < MIN_TOTAL_FOR_COLOUR:
         found.append(
-            f'only {duration:.1f} s of standstill: levels and colour are rough; {ENOUGH:g} s or '
-            f'more in stops of a second or more tell them'
+            f'only {duration:.1f} s of standstill: levels and colour are rough; '
+            f'{MIN_TOTAL_FOR_COLOUR:g} s or more in stops of a second or more tell them'
         )
     if measured.left_out > measured.windows:
         found.append(
@@ -148,12 +148,12 @@ def _warnings(
             f'itself seems to have moved; left out'
         )
     time = measured.noise.range.correlation_time
-    if time > SLOW * longest_time(windows, duration / measured.samples):
+    if time > LONG_TIME_SHARE * longest_time(windows, duration / measured.samples):
         found.append(
             f'the slow part is slower than the standstills tell: its correlation time is '
             f'{time:.1f} s or more, and its level a lower bound'
         )
-    if measured.noise.level.max() > LOUDEST:
+    if measured.noise.level.max() > MAX_LEVEL:
         found.append(
             'louder than laser trackers are: the target itself seems to move; fasten it and '
             'record again'
@@ -175,7 +175,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
         If there is hardly any standstill, or the stamps are not those of measurements.
     """
     step = samples.step
-    if 0.0 < step < FASTEST:
+    if 0.0 < step < MIN_INTERVAL:
         raise InputError(
             f'stamps are {1e6 * step:.0f} us apart, faster than trackers measure: they seem to '
             f'be times of arrival in bursts; the driver has to stamp the time of measurement'
@@ -184,7 +184,9 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     windows, left_out = quiet_windows(samples, runs) if len(runs) else ([], 0)
     duration = sum(len(w) for w in windows) * step
     if duration < MIN_TOTAL:
-        if len(runs) and all(np.ptp(samples.xyz[a:b], axis=0).max() <= HELD for a, b in runs):
+        if len(runs) and all(
+            np.ptp(samples.xyz[a:b], axis=0).max() <= MAX_REPEATED_DIFFERENCE for a, b in runs
+        ):
             raise InputError(
                 'the points of the standstills repeat without any noise: they are held or '
                 'rounded; record what the tracker measures, unfiltered and with all digits'

@@ -29,15 +29,15 @@ BLOCK = 0.1
 """s; settling is slower than this, most tracker noise within a block faster."""
 MIN_SAMPLES = 4
 """Samples in a block, at low rates."""
-SHAKEN = 8.0
+MAX_RATIO_AT_REST = 8.0
 """Ratio of a block's standard deviation to that of quiet blocks; heavy tails stay below it."""
-IN_MOTION = 6.0
+MAX_BLOCK_CHANGE = 6.0
 """Change from block to block over its standard deviation in quiet blocks."""
-SETTLED = 4.0
+MAX_FIRST_DEVIATION = 4.0
 """Deviation of the first and last blocks from the median, in the same units."""
 QUIET_BLOCKS = 25.0
 """Percentile of all blocks that counts as quiet: most stops of a robot are not."""
-NORMAL = 0.3186
+NORMAL_PERCENTILE = 0.3186
 """This percentile of the absolute value of normal noise of unit variance."""
 MIN_BLOCKS, MIN_BLOCKS_FOR_MEDIAN = 3, 8
 """Blocks; shorter standstills are not judged, or not by the deviation from their median."""
@@ -138,8 +138,8 @@ def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> Quiet:
     long = [mean for mean, _ in judged if len(mean) >= MIN_BLOCKS_FOR_MEDIAN]
     return Quiet(
         lowest([deviation for _, deviation in judged]),
-        lowest([np.abs(np.diff(mean, axis=0)) / NORMAL for mean, _ in judged]),
-        lowest([np.abs(mean - np.median(mean, axis=0)) / NORMAL for mean in long]),
+        lowest([np.abs(np.diff(mean, axis=0)) / NORMAL_PERCENTILE for mean, _ in judged]),
+        lowest([np.abs(mean - np.median(mean, axis=0)) / NORMAL_PERCENTILE for mean in long]),
     )
 
 
@@ -147,7 +147,7 @@ def _settled(mean: Array, away: Array) -> tuple[int, int]:
     """Blocks (first, one past last) between settling and the next start."""
     if len(mean) < MIN_BLOCKS_FOR_MEDIAN:
         return 0, len(mean)
-    off = np.any(np.abs(mean - np.median(mean, axis=0)) > SETTLED * away, axis=1)
+    off = np.any(np.abs(mean - np.median(mean, axis=0)) > MAX_FIRST_DEVIATION * away, axis=1)
     if off.all():
         return 0, 0
     lead, trail = int(np.argmin(off)), int(np.argmin(off[::-1]))
@@ -180,8 +180,8 @@ def at_rest(samples: Samples, runs: Index) -> Index:
         if len(mean) < MIN_BLOCKS:
             found.append((first, last))
             continue
-        jump = np.any(np.abs(np.diff(mean, axis=0)) > IN_MOTION * quiet.change, axis=1)
-        bad = np.any(deviation > SHAKEN * quiet.deviation, axis=1)
+        jump = np.any(np.abs(np.diff(mean, axis=0)) > MAX_BLOCK_CHANGE * quiet.change, axis=1)
+        bad = np.any(deviation > MAX_RATIO_AT_REST * quiet.deviation, axis=1)
         bad[1:] |= jump
         bad[:-1] |= jump
         low, high = _longest(~bad)
@@ -192,7 +192,7 @@ def at_rest(samples: Samples, runs: Index) -> Index:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-SIDE = 3
+QUIET_BLOCKS_ASIDE = 3
 """Blocks on either side of a step that have to be quiet."""
 MIN_DRIFT_TIME = 5.0
 """s; a shorter standstill does not tell drift from slow noise."""
@@ -268,14 +268,16 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
     deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
     blocks = [blocks_of(d, size) for d in deviations]
     quiet = quiet_blocks(blocks, resolution(deviations))
-    limit = IN_MOTION * np.hypot(quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0))
+    limit = MAX_BLOCK_CHANGE * np.hypot(
+        quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0)
+    )
     found = []
     for (first, _), (mean, _) in zip(runs, blocks, strict=True):
-        places = np.arange(SIDE, len(mean) - SIDE)
+        places = np.arange(QUIET_BLOCKS_ASIDE, len(mean) - QUIET_BLOCKS_ASIDE)
         if not len(places):
             continue
-        before = np.stack([mean[k - SIDE : k] for k in places])
-        after = np.stack([mean[k + 1 : k + 1 + SIDE] for k in places])
+        before = np.stack([mean[k - QUIET_BLOCKS_ASIDE : k] for k in places])
+        after = np.stack([mean[k + 1 : k + 1 + QUIET_BLOCKS_ASIDE] for k in places])
         change = after.mean(axis=1) - before.mean(axis=1)
         calm = np.all(np.maximum(np.ptp(before, axis=1), np.ptp(after, axis=1)) < limit, axis=1)
         height = np.where(calm, np.max(np.abs(change) / limit, axis=1), 0.0)
@@ -283,7 +285,7 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
             best = int(height.argmax())
             sample = first + round((places[best] + 0.5) * size)
             found.append(Step(float(samples.time[sample]), change[best]))
-            height[max(best - SIDE, 0) : best + SIDE + 1] = 0.0
+            height[max(best - QUIET_BLOCKS_ASIDE, 0) : best + QUIET_BLOCKS_ASIDE + 1] = 0.0
     return tuple(sorted(found, key=lambda s: s.time))
 
 
@@ -402,25 +404,25 @@ MIN_DURATION = 0.25
 """s; shorter stops are not used."""
 GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
-NEAR = (0.7, 1.6)
+INDISTINCT_RATIOS = (0.7, 1.6)
 """Measured over specified level that stops of a second cannot tell from 1."""
-SLOWEST = 1.0
+SLOW_TIME = 1.0
 """s; correlation time of slow but usual noise, of which little standstill shows little."""
 MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
 """s; longer standstills are cut, so that slow drift does not count as noise."""
-DRIFTING = 8.0
+MIN_TIME_OF_DRIFT = 8.0
 """s; of standstills as long as this a straight line is drift, and taken off."""
-SHORTEST = 0.2
+MIN_PART = 0.2
 """s; parts of a standstill that are shorter are not used."""
 MIN_WINDOW_OF_LEVEL = 1.0
 """s; the level of shorter windows scatters much."""
 QUIET_WINDOWS = 10.0
 """Percentile of the windows that counts as quiet."""
-LOUD = 4.0
+MAX_RATIO_OF_WINDOWS = 4.0
 """Ratio of a long window to quiet ones beyond which the target itself must have moved."""
-HELD = 1e-11
+MAX_REPEATED_DIFFERENCE = 1e-11
 """m and rad; points that differ by less are one point repeated."""
 
 
@@ -491,7 +493,7 @@ def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
         length = (last - first) * step
         parts = int(np.ceil(length / WINDOW - 1e-9))
         deviations = spherical_deviations(samples.xyz[first:last])
-        if length >= DRIFTING:
+        if length >= MIN_TIME_OF_DRIFT:
             line = np.linspace(-1.0, 1.0, last - first)
             deviations -= np.outer(line, line @ deviations / (line @ line))
         found += np.array_split(deviations, parts)
@@ -500,15 +502,17 @@ def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
 
 def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
     """Leave out windows that are too short or in which the target itself seems to have moved."""
-    windows = [w for w in windows if len(w) * step >= SHORTEST]
+    windows = [w for w in windows if len(w) * step >= MIN_PART]
     # else the last point is held, not measured
-    windows = [w for w in windows if np.ptp(w, axis=0).max() > HELD]
+    windows = [w for w in windows if np.ptp(w, axis=0).max() > MAX_REPEATED_DIFFERENCE]
     if not windows:
         return [], 0
     level = np.array([w.std(axis=0) for w in windows])
     # the shorter a window, the more its level scatters
     quiet = np.percentile(level, QUIET_WINDOWS, axis=0)
-    limit = LOUD * (1.0 + MIN_WINDOW_OF_LEVEL / (step * np.array([len(w) for w in windows])))
+    limit = MAX_RATIO_OF_WINDOWS * (
+        1.0 + MIN_WINDOW_OF_LEVEL / (step * np.array([len(w) for w in windows]))
+    )
     still = np.all(level <= limit[:, None] * np.maximum(quiet, resolution(windows)), axis=1)
     return [w for w, s in zip(windows, still, strict=True) if s], int(np.sum(~still))
 
@@ -578,9 +582,9 @@ def _near(samples: Samples, seen: MeasuredNoise) -> tuple[float, float]:
     A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
     duration = seen.samples * samples.step
-    scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
-    shown = np.sqrt(-np.expm1(-duration / seen.windows / SLOWEST))
-    return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)
+    scatter = np.exp(2.0 * np.sqrt(0.5 * SLOW_TIME / duration))
+    shown = np.sqrt(-np.expm1(-duration / seen.windows / SLOW_TIME))
+    return min(INDISTINCT_RATIOS[0], 1.0 / scatter, shown), max(INDISTINCT_RATIOS[1], scatter)
 
 
 def _stretch(seen: NoiseModel, level: Array, near: NDArray[np.bool_]) -> float:

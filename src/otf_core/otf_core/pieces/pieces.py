@@ -55,7 +55,7 @@ def over_windows(combine: np.ufunc, values: NDArray[Any], size: int) -> NDArray[
 
 MEDIAN_HALF = 5
 """samples on either side that a sample is compared with to tell an outlier."""
-GROSS = 3e-5
+MIN_OUTLIER = 3e-5
 """m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
 as bad samples they average out."""
 RAYLEIGH_MEDIAN = 1.1774
@@ -68,7 +68,7 @@ def outlying(
     """Samples far from the running median of their leg, by robust standard deviation.
 
     No sample is further from its median than the samples around it are apart, so where these
-    are all within ``GROSS`` there is nothing to look for. The ends of a leg are continued by
+    are all within ``MIN_OUTLIER`` there is nothing to look for. The ends of a leg are continued by
     point reflection, which keeps the slope; the end sample, about which it is reflected, is
     compared with the extrapolated median instead.
 
@@ -79,13 +79,13 @@ def outlying(
     bounds : sequence of (int, int)
         First sample and one past the last of every leg.
     """
-    if all(_apart(offset_of(slice(*leg))) < GROSS for leg in bounds):
+    if all(_apart(offset_of(slice(*leg))) < MIN_OUTLIER for leg in bounds):
         return np.zeros(bounds[-1][1], dtype=bool)
     distance = np.empty(bounds[-1][1])
     for leg in bounds:
         distance[slice(*leg)] = np.linalg.norm(_from_median(offset_of(slice(*leg))), axis=0)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    return np.asarray(distance > max(limit * sigma, GROSS))
+    return np.asarray(distance > max(limit * sigma, MIN_OUTLIER))
 
 
 def _from_median(offset: Array) -> Array:
@@ -115,18 +115,18 @@ def _apart(offset: Array) -> float:
     return float(np.linalg.norm(np.maximum(spread.max(axis=1), 3.0 * reach)))
 
 
-MOST = 200
+MAX_PARTS_OF_LEG = 200
 """Equal parts of one leg: long legs are those of large machines, whose functions are as long."""
 
 
 def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
     """Piece boundaries along one leg, m from its start: node crossings, then equal parts.
 
-    Parts are ``size`` long, on legs of more than ``MOST`` of them longer.
+    Parts are ``size`` long, on legs of more than ``MAX_PARTS_OF_LEG`` of them longer.
     """
     step = corners[leg + 1] - corners[leg]
     length = float(np.linalg.norm(step))
-    size = max(size, length / MOST)
+    size = max(size, length / MAX_PARTS_OF_LEG)
     cuts = [np.array([0.0, length])]
     for axis in range(3):
         if abs(step[axis]) > 1e-9:

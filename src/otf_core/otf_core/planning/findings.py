@@ -36,7 +36,7 @@ from otf_core.solving.unknowns import Unknowns, reference_position
 # lever arm, and not if that travel is parallel to its axis of rotation. Where the chain offers
 # none, a second target offset does.
 
-_SHARE = 0.1
+_IMITATED_SHARE = 0.1
 """Part of a motion's effect that another one must imitate to be named."""
 
 
@@ -126,7 +126,7 @@ def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str
     for error, bow, pull, own in zip(errors, bows.T, pulled.T, coefficients.T, strict=True):
         size = float(bow @ pull)
         seen = size > 1e-6 * largest * float(bow @ bow)
-        found[error] = _strongest(result, matrix, own, _SHARE * size) if seen else ()
+        found[error] = _strongest(result, matrix, own, _IMITATED_SHARE * size) if seen else ()
     return found
 
 
@@ -224,7 +224,7 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
 
 # Before measuring: which effects a plan would show, from which size on, and which not apart.
 
-SAME = 0.97
+INDISTINGUISHABLE_SHARE = 0.97
 """Share of the squared trace that another effect can leave as well: not told apart."""
 
 
@@ -264,7 +264,7 @@ class Trace:
     def imitated_by(self, other: Trace) -> bool:
         """Tell whether another effect can leave every trace of this one."""
         shared = other.rich.T @ self.simple
-        return float(np.sum(shared**2)) > SAME * self.square
+        return float(np.sum(shared**2)) > INDISTINGUISHABLE_SHARE * self.square
 
     @cached_property
     def square(self) -> float:

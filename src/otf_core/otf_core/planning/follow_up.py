@@ -29,7 +29,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import Plan
 from otf_core.planning.forecast import (
-    BESIDE,
+    PLACE_DISTANCE,
     MeasuredRun,
     Setup,
     drive_times,
@@ -57,9 +57,9 @@ from otf_core.solving.whitener import Whitener
 # Rows are perpendicular to the path wherever the tracker stands: a place changes how well errors
 # are seen, not which. So the errors judged are those that are seen from the place assumed.
 
-_PART = 0.5
+_PART_OF_INTERVAL = 0.5
 """Part of an interval of the splines that a piece may span to compare places."""
-_JUDGED = 5
+_GRID_POINTS = 5
 """Points per axis of the grid that places are compared on, at most."""
 
 
@@ -138,11 +138,11 @@ def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callabl
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
     unknowns = layout(smooth_bases(nodes, INTERVALS))
     prior = expected_precision(unknowns, limit, setup.config.error_size)
-    grid = covered_grid(machine, points, min(setup.config.grid, _JUDGED))
+    grid = covered_grid(machine, points, min(setup.config.grid, _GRID_POINTS))
     tables = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
     free = free_rows(tables.reshape(-1, tables.shape[2]), grid)
     rows = free @ table_rows(unknowns, nodes)
-    cut = equal_pieces(unknowns.knots, _PART, setup.calibration.piece_length)
+    cut = equal_pieces(unknowns.knots, _PART_OF_INTERVAL, setup.calibration.piece_length)
     pieces = forecast_pieces(plan, cut, setup)
 
     def mean_grid_u(place: Array) -> float:
@@ -216,7 +216,7 @@ def compare_places(
         free and the target looks at the tracker is not checked.
     """
     limits = setup.config
-    near = max(BESIDE, limits.min_range)
+    near = max(PLACE_DISTANCE, limits.min_range)
     found = []
     for place, words in candidate_places(setup.machine, near):
         shortest, longest = beam_lengths(plan, place)
@@ -235,11 +235,11 @@ def compare_places(
 
 PASSES, LEVELS, RATIOS = (1, 2, 3), (2, 3), (0.67, 0.4)
 """Laps, planes of diagonals and ratios of feeds of the paths that are compared."""
-SURE = 9.0
+NAMED_LOG_ODDS = 9.0
 """Logarithm of the odds from which an effect is named (``diagnosis.engine.search``)."""
-ENOUGH = 0.95
+ANSWERED_SHARE = 0.95
 """Share of the most that any path answers, from which a shorter one is taken."""
-MOST = 12
+COMPARED_PATHS = 12
 """Paths that are compared, the shortest first."""
 
 
@@ -270,7 +270,7 @@ class Answer:
     ----------
     log_odds : float
         Logarithm of the odds for the cause against its rival; of an effect that was not visible,
-        ``SURE`` times the size of 5 um over the least size found, at most ``SURE`` twice.
+        ``NAMED_LOG_ODDS`` times 5 um over the smallest size found, at most twice that.
     """
 
     question: Question
@@ -280,7 +280,7 @@ class Answer:
     @property
     def sure(self) -> bool:
         """True if the path answers the question."""
-        return self.log_odds >= SURE
+        return self.log_odds >= NAMED_LOG_ODDS
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of plan.json."""
@@ -352,7 +352,7 @@ def answered(rows: Rows, question: Question) -> Answer:
     log_odds = 0.5 * left
     words = (
         f'tells {question.effect} from {question.rival}: '
-        f'{"yes" if log_odds >= SURE else "not surely"} (odds of exp({log_odds:.1f}))'
+        f'{"yes" if log_odds >= NAMED_LOG_ODDS else "not surely"} (odds of exp({log_odds:.1f}))'
     )
     return Answer(question, log_odds, words)
 
@@ -387,7 +387,7 @@ def _seen(rows: Rows, question: Question) -> Answer:
         words = f'{question.effect} stays invisible; it needs {effect.needs}'
         return Answer(question, 0.0, words)
     words = f'shows {question.effect} from {1e6 * sight.smallest:.2f} um on'
-    return Answer(question, min(2.0, 5e-6 / sight.smallest) * SURE, words)
+    return Answer(question, min(2.0, 5e-6 / sight.smallest) * NAMED_LOG_ODDS, words)
 
 
 def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> list[Plan]:
@@ -409,7 +409,7 @@ def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> li
             f'time_budget: no path takes {budget:g} s or less; the shortest takes '
             f'{math.ceil(shortest)} s'
         )
-    return kept[:MOST]
+    return kept[:COMPARED_PATHS]
 
 
 def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Setup]:
@@ -466,10 +466,10 @@ def plan_after(
             planned = planned_solution(plan, there, forecast(plan, there))
             rows = joint_rows(planned, known, limit)
             answers = [answered(rows, q) for q in questions]
-            worth = sum(min(a.log_odds, SURE) for a in answers)
+            worth = sum(min(a.log_odds, NAMED_LOG_ODDS) for a in answers)
             found.append((worth, plan, answers, there))
         if all(a.sure for a in answers):
             break
     most = max(worth for worth, *_ in found)
-    _, plan, answers, there = next(one for one in found if one[0] >= ENOUGH * most)
+    _, plan, answers, there = next(one for one in found if one[0] >= ANSWERED_SHARE * most)
     return plan, answers, there

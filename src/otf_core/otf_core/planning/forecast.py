@@ -136,11 +136,11 @@ def drive_times(plan: Plan, acceleration: float) -> DriveTimes:
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 
-PART = 0.25
+PIECE_SHARE = 0.25
 """Part of an interval of the splines that a piece may span in a forecast at most."""
-TOO_MANY = 2.0
+MAX_PIECE_RATIO = 2.0
 """Times as many pieces as that makes, in a recording, from which on they are not all laid out."""
-BESIDE = 0.3
+PLACE_DISTANCE = 0.3
 """m; distance of the default place of the tracker from the working volume."""
 
 
@@ -256,7 +256,7 @@ class Forecast:
 def beside(machine: Machine) -> Array:
     """Default place of the tracker: in front of the volume (-Y), at half height."""
     place = 0.5 * (machine.lower + machine.upper)
-    place[1] = machine.lower[1] - BESIDE
+    place[1] = machine.lower[1] - PLACE_DISTANCE
     return np.asarray(place)
 
 
@@ -285,11 +285,11 @@ def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cu
 
 
 def as_needed(recorded: Cut, equal: Cut) -> Cut:
-    """Pieces of a recording, or equal ones where a large machine has ``TOO_MANY`` of them."""
+    """Pieces of a recording, or equal ones if their number exceeds ``MAX_PIECE_RATIO``."""
 
     def cut(ends: Array) -> Array:
         own, enough = recorded(ends), equal(ends)
-        return own if len(own) - 1 < TOO_MANY * (len(enough) - 1) else enough
+        return own if len(own) - 1 < MAX_PIECE_RATIO * (len(enough) - 1) else enough
 
     return cut
 
@@ -376,7 +376,9 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     """Forecast what a calibration with this plan will show."""
     points = plan.path.points
     nodes = table_nodes(setup.machine, points.min(axis=0), points.max(axis=0))
-    equal = equal_pieces(layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length)
+    equal = equal_pieces(
+        layout(smooth_bases(nodes)).knots, PIECE_SHARE, setup.calibration.piece_length
+    )
     pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
     duration = drive_times(plan, setup.config.acceleration).duration
     return forecast_of_pieces(pieces, tracker_pose(setup), nodes, points, setup, duration)

@@ -46,7 +46,7 @@ from otf_core.solving.whitener import Whitener
 # by the sum over its legs. For this choice the splines have ``INTERVALS`` parts per axis.
 
 INTERVALS = 10
-_JUDGED = 5
+_GRID_POINTS = 5
 _BATCH = 40
 
 
@@ -119,7 +119,7 @@ def _line_matrices(
 
 def _target(machine: Machine, points: Array, unknowns: Unknowns, use: Index) -> Array:
     """Quadratic form of the mean variance on the grid, rigid motion taken out."""
-    grid = covered_grid(machine, points, _JUDGED)
+    grid = covered_grid(machine, points, _GRID_POINTS)
     rows = model_rows(machine, unknowns, grid)
     flat = free_rows(rows.reshape(-1, rows.shape[2]), grid)
     free = (flat @ unknowns.gauge)[:, use]
@@ -358,7 +358,7 @@ LAP_TIME = 900.0
 """s; longer drives repeat a lap of no more than this."""
 REVERSAL_PRICE = 1.05
 """A walk driven forward and backward, which shows backlash, may be worse by this than one way."""
-LONGEST = 4 * 3600.0
+LONGEST_PLAN = 4 * 3600.0
 """s; no plan is longer."""
 _LEVELS = 3
 _SEARCHES, _CLOSE = 9, 0.97
@@ -461,13 +461,15 @@ class PathOptimiser:
         ConfigError
             If that is too short to show every error that can be shown; says what suffices.
         """
-        if budget > LONGEST:
-            raise ConfigError(f'time_budget: {budget:g} s; no plan is longer than {LONGEST:g} s')
+        if budget > LONGEST_PLAN:
+            raise ConfigError(
+                f'time_budget: {budget:g} s; no plan is longer than {LONGEST_PLAN:g} s'
+            )
         found = self._attempt(budget)
         if found is not None:
             return found
         enough = max(budget, self._overhead())
-        while enough < LONGEST:
+        while enough < LONGEST_PLAN:
             enough *= 1.4
             if self._attempt(enough) is not None:
                 raise ConfigError(
@@ -475,7 +477,8 @@ class PathOptimiser:
                     f'node; {math.ceil(enough)} s suffice at this feed'
                 )
         raise ConfigError(
-            f'time_budget: {budget:g} s is too short, and {LONGEST:g} s would be, to show every '
+            f'time_budget: {budget:g} s is too short, and {LONGEST_PLAN:g} s would be, to show '
+            f'every '
             f'error motion at every node'
         )
 
@@ -489,7 +492,7 @@ class PathOptimiser:
         """
         limit = self._setup.calibration.unidentifiable_above
         time = LAP_TIME * self.ideal_variance(LAP_TIME) * limit**2 / wanted**2
-        short, time = 0.0, min(time + self._overhead(), LONGEST)
+        short, time = 0.0, min(time + self._overhead(), LONGEST_PLAN)
         best: OptimisedPlan | None = None
         for _ in range(_SEARCHES):
             found = self._attempt(time)
@@ -498,16 +501,17 @@ class PathOptimiser:
                 best, long = found, time
                 if ratio > _CLOSE:
                     break
-            elif time >= LONGEST:
+            elif time >= LONGEST_PLAN:
                 reached = f'then {1e6 * found.forecast.mean_grid_u:.3g} um' if found else ''
                 raise ConfigError(
-                    f'wanted_uncertainty: {1e6 * wanted:g} um needs more than {LONGEST:g} s at '
+                    f'wanted_uncertainty: {1e6 * wanted:g} um needs more than {LONGEST_PLAN:g} '
+                    f's at '
                     f'this feed; {reached}'
                 )
             else:
                 short = time
             if best is None:
-                time = min(time * float(np.clip(1.02 * ratio**2, 1.1, 1.5)), LONGEST)
+                time = min(time * float(np.clip(1.02 * ratio**2, 1.1, 1.5)), LONGEST_PLAN)
             else:
                 time = 0.5 * (short + long) if short else long * max(0.5, ratio**2)
         if best is None:

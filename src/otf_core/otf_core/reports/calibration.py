@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
-from otf_core.calibration.machine_verdict import WHAT
+from otf_core.calibration.machine_verdict import MEANING
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects import AppliedEffect
@@ -211,7 +211,7 @@ def _volume_limit(facts: Facts, name: str) -> tuple[Cell, ...]:
     one = next(j for j in verdict.judged if j.name == name)
     wide = significant(1e6 * one.U) if one.U else ''
     value = figure(1e6 * one.value, 1e6 * (one.U or one.value))
-    return ('volume', WHAT[name], value, wide, micro_unit(one.unit), f'{1e6 * one.limit:g}',
+    return ('volume', MEANING[name], value, wide, micro_unit(one.unit), f'{1e6 * one.limit:g}',
             State(one.state, MOODS[one.state]))  # fmt: skip
 
 

@@ -32,10 +32,10 @@ from otf_core.threads import one_thread
 # The budget as data and as text: expanded uncertainties, sources, correlations.
 
 GRID = 'grid'
-STRONG = 0.5
+LISTED_CORRELATION = 0.5
 """Correlations at least as large are listed."""
 LISTED_PAIRS = 20
-SHORT = {
+SHORT_NAMES = {
     'smoothness': 'smooth',
     'straight lines': 'lines',
     'tracker scale': 'scale',
@@ -133,7 +133,7 @@ class Correlation:
 
 
 def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
-    """Correlations of at least ``STRONG`` between squareness errors and motions.
+    """Correlations of at least ``LISTED_CORRELATION`` between squareness errors and motions.
 
     Of two motions the pair of nodes with the strongest correlation counts.
 
@@ -149,7 +149,7 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
     for one, other in combinations(NAMES, 2):
         part = r[places[one], places[other]]
         at = np.unravel_index(int(np.argmax(np.abs(part))), part.shape)
-        if abs(part[at]) >= STRONG:
+        if abs(part[at]) >= LISTED_CORRELATION:
             names = [_at_node(tables, n, int(i)) for n, i in zip((one, other), at, strict=True)]
             found.append(Correlation((names[0], names[1]), float(part[at])))
     return sorted(found, key=lambda c: -abs(c.r))
@@ -174,7 +174,7 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine])
             'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
         },
         'correlations': {
-            'at_least': STRONG,
+            'at_least': LISTED_CORRELATION,
             'strongest': [{'between': list(c.between), 'r': c.r} for c in strong[:LISTED_PAIRS]],
             'more': max(0, len(strong) - LISTED_PAIRS),
         },
@@ -184,7 +184,7 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine])
 def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> str:
     """Return the budget as text."""
     sources = [name for name in lines[-1].parts if any(n.parts[name] for n in lines)]
-    head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)
+    head = ''.join(f'{SHORT_NAMES.get(name, name):>9}' for name in sources)
     text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
     for line in lines:
         parts = ''.join(f'{1e6 * line.parts[name]:>9.3f}' for name in sources)
@@ -200,7 +200,10 @@ def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) 
     if strong:
         named = [f'{a}, {b}: {c.r:.2f}' for c in strong[:3] for a, b in [c.between]]
         listed = '; '.join(named)
-        text.append(f'Correlations of at least {STRONG}: {len(strong)} pairs, strongest {listed}.')
+        text.append(
+            f'Correlations of at least {LISTED_CORRELATION}: {len(strong)} pairs, strongest '
+            f'{listed}.'
+        )
     return '\n'.join(text)
 
 

@@ -166,7 +166,7 @@ def sections_to_text(sections: Iterable[Section]) -> str:
 
 # Sections to one HTML page that needs nothing else: no network, no fonts, no files.
 
-LONG = 400
+TWO_COLUMN_LETTERS = 400
 """Letters of a section's words from which they stand in two columns."""
 LONG_FIGURE = 6
 """Parts of a figure beyond which paper may break it between its rows."""
@@ -258,7 +258,7 @@ def _words(lines: Sequence[str]) -> str:
     """Paragraphs; many of them stand in two columns where the page is wide."""
     if not lines:
         return ''
-    many = len(lines) > 1 and sum(map(len, lines)) > LONG
+    many = len(lines) > 1 and sum(map(len, lines)) > TWO_COLUMN_LETTERS
     kind = 'words many' if many else 'words'
     return f'<div class="{kind}">{"".join(f"<p>{text(line)}</p>" for line in lines)}</div>'
 

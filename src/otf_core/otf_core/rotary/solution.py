@@ -25,7 +25,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
-from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
 from otf_core.rotary.unknowns import place_block
 from otf_core.solving.joint import FittedNoise, fit_noise
@@ -176,7 +176,9 @@ def _far(solved: SolvedAxisRun, limit: float) -> NDArray[np.bool_]:
             own[:, low:high] -= np.median(solved.residual[:, low:high], axis=1, keepdims=True)
     near, whole = (np.linalg.norm(v, axis=0) for v in (own, solved.residual))
     sigma, wide = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (near, whole))
-    return np.asarray((near > max(limit * sigma, LEAST)) | (whole > max(limit * wide, GROSS)))
+    return np.asarray(
+        (near > max(limit * sigma, LEAST)) | (whole > max(limit * wide, MIN_OUTLIER))
+    )
 
 
 def place_equations(

@@ -22,11 +22,11 @@ from otf_core.solving.joint import JointSolution
 from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.sensitivity import across, sensitivity
 
-SIGNIFICANT = 6.0
+MIN_SIGNIFICANCE = 6.0
 """Standard deviations; curves share slow noise, so that these are somewhat too small."""
-MATTERS = 1e-7
+MIN_LAG = 1e-7
 """m; driven inside by less is left as it is."""
-UNCLEAR = 1e-6
+MAX_UNMENTIONED_U = 1e-6
 """m; an uncertainty of it that is worth a remark."""
 
 
@@ -77,7 +77,7 @@ def move_onto_curves(
     moved = list(runs)
     found = lags(solved.runs, solved.done)
     for k, (run, (lag, u)) in enumerate(zip(runs, found, strict=True)):
-        if _size(run, lag) > MATTERS and abs(lag) > SIGNIFICANT * u:
+        if _size(run, lag) > MIN_LAG and abs(lag) > MIN_SIGNIFICANCE * u:
             shift = lag * run.pieces.bend
             pieces = replace(run.pieces, origin=run.pieces.origin + shift)
             moved[k] = replace(run, pieces=pieces)
@@ -94,7 +94,7 @@ def curve_remarks(runs: Sequence[Observed], done: JointSolution) -> list[str]:
     """What the reader of a result should know of the curves of its runs."""
     said = []
     for run, (_, u) in zip(runs, lags(runs, done), strict=True):
-        if _size(run, u) > UNCLEAR:
+        if _size(run, u) > MAX_UNMENTIONED_U:
             said.append(
                 f'how far inside its curves the machine drives (filters, lag) is uncertain by '
                 f'{1e6 * _size(run, u):.2g} um, which the stated uncertainties do not hold: add '

@@ -168,9 +168,9 @@ def six_motions(direction: Array, arm: Array) -> Array:
 Parts = Sequence[AxisPart | ReversalPart]
 """Motions of one axis, or their reversal, at every shift."""
 
-MANY = 8192
+PIECES_PER_BLOCK = 8192
 """Pieces whose products are made together."""
-HELD = 150_000
+MAX_PIECES_IN_MEMORY = 150_000
 """Pieces whose splines are held; those of a longer run are made anew whenever they are used."""
 
 
@@ -237,7 +237,7 @@ class Design:
 
     def _at(self, pieces: Index | slice) -> list[Parts]:
         """What motions and reversal of the axes do at every shift, at some pieces."""
-        if len(self.q) > HELD:
+        if len(self.q) > MAX_PIECES_IN_MEMORY:
             return self._made(pieces)
         if isinstance(pieces, slice) and len(range(*pieces.indices(len(self.q)))) == len(self.q):
             return self._parts
@@ -312,7 +312,7 @@ class Design:
 
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
-        if len(self.q) <= HELD:
+        if len(self.q) <= MAX_PIECES_IN_MEMORY:
             self._parts  # noqa: B018
 
     def dense(self, pieces: Index | slice) -> Array:
@@ -388,7 +388,7 @@ class Design:
     @property
     def splines(self) -> Index:
         """First spline of every axis at every piece, shape (p, 3)."""
-        some = (chain.from_iterable(self._at(own)[:3]) for own in self._blocks(MANY))
+        some = (chain.from_iterable(self._at(own)[:3]) for own in self._blocks(PIECES_PER_BLOCK))
         found = [[p.first for p in parts if isinstance(p, AxisPart)] for parts in some]
         shifts = len(self.shifts)
         return np.concatenate([np.stack(first[::shifts], axis=1) for first in found])
@@ -421,7 +421,9 @@ class Design:
         total = -moved[:3] - crossed(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
-        for some in self._blocks(HELD if len(self.q) <= HELD else MANY):
+        for some in self._blocks(
+            MAX_PIECES_IN_MEMORY if len(self.q) <= MAX_PIECES_IN_MEMORY else PIECES_PER_BLOCK
+        ):
             for part in chain.from_iterable(self._at(some)):
                 six = part.splines @ (value[part.places] / len(self.shifts))
                 total[some] += six[:, :3]
@@ -432,7 +434,7 @@ class Design:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
         found = np.zeros((self.unknowns.full, wide.shape[2]))
-        for some in self._blocks(MANY):
+        for some in self._blocks(PIECES_PER_BLOCK):
             self._add_transposed(some, wide[:, some], found)
         return found.reshape(-1, *rows.shape[2:])
 

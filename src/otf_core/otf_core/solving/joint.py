@@ -51,7 +51,7 @@ from otf_core.noise.noise_model import (
     scaled,
     with_diagonal,
 )
-from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN, Pieces
+from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN, Pieces
 from otf_core.pieces.runs import AnyRun, Observed, blamed
 from otf_core.solving.design import Design
 from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
@@ -61,15 +61,15 @@ from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, free_values, pose_block
 from otf_core.solving.whitener import Whitener
 
-PRIOR = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
+PRIOR_SIGMAS = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 """Standard deviation of the logarithms of the four variances and of the correlation time."""
-LOWEST = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
-HIGHEST = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
-LINES, PIECES = 48, 100
+LOWER_BOUNDS = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
+UPPER_BOUNDS = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
+MAX_LINES, MAX_PIECES_PER_LINE = 48, 100
 """Lines and pieces of each that are looked at: five numbers need no more."""
-STEPS = 6
-LONGEST_STEP = 1.5
-SETTLED, CERTAIN = 0.03, 0.3
+MAX_STEPS = 6
+MAX_STEP = 1.5
+FINAL_STEP, FINAL_SHARE_OF_SIGMA = 0.03, 0.3
 """Steps that are smaller, or than this share of their standard deviation, end the search."""
 _DIAGONAL = (WHITE, INDEPENDENT)
 """Parts of the covariance without any between pieces."""
@@ -114,8 +114,8 @@ class _Lines:
 
 
 def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Lines]:
-    bounds = [(low, min(high, low + PIECES)) for low, high in leg_bounds(pieces.leg)]
-    chosen = np.unique(np.linspace(0, len(bounds) - 1, LINES).round().astype(int))
+    bounds = [(low, min(high, low + MAX_PIECES_PER_LINE)) for low, high in leg_bounds(pieces.leg)]
+    chosen = np.unique(np.linspace(0, len(bounds) - 1, MAX_LINES).round().astype(int))
     low, high = np.array(bounds)[chosen].T
 
     def of_size(size: int) -> _Lines:
@@ -196,33 +196,33 @@ def fit_noise(
     logs = prior.copy() if start is None else start
     lines = _lines(system, pieces, residual, covariance)
     share, last = 1.0, np.zeros(len(logs))
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         score, information = _slopes(noise, logs, lines)
-        score -= (logs - prior) / PRIOR**2
-        information += np.diag(1.0 / PRIOR**2)
+        score -= (logs - prior) / PRIOR_SIGMAS**2
+        information += np.diag(1.0 / PRIOR_SIGMAS**2)
         step = np.linalg.solve(information, score)
         share *= 0.5 if step @ last < 0.0 else 1.0  # to and fro: too far each time
-        step *= min(share, LONGEST_STEP / float(np.abs(step).max()))
-        moved = np.clip(logs + step, LOWEST, HIGHEST)
+        step *= min(share, MAX_STEP / float(np.abs(step).max()))
+        moved = np.clip(logs + step, LOWER_BOUNDS, UPPER_BOUNDS)
         last, logs = moved - logs, moved
         known = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(np.abs(last) < np.maximum(SETTLED, CERTAIN * known)):
+        if np.all(np.abs(last) < np.maximum(FINAL_STEP, FINAL_SHARE_OF_SIGMA * known)):
             break
     return FittedNoise(logs, known)
 
 
 MAX_REPETITIONS = 4
 """Repeated solutions; bad pieces bend the tables at first and hide others."""
-LEAST = 2e-6
+MIN_PIECE_OUTLIER = 2e-6
 """m; pieces that are off by less are never left out."""
-TRAIL = 0.5
+NEIGHBOUR_SHARE = 0.5
 """Share of the limit from which a piece beside one that is left out is left out as well."""
-STUCK = 0.5
+MAX_RATIO_OF_CHANGES = 0.5
 """Share of the change before that a change has to fall below, or the normal matrix is made anew:
 once the poses have moved, it is another one for what the data hardly show."""
 NOISE_SETTLED = 0.1
 """Change of the logarithms of noise and misfit below which they count as settled."""
-FINE = 8
+PARTS_PER_INTERVAL = 8
 """Parts of an interval between knots in tables for use inside."""
 
 
@@ -297,7 +297,7 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
     squareness: dict[str, Squareness] = {}
     for name in MOTIONS:
         block, basis = unknowns.blocks[name], unknowns.bases[name.axis]
-        position = basis.finer(1 if basis.degree == 1 else FINE)
+        position = basis.finer(1 if basis.degree == 1 else PARTS_PER_INTERVAL)
         rows, seen = basis.matrix(position), name in solution.accepted
         u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', rows, cover[block, block], rows), 0.0))
         motions[name] = MotionTable(
@@ -426,12 +426,14 @@ def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
         own[:, low:high] -= np.median(residual[:, low:high], axis=1, keepdims=True)
     distance, beyond = (np.linalg.norm(v, axis=0) for v in (own, residual))
     sigma, whole = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (distance, beyond))
-    far = (distance > max(limit * sigma, LEAST)) | (beyond > max(limit * whole, GROSS))
+    far = (distance > max(limit * sigma, MIN_PIECE_OUTLIER)) | (
+        beyond > max(limit * whole, MIN_OUTLIER)
+    )
     same = leg[1:] == leg[:-1]
     beside = np.zeros_like(far)
     beside[1:] |= far[:-1] & same
     beside[:-1] |= far[1:] & same
-    return np.asarray(far | (beside & (distance > TRAIL * limit * sigma)))
+    return np.asarray(far | (beside & (distance > NEIGHBOUR_SHARE * limit * sigma)))
 
 
 def solve_jointly(
@@ -479,7 +481,7 @@ def solve_jointly(
             solution = _improved(solution, unknowns, rough, systems, whiteners)
         before, left, last = left, left_by(systems, solution), change
         change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
-        stuck = change > STUCK * last
+        stuck = change > MAX_RATIO_OF_CHANGES * last
         progress('solving', iteration / (iteration + 1))
         if not np.isfinite(change):
             break

@@ -86,15 +86,15 @@ SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
-SIGNIFICANT = 4.0
+MIN_SIGNIFICANCE = 4.0
 """Standard deviations of the mean."""
-NOTABLE = 0.05
+MIN_NOTABLE_SHARE = 0.05
 """Share of the variance of a step between pieces."""
-FEW = 3000
+MAX_FIRST_PIECES = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
-LEGS = 20
+MIN_FIRST_LEGS = 20
 """Fewer legs, however long, are not enough for that."""
-QUICK = 8
+MAX_FIRST_ITERATIONS = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
 GOLDEN = 0.6180339887498949
 
@@ -150,7 +150,7 @@ def _steps_unexplained(solved: SolvedRun) -> bool:
         return True
     excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
     mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
-    return mean > SIGNIFICANT * scatter and mean > NOTABLE * float(np.mean(noise))
+    return mean > MIN_SIGNIFICANCE * scatter and mean > MIN_NOTABLE_SHARE * float(np.mean(noise))
 
 
 def choose_shapes(
@@ -194,9 +194,12 @@ def _started(
     progress: Progress,
 ) -> tuple[Start, list[RigidTransform]]:
     """First tables and poses."""
-    quick, first = replace(config, max_iterations=min(QUICK, config.max_iterations)), None
+    quick, first = (
+        replace(config, max_iterations=min(MAX_FIRST_ITERATIONS, config.max_iterations)),
+        None,
+    )
     some = _thinned(runs)
-    if sum(_leg_number(run)[-1] + 1 for run in some) >= LEGS:
+    if sum(_leg_number(run)[-1] + 1 for run in some) >= MIN_FIRST_LEGS:
         with suppress(InputError):  # too few legs
             first = solve_jointly(some, smooth, quick, progress, start)
     first = first or solve_jointly(runs, smooth, config, progress, start)
@@ -250,7 +253,7 @@ def _leg_number(run: Observed) -> Index:
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
     """Some legs of every run, spread evenly: enough for poses and first tables."""
-    share, found = FEW // len(runs), []
+    share, found = MAX_FIRST_PIECES // len(runs), []
     for run in runs:
         number = _leg_number(run)
         # multiples of the golden section keep no step with the order of a path
@@ -309,7 +312,7 @@ def _tried(
 
 Evidence = dict[str, float | int | str]
 
-CLEAR = 3.0
+MIN_GAIN_OVER_SCATTER = 3.0
 """Gain over its own scatter from which a richer model is taken."""
 RIVAL = ServoMismatch()
 """What is taken for a reversal most easily."""
@@ -437,7 +440,7 @@ def _chosen(left: dict[str, Array], held: bool) -> Choice:
         'decided_by': 'held-out lines',
         'lines': lines,
         'folds': FOLDS,
-        'needed': CLEAR,
+        'needed': MIN_GAIN_OVER_SCATTER,
         **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
     }
     best = 'none'
@@ -447,7 +450,7 @@ def _chosen(left: dict[str, Array], held: bool) -> Choice:
         difference = left[best] - square
         gain, scatter = float(difference.sum()), float(np.sqrt(lines) * difference.std(ddof=1))
         evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
-        if gain > CLEAR * scatter:
+        if gain > MIN_GAIN_OVER_SCATTER * scatter:
             best = model
     if best == RIVAL.name:
         return Choice('none', False, evidence | {'rival': RIVAL.name})

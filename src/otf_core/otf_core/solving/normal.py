@@ -102,7 +102,7 @@ Batch = TypeVar('Batch')
 
 WORKERS = 2
 """Sums made side by side, always as many: the order of additions decides the last bits."""
-TOGETHER = 400
+PIECES_PER_BLOCK = 400
 """Pieces whose rows are held at a time."""
 
 
@@ -230,7 +230,7 @@ def _shared(system: System, whitener: Whitener, batches: list[Batch]) -> list[li
 
 
 def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple[int, list[int]]]:
-    """Group and legs of every batch of about ``TOGETHER`` pieces.
+    """Group and legs of every batch of about ``PIECES_PER_BLOCK`` pieces.
 
     Legs that run over the same splines, as in every lap, stand side by side: their rows depend on
     few unknowns.
@@ -245,7 +245,7 @@ def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple
             low, high = whitener.bounds[leg]
             legs.append(leg)
             held += high - low
-            if held >= TOGETHER:
+            if held >= PIECES_PER_BLOCK:
                 yield g, legs
                 legs, held = [], 0
         if legs:

@@ -40,10 +40,10 @@ from otf_core.solving.unknowns import Basis, Unknowns, reference_position
 
 START = (np.log(0.1), np.log(0.15), np.log(0.01))
 """Logarithms of s^2 and k in units of the squared limit, and of l, to start from."""
-TOGETHER = (3.0, 1.0, 3.0)
+SIGMA_ABOUT_MEDIAN = (3.0, 1.0, 3.0)
 """Standard deviation of these logarithms about the median of the motions of one unit."""
-LOWEST = (-16.0, np.log(0.03), -18.0)
-HIGHEST = (8.0, np.log(3.0), 8.0)
+LOWER_BOUNDS = (-16.0, np.log(0.03), -18.0)
+UPPER_BOUNDS = (8.0, np.log(3.0), 8.0)
 SLOPE = 10.0
 """Standard deviation of the free slope over the range, in units of the limit: hardly any prior."""
 IN_A_VECTOR = 12
@@ -53,9 +53,9 @@ JITTER = 1e-10
 TRACE = 1e-4
 """Weight of the size of values without a prior, in units of 1 / limit^2."""
 MAX_STEPS = 30
-SETTLED = 0.1
+MIN_GAIN = 0.1
 """Gain in log likelihood below which the search ends."""
-LONGEST_STEP = 2.0
+MAX_STEP = 2.0
 SHORTEST_SHARE = 0.01
 
 
@@ -165,7 +165,7 @@ class _Point:
 
     def penalised(self, centres: Mapping[str, Array]) -> float:
         """Log likelihood less the price of logarithms away from the others."""
-        away = [(self.logs[m] - centres[m]) / TOGETHER for m in self.logs]
+        away = [(self.logs[m] - centres[m]) / SIGMA_ABOUT_MEDIAN for m in self.logs]
         return self.likelihood - 0.5 * float(np.sum(np.square(away)))
 
     def slopes(self, centres: Mapping[str, Array]) -> tuple[Array, Array, Array]:
@@ -178,7 +178,7 @@ class _Point:
         score, moves, products = [], [], []
         for motion, place in places.items():
             inverse, own = self.inverse[motion], self.value[place]
-            away = (self.logs[motion] - centres[motion]) / np.square(TOGETHER)
+            away = (self.logs[motion] - centres[motion]) / np.square(SIGMA_ABOUT_MEDIAN)
             E = inverse @ np.stack(self.changes[motion]) @ inverse
             traces = np.sum(E * D[place, place], axis=(1, 2))
             score.append(0.5 * (E @ own @ own - traces) - away)
@@ -191,7 +191,7 @@ class _Point:
             traces = left.reshape(width, -1) @ np.swapaxes(right, 1, 2).reshape(width, -1).T
             shared[i, :, j], shared[j, :, i] = 0.5 * traces, 0.5 * traces.T
         information = shared.reshape(count * width, -1)
-        information = information + np.diag(np.tile(1.0 / np.square(TOGETHER), count))
+        information = information + np.diag(np.tile(1.0 / np.square(SIGMA_ABOUT_MEDIAN), count))
         return np.concatenate(score), information, np.concatenate(moves, axis=1)
 
 
@@ -230,7 +230,7 @@ class Search:
     def _moved(self, logs: Mapping[str, Array], step: Array) -> dict[str, Array]:
         parts = step.reshape(-1, len(START))
         return {
-            m: np.clip(logs[m] + part, LOWEST, HIGHEST)
+            m: np.clip(logs[m] + part, LOWER_BOUNDS, UPPER_BOUNDS)
             for m, part in zip(self.places, parts, strict=True)
         }
 
@@ -250,7 +250,7 @@ class Search:
             centres = _centres(point.logs)
             score, information, _ = point.slopes(centres)
             step = np.asarray(np.linalg.solve(information, score), dtype=float)
-            step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+            step *= min(1.0, MAX_STEP / float(np.abs(step).max()))
             best, share = point.penalised(centres), 1.0
             after = _Point(self, self._moved(point.logs, step))
             while after.penalised(centres) < best and share > SHORTEST_SHARE:
@@ -259,7 +259,7 @@ class Search:
             gain = after.penalised(centres) - best
             if gain > 0.0:
                 point = after
-            if gain < SETTLED:
+            if gain < MIN_GAIN:
                 break
         _, information, moves = point.slopes(_centres(point.logs))
         root = np.linalg.cholesky(np.linalg.inv(information))

@@ -28,11 +28,11 @@ from otf_core.threads import side_by_side
 
 Columns = Callable[[slice], Array]
 """Columns (c, m, k), m, of m pieces of a run."""
-SOME = 2048
+PIECES_PER_BLOCK = 2048
 """Pieces whose columns are made together, and the rest of their line."""
-ACTS, TINY = 0.02, 1e-300
+MIN_ACTING_SHARE, MIN_SQUARE = 0.02, 1e-300
 """Share of its largest value, and m^2, above which a column acts."""
-VALUES = 65_536
+VALUES_PER_BLOCK = 65_536
 """Values that are looked at together."""
 
 
@@ -96,7 +96,7 @@ def _together(bounds: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     """First line and one past the last of those whose columns are made together."""
     low = 0
     for k, (_, end) in enumerate(bounds, start=1):
-        if end - bounds[low][0] >= SOME or k == len(bounds):
+        if end - bounds[low][0] >= PIECES_PER_BLOCK or k == len(bounds):
             yield low, k
             low = k
 
@@ -125,13 +125,13 @@ def column_size(*parts: Array) -> Array:
     parts : ndarray, shape (r, k)
         One below the other.
     """
-    step = max(1, VALUES // max(1, parts[0].shape[1]))
+    step = max(1, VALUES_PER_BLOCK // max(1, parts[0].shape[1]))
 
     def squares() -> Iterator[Array]:
         for part in parts:
             yield from (part[low : low + step] ** 2 for low in range(0, len(part), step))
 
     total, most = zip(*((np.ones(len(s)) @ s, s.max(axis=0)) for s in squares()), strict=True)
-    least = ACTS**2 * np.maximum(np.max(most, axis=0), TINY)
+    least = MIN_ACTING_SHARE**2 * np.maximum(np.max(most, axis=0), MIN_SQUARE)
     count = np.sum([np.ones(len(s)) @ (s > least) for s in squares()], axis=0)
     return np.asarray(np.sqrt(np.sum(total, axis=0) / np.maximum(count, 1.0)))

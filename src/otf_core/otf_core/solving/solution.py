@@ -81,7 +81,7 @@ def _diagonal(matrix: Array) -> Array:
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
-SIZE = 1e-2
+SIZE_WEIGHT = 1e-2
 """Weight of the size of the values beside that of their second differences."""
 
 
@@ -123,7 +123,7 @@ def smoothness(unknowns: Unknowns) -> Array:
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()
-    return np.asarray(gauge.T @ total @ gauge + SIZE * np.eye(unknowns.free))
+    return np.asarray(gauge.T @ total @ gauge + SIZE_WEIGHT * np.eye(unknowns.free))
 
 
 def identifiable_blocks(

@@ -4,7 +4,7 @@
 Node values are those of the table that is nearest to the function in the mean square over the
 range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
 (``table_pitch``), or at a whole fraction of it where the straight lines between them would cost
-more than ``WORTH`` of the uncertainty of the grid.
+more than ``MAX_SHARE_OF_U`` of the uncertainty of the grid.
 
 Beyond the ends of its table a motion continues with its mean slope (tables are constant there) and
 with waves of the size and length that its own data show. Motions and squareness errors that the
@@ -36,16 +36,16 @@ from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
 from otf_core.solving.unknowns import Basis, Unknowns, linear, motion_gauge
 
-WORTH = 0.3
+MAX_SHARE_OF_U = 0.3
 """Share of the mean uncertainty of the grid that straight lines between nodes may cost."""
 FRACTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
-MOST_NODES = 1600
+MAX_NODES = 1600
 """Nodes of all motions together: their covariance is part of the file."""
 FIXED = 1e-12
 """Nodes that depend less on the unknowns are fixed by the gauge."""
-FINE = 32
+PARTS_OF_INTERVAL = 32
 """Parts of an interval at which it is judged what bends between nodes."""
-PLACES = 216
+GRID_PLACES = 216
 """At which the cost on the grid is judged."""
 
 
@@ -192,7 +192,7 @@ def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, flo
 
 def _bend(basis: Basis) -> float:
     """Root mean square of what tables do not follow of a bend by independent slopes of 1, m^2."""
-    q = np.concatenate([basis.finer(FINE), basis.knots])
+    q = np.concatenate([basis.finer(PARTS_OF_INTERVAL), basis.knots])
     start, end = basis.knots[:-1], basis.knots[1:]
     bends = np.maximum((q[:, None] - start) * (end - q[:, None]), 0.0)
     hats = basis.matrix(q)
@@ -206,7 +206,7 @@ def _inner_places(low: Array, high: Array) -> Array:
     Multiples of the powers of the root of g^4 = g + 1, the remainders by 1 (additive recurrence).
     """
     steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
-    share = (0.5 + np.arange(PLACES)[:, None] * steps) % 1.0
+    share = (0.5 + np.arange(GRID_PLACES)[:, None] * steps) % 1.0
     return np.asarray(low + share * (high - low))
 
 
@@ -225,14 +225,14 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
     best = None
     for fraction in FRACTIONS:
         nodes = table_nodes(_finer(machine, fraction), low, high)
-        if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MOST_NODES:
+        if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MAX_NODES:
             break
         rows = table_rows(done.unknowns, nodes)
         value = rows @ done.solution.value
         split = by_motion(value, nodes)
         costs[fraction] = _cost(machine, done, nodes, split)
         best = (fraction, nodes, rows, value, split)
-        if costs[fraction].grid <= WORTH * grid_u:
+        if costs[fraction].grid <= MAX_SHARE_OF_U * grid_u:
             break
     assert best is not None
     fraction, nodes, rows, value, split = best
@@ -281,7 +281,7 @@ def _ends(machine: Machine, unknowns: Unknowns) -> tuple[Array, Array]:
     return np.array([knots[0] for knots in own]), np.array([knots[-1] for knots in own])
 
 
-USUAL = 2e-5
+USUAL_ANGLE = 2e-5
 """rad; size of rotations, squareness errors and slopes where none is seen at all."""
 
 
@@ -309,23 +309,23 @@ def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str
     translations = {m: found[m] for m in MOTIONS if m in found and m.is_translation}
     for motion in MOTIONS:
         if motion not in found and not motion.is_translation:
-            found[motion] = MotionPrior(slope=slope, sd=size or USUAL)
+            found[motion] = MotionPrior(slope=slope, sd=size or USUAL_ANGLE)
         elif motion not in found:
             found[motion] = _alike(translations, motion)
     tilts = [tables.squareness[n].value for n in SQUARENESS if n in done.solution.accepted]
     for name in SQUARENESS:
         if name not in done.solution.accepted:
-            found[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL)
+            found[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL_ANGLE)
     return found
 
 
 def _alike(seen: dict[ErrorMotion, MotionPrior], motion: ErrorMotion) -> MotionPrior:
     """Translation that is not seen, like those that are."""
     if not seen:
-        return MotionPrior(slope=USUAL)
+        return MotionPrior(slope=USUAL_ANGLE)
     slopes = [p.slope for m, p in seen.items() if m.is_positioning]
     return MotionPrior(
-        0.0 if motion.is_straightness else _root_mean_square(slopes) or USUAL,
+        0.0 if motion.is_straightness else _root_mean_square(slopes) or USUAL_ANGLE,
         _root_mean_square([p.intensity for p in seen.values()]),
         _root_mean_square([p.sd for p in seen.values()]),
         float(np.median([p.length for p in seen.values()])),

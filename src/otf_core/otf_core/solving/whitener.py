@@ -159,9 +159,9 @@ def covariance_times(inverse: Array, values: Array) -> Array:
 NO_MISFIT = Misfit()
 SAME_PLACE = 5e-4
 """m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
-MEMORY = 1e6
+BYTES_PER_BLOCK = 1e6
 """Bytes of covariances that are factored at once."""
-HELD = 1e8
+MAX_BYTES_IN_MEMORY = 1e8
 """Bytes of matrices that are held; those of a longer run are made anew whenever they are used."""
 
 
@@ -208,7 +208,7 @@ class Whitener:
         groups = list(_alike(high - low))
         size = [system.deviation.itemsize * len(system.deviation) * len(legs) *
                 int(high[legs[0]] - low[legs[0]]) ** 2 for legs in groups]  # fmt: skip
-        held = (np.cumsum(size) <= HELD).tolist()
+        held = (np.cumsum(size) <= MAX_BYTES_IN_MEMORY).tolist()
 
         def alike(k: int) -> Alike:
             legs = groups[k]
@@ -362,10 +362,10 @@ def _places(of: Index, count: int) -> list[list[int]]:
 
 
 def _alike(size: Index) -> Iterator[Index]:
-    """Legs of one size at a time, by the sizes (n,) of all; no more than fit into ``MEMORY``."""
+    """Legs of one size at a time, by the sizes (n,) of all, at most ``BYTES_PER_BLOCK``."""
     for m in np.unique(size).tolist():
         legs = np.flatnonzero(size == m)
-        most = max(1, int(MEMORY / (16.0 * m**2)))
+        most = max(1, int(BYTES_PER_BLOCK / (16.0 * m**2)))
         yield from (legs[k : k + most] for k in range(0, len(legs), most))
 
 

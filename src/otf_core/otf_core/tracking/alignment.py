@@ -48,9 +48,9 @@ from otf_core.tracking.driving_order import (
     sample_chords,
     visits,
 )
-from otf_core.tracking.matching import ENOUGH, LEAST, Guide, cut_track
+from otf_core.tracking.matching import MIN_MATCHED_SHARE, MIN_SHARE_AS_PLANNED, Guide, cut_track
 from otf_core.tracking.measured_track import HOP, Track, measured_track
-from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
+from otf_core.tracking.no_match import MIRRORED_MESSAGE, mirrored, why_no_match
 
 
 def line_step(
@@ -141,21 +141,21 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([a[i] * b[j] - a[j] * b[i] for i, j in rest])
 
 
-FEWEST = 11
+MIN_HOPS = 11
 """Hops of a leg of which roundings can be told."""
-LINE = 0.05
+MIN_LINE = 0.05
 """m; shorter measured legs may be part of a rounding."""
-REACH = 0.08
+MAX_ROUNDING = 0.08
 """m; a rounding begins no further from its corner."""
-PARALLEL = 0.05
+MAX_SINE_OF_PARALLELS = 0.05
 """Sine of the angle below which two lines have no corner."""
 DEVIATION = 1e-4
 """m; where a measured leg departs from its own line by more, it is rounded."""
-BOW = 15.0
+MAX_BOW_RATIO = 15.0
 """A leg that is bent all along departs at its ends by less, as a multiple of its middle."""
-CUT, MISSED = 5e-4, 3e-3
+MIN_CORNER_DEVIATION, MIN_CORNER_GAP = 5e-4, 3e-3
 """m; a corner was rounded if its end departs from the line by one or stays away by the other."""
-TAIL = 1.2
+ROUNDING_TAIL = 1.2
 """A rounding begins before it can be told: it departs with the square of the path length."""
 
 
@@ -164,13 +164,13 @@ def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
     (p, q), (u, v) = (values[[i, j]] for values in track.lines)
     normal = np.cross(u, v)
     sine = float(np.linalg.norm(normal))
-    if sine < PARALLEL or abs(float((q - p) @ normal)) / sine > tolerance:
+    if sine < MAX_SINE_OF_PARALLELS or abs(float((q - p) @ normal)) / sine > tolerance:
         return None
     s = float(np.cross(q - p, v) @ normal) / sine**2
     t = float(np.cross(q - p, u) @ normal) / sine**2
     corner = 0.5 * (p + s * u + q + t * v)
     past, due = float((corner - track.ends[i]) @ u), float((track.starts[j] - corner) @ v)
-    if not (-tolerance < past < REACH and -tolerance < due < REACH):
+    if not (-tolerance < past < MAX_ROUNDING and -tolerance < due < MAX_ROUNDING):
         return None
     return np.asarray(corner)
 
@@ -184,11 +184,11 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
         m; corners that are rounded less stay.
     """
     lengths = track.lengths
-    long = np.flatnonzero(lengths >= LINE)
+    long = np.flatnonzero(lengths >= MIN_LINE)
     points, gone = track.points.copy(), np.zeros(len(track.start), dtype=bool)
     start, stop = track.start.copy(), track.stop.copy()
     for i, j in pairwise(long.tolist()):
-        if not track.joined[i + 1 : j + 1].all() or lengths[i + 1 : j].sum() > 2 * REACH:
+        if not track.joined[i + 1 : j + 1].all() or lengths[i + 1 : j].sum() > 2 * MAX_ROUNDING:
             continue
         if max(lengths[[i, j]] / (track.stop[[i, j]] - track.start[[i, j]])) > 10 * HOP:
             continue  # no track but jumps
@@ -231,9 +231,11 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
     outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
     beyond, hop = _length(outer - corners), _length(outer - inner)
     off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
-    told = (last - first >= FEWEST) & (_length(outer[:, 1] - outer[:, 0]) >= LINE)
+    told = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
     goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
-    doubtful = goes_on & ((off >= CUT) | (beyond >= np.maximum(MISSED, 2 * hop)))
+    doubtful = goes_on & (
+        (off >= MIN_CORNER_DEVIATION) | (beyond >= np.maximum(MIN_CORNER_GAP, 2 * hop))
+    )
     for k, side in np.argwhere(doubtful & told[:, None]).tolist():
         way = points[first[k] : last[k] + 1][:: -1 if side else 1]
         found[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
@@ -243,12 +245,12 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
 def _rounding_length(way: Array, centre: Array, unit: Array, corner: Array, least: float) -> float:
     """Length of the rounding at the start of points (n, 3) of a leg, m; zero if there is none."""
     off, quarter = _across(way - centre, unit), len(way) // 4
-    limit = max(DEVIATION, BOW * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
+    limit = max(DEVIATION, MAX_BOW_RATIO * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
     straight = np.flatnonzero(off[1 : 2 * quarter] < limit)
     if not len(straight):
         return 0.0
     length = float(_length(way[straight[0]] - corner))
-    return TAIL * length + 1e-3 if least < length < REACH else 0.0
+    return ROUNDING_TAIL * length + 1e-3 if least < length < MAX_ROUNDING else 0.0
 
 
 def _length(vectors: Array) -> Array:
@@ -260,11 +262,11 @@ def _across(vectors: Array, unit: Array) -> Array:
     return _length(vectors - np.sum(vectors * unit, axis=-1, keepdims=True) * unit)
 
 
-DOUBTFUL = 0.9
+MIN_SHARE_UNDOUBTED = 0.9
 """If a smaller share does, the track may be mirrored."""
-CLEARLY = 0.1
+MIN_GAIN_MIRRORED = 0.1
 """More of the measured length that a mirrored track must explain."""
-SLIGHTLY = 0.005
+MIN_GAIN_SHARPENED = 0.005
 """The same for a track with its corners sharpened."""
 
 
@@ -356,11 +358,13 @@ def _hop_legs(match: Match) -> Index:
 def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
     """Match a track; if that fails, with the rounding of its corners taken off."""
     match = guide.find(track, tolerance)
-    if match is not None and match.explained > ENOUGH:
+    if match is not None and match.explained > MIN_SHARE_AS_PLANNED:
         return match
     sharp = sharpened(track, tolerance)
     other = None if sharp is None else guide.find(sharp, tolerance)
-    if other is not None and (match is None or other.explained > match.explained + SLIGHTLY):
+    if other is not None and (
+        match is None or other.explained > match.explained + MIN_GAIN_SHARPENED
+    ):
         return other
     return match
 
@@ -474,21 +478,21 @@ def followed(
         return seen
     guide, track = Guide.of(path, tolerance), measured
     match = _match(track, guide, tolerance)
-    if match is None or match.explained < LEAST:
+    if match is None or match.explained < MIN_MATCHED_SHARE:
         raise InputError(
             f'samples do not follow the path: {why_no_match(samples, track, guide, tolerance)}'
         )
-    if match.explained < DOUBTFUL:
+    if match.explained < MIN_SHARE_UNDOUBTED:
         image = mirrored(track, guide, tolerance)
-        if image is not None and image.explained > match.explained + CLEARLY:
-            raise InputError(f'samples do not follow the path: {MIRRORED}')
+        if image is not None and image.explained > match.explained + MIN_GAIN_MIRRORED:
+            raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
     track, rounded = match.track, _rounding_of_legs(match, driven, config)
     for _ in range(2):
         pose = _refine(match, driven, rounded, config)
         whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
         match = follow(pose, whole, guide.vertices, tolerance, match.free)
-        if match.explained < LEAST:
+        if match.explained < MIN_MATCHED_SHARE:
             raise InputError(
                 f'samples do not follow the path: only {100 * match.explained:.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '

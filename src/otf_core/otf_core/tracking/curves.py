@@ -30,11 +30,11 @@ from otf_core.arrays import Array, Index
 from otf_core.model.path import MOVING, Legs
 from otf_core.tracking.measured_track import simplify
 
-CHORD = 0.02
+MAX_CHORD = 0.02
 """m; longer lines are legs of their own, never chords of a curve."""
-GENTLE = np.radians(30.0)
+MAX_TURN_BETWEEN_CHORDS = np.radians(30.0)
 """A sharper turn is a corner."""
-LEAST = 3
+MIN_CHORDS = 3
 """Chords that make a curve; fewer are legs."""
 SHORT_CURVE = 4.0
 """A curve shorter than this many corner exclusions is left out: it is a rounded corner."""
@@ -162,13 +162,15 @@ def shape_of(corners: Array) -> PathShape:
     """
     legs = Legs(corners)
     length, number = legs.length, np.arange(len(corners) - 1)
-    if len(length) < LEAST or np.count_nonzero(length <= CHORD) < LEAST:
+    if len(length) < MIN_CHORDS or np.count_nonzero(length <= MAX_CHORD) < MIN_CHORDS:
         return straight_shape(corners)
     turn = turns(legs.unit)
-    gentle = (turn <= GENTLE) & (length[:-1] <= CHORD) & (length[1:] <= CHORD)
+    gentle = (
+        (turn <= MAX_TURN_BETWEEN_CHORDS) & (length[:-1] <= MAX_CHORD) & (length[1:] <= MAX_CHORD)
+    )
     first = np.concatenate([[True], ~gentle])
     stretch = number[first][np.cumsum(first) - 1]
-    few = np.bincount(stretch, minlength=len(number))[stretch] < LEAST
+    few = np.bincount(stretch, minlength=len(number))[stretch] < MIN_CHORDS
     stretch = np.where(few, number, stretch)
     return PathShape(corners, stretch, _groups(stretch, length, np.concatenate([[0.0], turn])))
 
@@ -260,17 +262,17 @@ def curve_boundaries(corners: Array, nodes: tuple[Array, ...], size: float) -> A
     return np.concatenate([*parts, [done[-1]]])
 
 
-VISIBLE = 2e-7
+MIN_SAGITTA = 2e-7
 """m; flatter chords are as good as arcs."""
-FINE = 5e-8
+SAGITTA_OF_ARCS = 5e-8
 """m; sagitta of the chords that stand for an arc."""
-BLOCKS = 20
+JACKKNIFE_BLOCKS = 20
 """Parts of the run whose scatter gives the uncertainty."""
-MATTERS = 2e-6
+MIN_SAGITTA_REMARK = 2e-6
 """m; what is left of the sagitta is worth a remark."""
-UNCLEAR = 0.2
+MAX_U_OF_SHARE = 0.2
 """Uncertainty of the share above which the samples do not tell."""
-HALF = 0.5
+MIN_ARC_SHARE = 0.5
 """Share from which on arcs are closer to what was driven than chords."""
 
 
@@ -295,19 +297,19 @@ class Bulge:
     @property
     def arcs(self) -> bool:
         """True if arcs are what was driven."""
-        return self.share >= HALF and self.share > 3.0 * self.u
+        return self.share >= MIN_ARC_SHARE and self.share > 3.0 * self.u
 
     @property
     def remark(self) -> str:
         """What the reader of a result should know; empty if all is clear."""
         left = min(abs(self.share), abs(1.0 - self.share)) * self.sagitta
         size = f'sagitta of the published chords: {1e6 * self.sagitta:.2g} um'
-        if not self.u < UNCLEAR and self.sagitta > MATTERS:
+        if not self.u < MAX_U_OF_SHARE and self.sagitta > MIN_SAGITTA_REMARK:
             return (
                 f'the samples do not tell whether curves were driven along chords or arcs '
                 f'({size}); chords are assumed: publish finer chords'
             )
-        if left > MATTERS and left > 3.0 * self.u * self.sagitta:
+        if left > MIN_SAGITTA_REMARK and left > 3.0 * self.u * self.sagitta:
             return (
                 f'curves were driven neither along their chords nor along arcs through their '
                 f'joints ({100 * self.share:.0f} % of the way between, {size}): publish finer '
@@ -365,7 +367,7 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     bend = curvature(lines)
     size = np.linalg.norm(bend, axis=2).mean(axis=1)
     sagitta = size * lines.length**2 / 8.0
-    seen = (sagitta[chord] > VISIBLE) & (lines.total[chord] >= least)
+    seen = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
     points, chord = points[seen], chord[seen]
     if not len(points):
         return None
@@ -380,9 +382,9 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     seen_shape = _freed(np.einsum('ij,ij->i', local, outward), width)
     limit = 10.0 * float(np.median(np.abs(seen_shape)))  # jumps between curves are no profile
     shape = np.where(np.abs(seen_shape) < limit, shape, 0.0)
-    block = np.arange(len(shape)) * BLOCKS // len(shape)
-    weight = np.bincount(block, shape**2, BLOCKS)
-    share = np.bincount(block, shape * seen_shape, BLOCKS) / np.maximum(weight, 1e-30)
+    block = np.arange(len(shape)) * JACKKNIFE_BLOCKS // len(shape)
+    weight = np.bincount(block, shape**2, JACKKNIFE_BLOCKS)
+    share = np.bincount(block, shape * seen_shape, JACKKNIFE_BLOCKS) / np.maximum(weight, 1e-30)
     total = float(weight.sum())
     if total <= 0.0:
         return Bulge(0.0, np.inf, largest)
@@ -404,7 +406,7 @@ def with_arcs(lines: Lines) -> tuple[PathShape, Index, Index]:
     """
     bend, length = curvature(lines), lines.length
     sagitta = np.linalg.norm(bend, axis=2).max(axis=1) * length**2 / 8.0
-    count = np.maximum(1, np.ceil(np.sqrt(sagitta / FINE))).astype(np.int64)
+    count = np.maximum(1, np.ceil(np.sqrt(sagitta / SAGITTA_OF_ARCS))).astype(np.int64)
     parent = np.repeat(np.arange(len(length)), count)
     start = np.concatenate([[0], np.cumsum(count)[:-1]])
     along = (np.arange(len(parent)) - start[parent]) / count[parent] * length[parent]

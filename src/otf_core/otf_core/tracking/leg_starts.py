@@ -19,13 +19,13 @@ from otf_core.tracking.matching import OFF_PATH
 
 SHORT, LONG = 2e-5, 5e-3
 """m; stretch of a leg whose samples tell when it began."""
-STILL = (0.25, 0.05)
+REST_BEFORE_START = (0.25, 0.05)
 """s before a leg is seen to move, between which the target stands."""
-STOOD = 2e-5
+MAX_SPREAD_AT_REST = 2e-5
 """m; by which samples of a target at rest differ at most."""
-BEGUN = 1e-3
+MIN_TRAVEL = 1e-3
 """m from the start of a leg from which it is seen to move."""
-AFTER = 0.3
+MAX_TIME_OF_START = 0.3
 """s; longest time for the stretch."""
 
 
@@ -47,7 +47,7 @@ def leg_starts(
     for low, high in zip(first.tolist(), last.tolist(), strict=True):
         number = int(leg[low])
         corner, unit = seen.corners[number], seen.unit[number]
-        moves = np.flatnonzero((samples.xyz[low:high] - corner) @ unit > BEGUN)
+        moves = np.flatnonzero((samples.xyz[low:high] - corner) @ unit > MIN_TRAVEL)
         if len(moves):
             found[number] = _start(samples, corner, unit, low + int(moves[0]))
     return found
@@ -56,12 +56,15 @@ def leg_starts(
 def _start(samples: Samples, corner: Array, unit: Array, seen: int) -> float:
     """When a leg in the frame of the tracker began, seen to move from a sample on."""
     stamp = samples.stamp_ns
-    low, high = stamp[seen] - round(1e9 * STILL[0]), stamp[seen] + round(1e9 * AFTER)
+    low, high = (
+        stamp[seen] - round(1e9 * REST_BEFORE_START[0]),
+        stamp[seen] + round(1e9 * MAX_TIME_OF_START),
+    )
     a, b = np.searchsorted(stamp, [low, high]).tolist()
     at = (stamp[a:b] - stamp[0]) * 1e-9
     gone = (samples.xyz[a:b] - corner) @ unit
-    stands = at < at[seen - a] - STILL[1]
-    if stands.sum() < 2 or np.ptp(gone[stands]) > STOOD:
+    stands = at < at[seen - a] - REST_BEFORE_START[1]
+    if stands.sum() < 2 or np.ptp(gone[stands]) > MAX_SPREAD_AT_REST:
         return np.nan
     way = gone - np.median(gone[stands])
     use = ~stands & (way > SHORT) & (way < LONG)

@@ -30,13 +30,13 @@ from otf_core.tracking.driving_order import follow as follow
 from otf_core.tracking.driving_order import follow_within
 from otf_core.tracking.measured_track import Track
 
-WIDTH = 6
+POINTS_PER_WINDOW = 6
 """Points of a window."""
 SPANS = (2.0, 1.0, 0.4)
 """Lengths of windows, in extents of the path."""
-STARTS = 20_000
+MAX_WINDOWS = 20_000
 """Windows of the path at most."""
-TRIES = 12
+WINDOWS_PER_LENGTH = 12
 """Windows of the track per length."""
 
 
@@ -60,26 +60,30 @@ def _mutual(windows: Array) -> Array:
 def _path_windows(corners: Array, span: float, step: float) -> Array:
     points, along = dense_points(corners, step)
     starts = along[along <= along[-1] - span]
-    place = starts[:, None] + np.linspace(0.0, span, WIDTH)
-    return at_length(points, along, place.ravel()).reshape(-1, WIDTH, 3)
+    place = starts[:, None] + np.linspace(0.0, span, POINTS_PER_WINDOW)
+    return at_length(points, along, place.ravel()).reshape(-1, POINTS_PER_WINDOW, 3)
 
 
 def _track_windows(track: Track, span: float) -> Array:
     """Windows of the track without a gap inside, those of largest extent first."""
     bounds = np.concatenate([np.flatnonzero(~track.joined), [len(track.joined)]])
-    windows = [np.empty((0, WIDTH, 3))]
+    windows = [np.empty((0, POINTS_PER_WINDOW, 3))]
     for low, high in pairwise(bounds):
         points = track.points[track.start[low] : track.stop[high - 1] + 1]
         done = Legs(points).reach
-        starts = np.linspace(0.0, done[-1] - span, 8 * TRIES) if done[-1] > span else np.empty(0)
-        place = starts[:, None] + np.linspace(0.0, span, WIDTH)
-        windows.append(at_length(points, done, place.ravel()).reshape(-1, WIDTH, 3))
+        starts = (
+            np.linspace(0.0, done[-1] - span, 8 * WINDOWS_PER_LENGTH)
+            if done[-1] > span
+            else np.empty(0)
+        )
+        place = starts[:, None] + np.linspace(0.0, span, POINTS_PER_WINDOW)
+        windows.append(at_length(points, done, place.ravel()).reshape(-1, POINTS_PER_WINDOW, 3))
     found = np.concatenate(windows)
     if not len(found):
         return found
     spread = np.linalg.svd(found - found.mean(axis=1, keepdims=True), compute_uv=False)
     # the widest of every part of the run: a part that was driven otherwise must not take all
-    parts = np.array_split(np.argsort(np.arange(len(found)), kind='stable'), TRIES)
+    parts = np.array_split(np.argsort(np.arange(len(found)), kind='stable'), WINDOWS_PER_LENGTH)
     best = [int(p[np.argmax(spread[p, 1] + spread[p, 2])]) for p in parts if len(p)]
     order = np.argsort(-(spread[best, 1] + spread[best, 2]), kind='stable')
     return np.asarray(found[np.array(best)[order]])
@@ -103,7 +107,7 @@ def propose(track: Track, corners: Array, tolerance: float) -> list[RigidTransfo
     """
     extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
     total = float(Legs(corners).length.sum())
-    step = max(tolerance, total / STARTS)
+    step = max(tolerance, total / MAX_WINDOWS)
     limit = 3 * tolerance + step
     poses: list[RigidTransform] = []
     for span in (s * extent for s in SPANS):
@@ -127,13 +131,13 @@ _MAX_HYPOTHESES = 4000
 _MAX_FULL = 24
 _SCORED = 1000
 _MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
-LEAST = 0.3
+MIN_MATCHED_SHARE = 0.3
 """Share of the measured length that must follow the path."""
-DOUBTFUL = 0.5
+MIN_SHARE_UNDOUBTED = 0.5
 """Share of the measured length; if less follows the path, corners may have deceived."""
-ALL = 0.99
+MIN_SHARE_FINAL = 0.99
 """Share of the measured length; no better place of the tracker is looked for on curves."""
-ENOUGH = 0.97
+MIN_SHARE_AS_PLANNED = 0.97
 """Share of the measured length; if so much follows the path as planned, nothing else is tried."""
 
 
@@ -263,7 +267,7 @@ def _until_all(
     for pose in poses:
         whole = cut_track(track, pose, cuts, 2 * tolerance)
         planned.append(follow(pose, whole, corners, tolerance, False))
-        if planned[-1].explained > ALL:
+        if planned[-1].explained > MIN_SHARE_FINAL:
             break
     return planned
 
@@ -278,7 +282,7 @@ def _all_planned(
         found.append(match := follow_within(best.cost, pose, track, corners, tolerance))
         if match is not None and match.cost < best.cost:
             best = match
-    if best.explained > ENOUGH:
+    if best.explained > MIN_SHARE_AS_PLANNED:
         return [best]
     pairs = zip(found, poses, strict=True)
     return [m or follow(p, track, corners, tolerance, False) for m, p in pairs]
@@ -295,12 +299,12 @@ def best_match(
     else:
         planned = _all_planned(poses, track, corners, tolerance)
     planned.sort(key=_cost)
-    if planned[0].explained > ENOUGH:
+    if planned[0].explained > MIN_SHARE_AS_PLANNED:
         return planned[0]
     free: list[Match] = []
     for match in planned[:_MAX_FREE]:
         free.append(follow(match.pose, match.track, corners, tolerance))
-        if free[-1].explained > ENOUGH:
+        if free[-1].explained > MIN_SHARE_AS_PLANNED:
             break
     return min(free, key=_cost)
 
@@ -314,7 +318,7 @@ def _by_length(track: Track, corners: Array, tolerance: float) -> list[RigidTran
     probe = track.points[:: max(1, len(track.points) // _PROBES)]
     near = [tree.query(p.apply(probe), distance_upper_bound=5 * tolerance)[0] for p in poses]
     share = np.array([float(np.isfinite(d).mean()) for d in near])
-    kept = np.flatnonzero(share > LEAST)
+    kept = np.flatnonzero(share > MIN_MATCHED_SHARE)
     return distinct_poses(
         [poses[k] for k in kept], share[kept], track.points, 5 * tolerance, _MAX_ARCS
     )
@@ -356,7 +360,9 @@ def find_match(
         quick = _quick_scores(poses, track, corners, tolerance)
         distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
         best = best_match(distinct, track, corners, cuts, 2 * tolerance)
-    if best is not None and best.explained > (ENOUGH if len(cuts) else DOUBTFUL):
+    if best is not None and best.explained > (
+        MIN_SHARE_AS_PLANNED if len(cuts) else MIN_SHARE_UNDOUBTED
+    ):
         return best
     if not by_length:
         return best

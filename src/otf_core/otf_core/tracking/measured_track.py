@@ -24,13 +24,13 @@ from otf_core.model.observation import Samples
 
 HOP = 1e-3
 """m; distance between the points that describe the track."""
-REACH = 4
+HOPS_OF_DIRECTION = 4
 """hops; distance over which a direction is taken."""
 GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
 """s; samples are looked at this often."""
-LOOK = 16
+POINTS_AHEAD = 16
 """Points within which the next hop lies where the machine drives."""
 
 
@@ -127,7 +127,9 @@ def _hop_selection(points: Array) -> Index:
     """Keep a point whenever it is one hop away from the last one kept."""
     keep, at = bytearray(len(points)), 0
     for part in blocks(len(points)):
-        ahead = _hops_ahead(points[part.start : part.stop + LOOK], part.stop - part.start).tolist()
+        ahead = _hops_ahead(
+            points[part.start : part.stop + POINTS_AHEAD], part.stop - part.start
+        ).tolist()
         while at < part.stop:
             keep[at] = 1
             at += ahead[at - part.start] or _standstill(points, at)
@@ -135,10 +137,10 @@ def _hop_selection(points: Array) -> Index:
 
 
 def _hops_ahead(points: Array, count: int) -> NDArray[np.int8]:
-    """How many points ahead the next hop is, for the first points; 0 if not within ``LOOK``."""
+    """Points to the next hop, for the first ``count`` points; 0 beyond ``POINTS_AHEAD``."""
     columns = np.ascontiguousarray(points.T)
     ahead, away = np.ones(count, dtype=np.int8), np.zeros(count, dtype=bool)
-    for step in range(1, min(LOOK + 1, len(points))):
+    for step in range(1, min(POINTS_AHEAD + 1, len(points))):
         x, y, z = columns[:, step : step + count] - columns[:, : min(count, len(points) - step)]
         away[: len(x)] |= x * x + y * y + z * z >= HOP * HOP
         if away.all():
@@ -149,7 +151,7 @@ def _hops_ahead(points: Array, count: int) -> NDArray[np.int8]:
 
 def _standstill(points: Array, at: int) -> int:
     """How many points ahead the next hop is, looked for further and further; or the end."""
-    first, size = at + LOOK + 1, 4 * LOOK
+    first, size = at + POINTS_AHEAD + 1, 4 * POINTS_AHEAD
     while first < len(points):
         x, y, z = (points[first : first + size] - points[at]).T
         gone = np.flatnonzero(x * x + y * y + z * z >= HOP * HOP)
@@ -183,13 +185,13 @@ def reversals(points: Array) -> Index:
 
     A line driven to and fro lies on its own chord, so distance alone does not show its ends.
     """
-    if len(points) <= 2 * REACH:
+    if len(points) <= 2 * HOPS_OF_DIRECTION:
         return np.zeros(0, dtype=np.int64)
-    step = points[REACH:] - points[:-REACH]
-    turn = np.einsum('ij,ij->i', step[REACH:], step[:-REACH])
+    step = points[HOPS_OF_DIRECTION:] - points[:-HOPS_OF_DIRECTION]
+    turn = np.einsum('ij,ij->i', step[HOPS_OF_DIRECTION:], step[:-HOPS_OF_DIRECTION])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], turn < 0, [False]])))
     found = [
-        int(low + np.argmin(turn[low:high])) + REACH
+        int(low + np.argmin(turn[low:high])) + HOPS_OF_DIRECTION
         for low, high in zip(edges[::2], edges[1::2], strict=True)
     ]
     return np.array(found, dtype=np.int64)

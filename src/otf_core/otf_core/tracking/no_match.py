@@ -15,19 +15,19 @@ from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.matching import OFF_PATH, Guide, Match, cut_track, follow
 from otf_core.tracking.measured_track import Track, measured_track
 
-WIDER = (2.5, 5.0, 10.0)
+WIDER_TOLERANCES = (2.5, 5.0, 10.0)
 """Multiples of the tolerance that are tried to say what is wrong."""
-LOW = 0.8
+MIN_COVERAGE = 0.8
 """Coverage below which a reason is looked for."""
-WHOLE = 0.8
+MIN_SHARE_ON_PATH = 0.8
 """Share of a track that must lie on the path for a reason to hold."""
-STANDS_OUT = 2e-4
+MIN_STANDOUT = 2e-4
 """m; a sample that lies further from the middle of its neighbours on a line stands out."""
-MANY = 0.1
+MIN_STANDOUT_SHARE = 0.1
 """Share of samples standing out that is a reason."""
-BESIDE = 0.25
+MAX_RATIO_OF_DISTANCES = 0.25
 """Distance of lines over that of corners from which on rounded corners are not the reason."""
-INNER = (0.3, 0.7)
+INNER_PART_OF_LEG = (0.3, 0.7)
 """Part of a leg that rounding of its corners leaves alone."""
 
 
@@ -43,7 +43,7 @@ def mirrored(track: Track, guide: Guide, tolerance: float) -> Match | None:
     return guide.find(replace(track, points=track.points * [-1.0, 1.0, 1.0]), tolerance)
 
 
-MIRRORED = (
+MIRRORED_MESSAGE = (
     'the track fits only mirrored: the tracker coordinates are left-handed (or two axes of '
     'the path are swapped); swap two coordinates or change the sign of one, in the driver'
 )
@@ -53,7 +53,7 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
     """Say why nothing fits, as far as the shapes tell."""
     out, size = standing_out(samples)
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
-    if out > MANY:
+    if out > MIN_STANDOUT_SHARE:
         return (
             f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm and more beside '
             f'their neighbours: outliers; look for reflections, a dirty target or a disturbed '
@@ -62,8 +62,8 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
     if not 0.3 < ratio < 3:
         return f'the measured track is {ratio:.3g} times as large as the path{unit_by_size(ratio)}'
     match = mirrored(track, guide, tolerance)
-    if match is not None and match.explained > WHOLE:
-        return MIRRORED
+    if match is not None and match.explained > MIN_SHARE_ON_PATH:
+        return MIRRORED_MESSAGE
     return _resembles(samples, guide, tolerance) or (
         f'no run of measured corners fits the path within match_tolerance '
         f'({1e3 * tolerance:g} mm): do bag and path belong together?'
@@ -90,13 +90,13 @@ SAME_UNIT = 0.05
 
 def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
     """Say within which tolerance the track would fit, and whether corners are why."""
-    for factor in WIDER:
+    for factor in WIDER_TOLERANCES:
         enough = factor * tolerance
         match = guide.find(measured_track(samples, enough), enough)
-        if match is None or match.explained <= WHOLE:
+        if match is None or match.explained <= MIN_SHARE_ON_PATH:
             continue
         beside = _beside_lines(match, guide.vertices)
-        if beside > BESIDE * enough:
+        if beside > MAX_RATIO_OF_DISTANCES * enough:
             return (
                 f'it resembles the path, but lies {1e3 * beside:.2g} mm beside the middle of its '
                 f'lines: the path of another program or machine, or of another scale?'
@@ -116,7 +116,7 @@ def _beside_lines(match: Match, corners: Array) -> float:
     unit = Legs(corners).unit
     found = []
     for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
-        low, high = (int(first + share * (last - first)) for share in INNER)
+        low, high = (int(first + share * (last - first)) for share in INNER_PART_OF_LEG)
         if leg == OFF_PATH or high - low < 2:
             continue
         away = points[low:high] - corners[leg]
@@ -139,7 +139,7 @@ def standing_out(samples: Samples) -> tuple[float, float]:
         return 0.0, 0.0
     bend = 0.5 * np.linalg.norm(xyz[2:] - 2.0 * xyz[1:-1] + xyz[:-2], axis=1)
     step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    far = bend > max(STANDS_OUT, 0.25 * float(np.median(step)))
+    far = bend > max(MIN_STANDOUT, 0.25 * float(np.median(step)))
     share = 1.0 - (1.0 - float(np.mean(far))) ** (1.0 / 3.0)
     return share, float(np.median(bend[far])) if far.any() else 0.0
 
@@ -165,12 +165,12 @@ def check_partial(
     InputError
         If the mirror image fits much better, or the rest fits from another place of the tracker.
     """
-    if now > LOW:
+    if now > MIN_COVERAGE:
         return
     guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
     image = mirrored(track, guide, tolerance)
     if image is not None and covered(image, guide.vertices) > 0.5 * (1.0 + now):
-        raise InputError(f'samples do not follow the path: {MIRRORED}')
+        raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
     _check_far_step(samples, follow(pose, whole, guide.vertices, tolerance), guide, tolerance)
 
@@ -192,7 +192,7 @@ def _check_far_step(samples: Samples, match: Match, guide: Guide, tolerance: flo
         )
         other.joined[:1] = False
         again = guide.find(other, tolerance)
-        if again is None or again.explained < WHOLE:
+        if again is None or again.explained < MIN_SHARE_ON_PATH:
             continue
         middle = np.mean(track.points, axis=0)[None]
         shift = float(np.linalg.norm(again.pose.apply(middle) - match.pose.apply(middle)))

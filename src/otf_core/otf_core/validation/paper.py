@@ -221,7 +221,7 @@ def agreement(a: CalibrationResult, b: CalibrationResult) -> Array:
 
 REPLICATED_SIZE = 1e-4
 """m; the paper's simulated machine has a mean error of 103 um on the grid."""
-GRID = 7
+GRID_POINTS = 7
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ def across_path(field: Array, q: Array, axes: Array) -> Array:
 
 def replication(result: CalibrationResult, truth: ErrorTables) -> Replication:
     """Compare predicted with true errors where the paper does: self-test and grid test."""
-    run, grid = result.runs[0], lattice(truth.machine, GRID)
+    run, grid = result.runs[0], lattice(truth.machine, GRID_POINTS)
     true_path, true_grid = displacement(truth, run.q), displacement(truth, grid)
     left_path = true_path - displacement(result.tables, run.q)
     left_grid = true_grid - displacement(result.tables, grid)

@@ -24,7 +24,7 @@ from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.pieces.runs import prepare_runs
 from otf_core.sim.twin import twin_recording
 from otf_core.solving.model_choice import solve_with_reversal
-from otf_core.solving.roughness import SETTLED, Search
+from otf_core.solving.roughness import MIN_GAIN, Search
 
 NODES = table_nodes(RUN)
 LIMIT = CONFIG.unidentifiable_above
@@ -153,7 +153,7 @@ def test_roughness_is_at_the_top_of_the_likelihood(found):
     model = ErrorModel(RUN, NODES, 1)
     information = dense.roughness_information(found.first, model, found.roughness)
     gain = 0.5 * np.array(score) @ np.linalg.solve(information, score)
-    assert 0 <= gain < SETTLED
+    assert 0 <= gain < MIN_GAIN
 
 
 def test_noise_is_near_the_top_of_the_likelihood(found):

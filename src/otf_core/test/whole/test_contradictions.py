@@ -197,7 +197,7 @@ def test_a_tracker_that_moved_is_found_in_time(size):
 
 
 def test_long_runs_are_examined_on_every_nth_piece(monkeypatch):
-    monkeypatch.setattr(quick_model, 'ENOUGH', 500)
+    monkeypatch.setattr(quick_model, 'MAX_PIECES', 500)
     a = recorded(4)
     rows = quick_model.Model.of([a_run := prepare_runs([a], CONFIG)[0][0]]).rows
     assert 500 <= len(rows) < 1000 < len(a_run.pieces)

@@ -8,7 +8,7 @@ import pytest
 from core_cells import record, small_plan, some_machine, some_pose
 
 from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
-from otf_core.calibration.lack_of_fit import FEWEST, Unfollowed, unfollowed
+from otf_core.calibration.lack_of_fit import MIN_REPEATED_LINES, Unfollowed, unfollowed
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
@@ -52,7 +52,7 @@ def found(spoil, passes=2):
 
 def test_what_repeats_is_measured_and_what_does_not_is_not():
     clean, changing, sagging = found(nothing), found(drift), found(sag)
-    assert clean.lines == changing.lines == sagging.lines >= FEWEST
+    assert clean.lines == changing.lines == sagging.lines >= MIN_REPEATED_LINES
     assert abs(clean.square) < 3.0 * clean.u
     assert changing.square < 3.0 * changing.u
     assert sagging.square > 5.0 * sagging.u
@@ -86,7 +86,7 @@ def test_curves_alone_tell_nothing():
     ('change', 'told'),
     [
         ({}, True),
-        ({'lines': FEWEST - 1}, False),
+        ({'lines': MIN_REPEATED_LINES - 1}, False),
         ({'u': 0.5e-12}, False),
         ({'square': -1e-12}, False),
         ({'square': 0.01e-12, 'u': 0.0}, False),

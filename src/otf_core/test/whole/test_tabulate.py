@@ -20,8 +20,8 @@ from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.tabulate import (
     FRACTIONS,
-    MOST_NODES,
-    WORTH,
+    MAX_NODES,
+    MAX_SHARE_OF_U,
     by_motion,
     mean_grid_uncertainty,
     projection,
@@ -145,12 +145,12 @@ def test_the_coarsest_spacing_that_costs_little_is_taken(u):
     machine, done = curved(0.1)
     found = tabulate(machine, done, u, LIMIT)
     assert found.fraction > 1
-    assert found.costs[found.fraction].grid <= WORTH * u
-    assert found.costs[1].grid > WORTH * u
+    assert found.costs[found.fraction].grid <= MAX_SHARE_OF_U * u
+    assert found.costs[1].grid > MAX_SHARE_OF_U * u
     assert set(found.costs) == {1, found.fraction}
     before = FRACTIONS[FRACTIONS.index(found.fraction) - 1]
     coarser = replace_pitch(machine, 0.1 / before)
-    assert tabulate(coarser, done, 1.0, LIMIT).costs[1].grid > WORTH * u
+    assert tabulate(coarser, done, 1.0, LIMIT).costs[1].grid > MAX_SHARE_OF_U * u
     spacing = np.diff(found.tables.motions['EXX'].position)
     np.testing.assert_allclose(spacing, 0.1 / found.fraction, rtol=1e-9)
 
@@ -171,7 +171,7 @@ def test_tables_stay_within_the_most_nodes():
     found = tabulate(machine, done, 1e-12, LIMIT)
     count = sum(len(found.tables.motions[m].position) for m in MOTIONS)
     assert 1 < found.fraction < FRACTIONS[-1]
-    assert 0.5 * MOST_NODES < count <= MOST_NODES
+    assert 0.5 * MAX_NODES < count <= MAX_NODES
     fine = tabulate(*curved(0.002), 1e-12, LIMIT)  # asked for; never made coarser
     assert fine.fraction == 1
 

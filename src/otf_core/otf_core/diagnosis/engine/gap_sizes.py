@@ -233,8 +233,8 @@ def check_noise(
 def with_measured_noise(run: Run, speed: float) -> Run:
     """Return a run with the noise of its standstills where that is clearly louder than specified.
 
-    Up to ``noise.departure.LEVEL`` it passes as specified, and a solution takes it as specified;
-    but what is left of a gap has to be compared with the noise that was there.
+    Up to ``noise.departure.MAX_LEVEL_RATIO`` it passes as specified, and a solution takes it as
+    specified; but what is left of a gap has to be compared with the noise that was there.
     """
     samples = run.recording.samples
     seen = noise_departure(samples, run.machine.tracker, speed)

@@ -19,7 +19,7 @@ from otf_core.planning.nc.dialect import Dialect, comment_lines
 
 INCREMENT = 1e-6
 """m; resolution of the positions in a program."""
-LARGEST = 99.999999
+LARGEST_POSITION = 99.999999
 """m; more than five digits before the decimal point of a mm are refused."""
 
 
@@ -46,8 +46,8 @@ def _check(dialect: Dialect, plan: Plan) -> None:
             f'{dialect.name}: the path has positions between the increments of '
             f'{1e3 * increment:g} mm'
         )
-    if np.abs(points).max() > LARGEST:
-        raise ConfigError(f'{dialect.name}: positions beyond {1e3 * LARGEST:.3f} mm')
+    if np.abs(points).max() > LARGEST_POSITION:
+        raise ConfigError(f'{dialect.name}: positions beyond {1e3 * LARGEST_POSITION:.3f} mm')
     feeds = np.rint(plan.feed * 60e3)
     if feeds.min() < 1:
         slow = 60e3 * plan.feed.min()

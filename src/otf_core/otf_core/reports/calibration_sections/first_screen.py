@@ -13,10 +13,10 @@ from otf_core.budget.typical import typical_warnings
 from otf_core.calibration.calibration_result import Fit
 from otf_core.calibration.machine_verdict import (
     FAIL,
+    MEANING,
     OPEN,
     PASS,
     UNKNOWN,
-    WHAT,
     Judged,
     Verdicts,
     size_and_expanded,
@@ -391,7 +391,7 @@ def limits_section(facts: Facts) -> Section:
 
 
 def _limit_row(one: Judged) -> tuple[Cell, ...]:
-    what = WHAT.get(one.name, f'{one.name}')
+    what = MEANING.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
     value = '' if one.state == UNKNOWN else figure(1e6 * one.value, 1e6 * (one.U or one.value))
     wide = significant(1e6 * one.U) if one.U else ''

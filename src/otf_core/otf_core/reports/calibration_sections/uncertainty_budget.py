@@ -24,8 +24,8 @@ from otf_core.model.quantities import quantity, scaled
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_facts import (
     GRID,
+    LISTED_CORRELATION,
     LISTED_PAIRS,
-    STRONG,
     BudgetLine,
     Facts,
     correlations,
@@ -176,7 +176,8 @@ def correlations_section(facts: Facts) -> Section:
     said = (
         f'The combination that is known worst: {listed_members}; it holds {100 * share:.0f} % of '
         f'the whole variance of the tables (um and urad counted alike).',
-        f'{len(strong)} pairs of tables are correlated by at least {STRONG}, {len(strongest)} by '
+        f'{len(strong)} pairs of tables are correlated by at least {LISTED_CORRELATION}, '
+        f'{len(strongest)} by '
         f'more than {VERY_STRONG}; of two tables the pair of nodes with the strongest correlation '
         f'counts. Predictions use the full covariance, so correlations are not lost.',
     )

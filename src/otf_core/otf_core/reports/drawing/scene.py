@@ -24,7 +24,7 @@ LETTER, LINE = 5.9, 13.0
 """px; about the width of a letter and the height of a line of labels."""
 SIDES = (('', 9.0), ('end', -9.0), ('middle', 0.0))
 """How a label stands beside its place, and how far off it, px."""
-NEAR = 0.3
+TRACKER_DISTANCE = 0.3
 """Distance of a tracker from the volume, in its diagonals, up to which it stands in the scene."""
 
 
@@ -137,7 +137,7 @@ def tracker_items(place: Array, low: Array, high: Array) -> list[Item]:
     """Mark of a tracker at place (3,), m; of one far from the box an arrow towards it."""
     edge = np.clip(place, low, high)
     away = place - edge
-    far, reach = float(np.linalg.norm(away)), NEAR * float(np.linalg.norm(high - low))
+    far, reach = float(np.linalg.norm(away)), TRACKER_DISTANCE * float(np.linalg.norm(high - low))
     if far <= reach:
         return [Dots('z big', place[None]), Label(place, 'tracker', 'end', -9.0, 4.0)]
     tip = edge + away * (0.5 * reach / far)
