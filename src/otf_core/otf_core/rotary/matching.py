@@ -35,6 +35,8 @@ KNOWN = 1e-4
 ROUNDS = 12
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
+HALF_CHORD, LONGEST_STEP = 2e-3, 5e-3
+"""m; half of the chord that gives the direction of travel, and longest step along a curve."""
 OFF = 2.5e-3
 """m; robust distance from the curves above which bag and machine do not belong together."""
 
@@ -281,9 +283,8 @@ def _refined(
             points = pose.apply(f.track.xyz)
             f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
             place = curve.place_at(f.reach)
-            place, seen, tangent = closest(
-                sight_at(machine, f.part.path.target, known), f.part.path.positions, place, points
-            )
+            sight = sight_at(machine, f.part.path.target, known)
+            place, seen, tangent = closest(sight, curve, place, points)
             f.reach = curve.reach_at(place)
             off = points - seen.position
             off -= tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
@@ -309,10 +310,11 @@ def _refined(
     return pose, known
 
 
-def closest(
-    sight: Sight, positions: Array, place: Array, points: Array, rounds: int = 3
-) -> tuple[Array, Seen, Array]:
+def closest(sight: Sight, curve: Curve, place: Array, points: Array) -> tuple[Array, Seen, Array]:
     """Closest places of a curve to points, from near ones.
+
+    The direction of travel is that of a chord of some length about a place: chains of corners that
+    stand for a smooth curve have ripples, of which noise makes the closest point ambiguous.
 
     Returns
     -------
@@ -322,20 +324,24 @@ def closest(
     tangent : ndarray, shape (n, 3)
         Unit direction of travel.
     """
-    legs = np.diff(positions, axis=0)
-    last = len(legs) - 1
-    for k in range(rounds + 1):
-        leg = np.clip(place.astype(np.int64), 0, last)
-        seen = sight.at(position_at(positions, place))
-        speed = np.einsum('nij,nj->ni', seen.velocity, legs[leg])
-        size = np.linalg.norm(speed, axis=1)
-        tangent = speed / np.maximum(size, 1e-12)[:, None]
-        if k == rounds:
-            return place, seen, tangent
-        along = np.einsum('ni,ni->n', points - seen.position, tangent)
-        step = np.where(size > 1e-9, along / np.maximum(size, 1e-9), 0.0)
-        place = np.clip(place + np.clip(step, -0.5, 0.5), 0.0, last + 1.0)
-    raise AssertionError('unreachable')
+    reach = curve.reach_at(place)
+    for _ in range(ROUNDS):
+        tangent = _chord(curve, reach)
+        step = np.einsum('ni,ni->n', points - curve.at(reach), tangent)
+        reach = np.clip(reach + np.clip(step, -LONGEST_STEP, LONGEST_STEP), 0.0, curve.length)
+        if np.abs(step).max(initial=0.0) < SETTLED:
+            break
+    place = curve.place_at(reach)
+    seen = sight.at(position_at(curve.positions, place))
+    return place, seen, _chord(curve, reach)
+
+
+def _chord(curve: Curve, reach: Array) -> Array:
+    """Unit directions (n, 3) of symmetric chords about places by arc length."""
+    half = np.minimum(HALF_CHORD, np.minimum(reach, curve.length - reach))
+    half = np.maximum(half, 1e-5)
+    step = curve.at(reach + half) - curve.at(reach - half)
+    return np.asarray(step / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None])
 
 
 def _placed(

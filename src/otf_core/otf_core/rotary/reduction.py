@@ -26,6 +26,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.noise.standstill import find_standstills
 from otf_core.pieces.pieces import outlying
 from otf_core.rotary.matching import Matched, closest
+from otf_core.rotary.track import Curve
 
 LEVER = 0.2
 """m; a rotation counts as travel on this radius where lengths of pieces and corners are meant."""
@@ -221,7 +222,8 @@ def _of_part(
     wanted = points
     if tables is not None:
         wanted = points - sight.at(position_at(positions, matched.place[own])).displacement(tables)
-    place, seen, tangent = closest(sight, positions, matched.place[own], wanted)
+    curve = Curve.of(sight, positions)
+    place, seen, tangent = closest(sight, curve, matched.place[own], wanted)
     offset = np.ascontiguousarray((points - seen.position).T)
     stretch = reach.stretch[_leg_of(place, positions)]
     far = outlying(

@@ -23,13 +23,13 @@ from otf_core.arrays import Array
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.joints import Sight, rotations
 from otf_core.model.machine import Machine
-from otf_core.model.motions import DIRECTIONS, location_names, unit_of
+from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.nodes import hat_matrix, table_nodes
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.rotary.solution import AxisSolution
 from otf_core.solving.solution import TIE_BREAK, Positive, free_columns, smoothness
 from otf_core.solving.tabulate import projection
-from otf_core.solving.unknowns import reference_position
+from otf_core.solving.unknowns import linear, reference_position
 
 FRACTIONS = (1, 2, 3, 4, 6, 8)
 MOST_NODES = 1600
@@ -190,8 +190,26 @@ def tabulate(machine: Machine, done: AxisSolution, driven: tuple[Array, Array], 
             break
     assert best is not None
     fraction, nodes, rows, value, spread, grid_u, cost = best
+    spread = spread + np.diag(_straight(done, nodes, spread))
     seen = determined(done, rows, limit)
     return _assembled(machine, nodes, value, spread, seen, fraction, grid_u)
+
+
+def _straight(done: AxisSolution, nodes: Mapping[str, Array], covariance: Array) -> Array:
+    """Variance (m,) of the nodes that stands for what straight lines between them miss.
+
+    Independent nodes of variance v make 2/3 v on the average over the places between them.
+    """
+    machine, unknowns = done.machine, done.unknowns
+    parts = [np.zeros(len(machine.scalars))]
+    for motion in machine.motions:
+        basis, at = unknowns.bases[motion.axis], nodes[motion.axis]
+        coefficients = done.solution.value[unknowns.blocks[motion]]
+        table = projection(motion, basis, at) @ coefficients
+        fine = linear(at).finer(8)
+        missed = basis.matrix(fine) @ coefficients - np.interp(fine, at, table)
+        parts.append(np.full(len(at), 1.5 * float(np.mean(missed**2))))
+    return np.concatenate(parts) * (np.diag(covariance) > 0.0)
 
 
 def determined(done: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool_]:
@@ -245,24 +263,31 @@ def _assembled(
         motions[motion] = MotionTable(
             at,
             np.where(visible, value[own], 0.0) + 0.0,
-            np.where(visible, u[own], 0.0),
+            u[own],
             visible,
             known & visible,
         )
-    scale = kept.astype(float)
-    spread = covariance * scale[:, None] * scale
+    # what is written as zero may be what was estimated, within its uncertainty
+    left_out = np.where(kept, 0.0, value)
+    spread = covariance + np.outer(left_out, left_out)
+    u = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    motions = {m: replace(t, u=_of_nodes(machine, nodes, u)[m]) for m, t in motions.items()}
     square = {
-        n: Squareness(float(value[k] * kept[k]), float(u[k] * kept[k]))
+        n: Squareness(float(value[k] * kept[k]), float(u[k]))
         for k, n in enumerate(machine.squareness)
     }
     location = {
-        n: LocationError(float(value[k] * kept[k]), float(u[k] * kept[k]), bool(kept[k]))
+        n: LocationError(float(value[k] * kept[k]), float(u[k]), bool(kept[k]))
         for k, n in enumerate(machine.location, start=len(machine.squareness))
     }
     tables = ErrorTables(machine, motions, square, location)
     return AxisTables(tables, spread, fraction, tuple(hidden), grid_u)
 
 
-def unit_words(name: str) -> str:
-    """Unit of an error as reports state it."""
-    return 'um' if unit_of(name) == 'm' else 'urad'
+def _of_nodes(machine: Machine, nodes: Mapping[str, Array], values: Array) -> dict[str, Array]:
+    """Parts of values (m,) that belong to the nodes of every motion."""
+    found, start = {}, len(machine.scalars)
+    for motion in machine.motions:
+        found[str(motion)] = values[start : start + len(nodes[motion.axis])]
+        start += len(nodes[motion.axis])
+    return found
