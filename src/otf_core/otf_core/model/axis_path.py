@@ -15,11 +15,13 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.errors import InputError, ShapeError
 from otf_core.model.joints import Sight
-from otf_core.model.machine import Machine
+from otf_core.model.machine import FULL_TURN, Machine
 from otf_core.model.path import NominalPath
 
 MIN_MOTION = 1e-9
 """m or rad; corners that differ by less are one."""
+MOST_TURNS = 30.0
+"""Turns of an endless axis beyond which its positions are in degrees, most likely."""
 TRACK_STEP, TRACK_TURN = 5e-3, 0.03
 """m of travel and rad of rotation between points of a track that stands for the curve."""
 
@@ -89,6 +91,11 @@ def _check_ranges(machine: Machine, q: Array) -> None:
     for k, name in enumerate(machine.axis_names):
         axis = machine.axes[name]
         if axis.endless:
+            if np.abs(q[:, k]).max() > MOST_TURNS * FULL_TURN:
+                raise InputError(
+                    f'axis positions: axis {name} turns up to {np.abs(q[:, k]).max():.6g} rad, '
+                    f'{np.abs(q[:, k]).max() / FULL_TURN:.0f} turns; is it in degrees?'
+                )
             continue
         out = np.maximum(axis.min - q[:, k], q[:, k] - axis.max)
         if out.max() > 1e-3:

@@ -7,22 +7,21 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
-from otf_core.errors import ConfigError, InputError
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.provenance import Origin, origins
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Recording, blamed, check_same_machine
-from otf_core.rotary.matching import OFF, Matched, is_known, match
+from otf_core.rotary.matching import Matched, match
+from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.rotary.reduction import AxisPieces, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
@@ -149,6 +148,7 @@ def _calibrated(
     machine = recordings[0].machine
     progress('aligning', 0.0)
     matched: list[Matched] = []
+    notes: list[str] = []
     for k, recording in enumerate(recordings):
         with blamed(recording.name):
             known = matched[0] if same_station and matched else None
@@ -159,7 +159,7 @@ def _calibrated(
                 known.pose if known else None,
                 known.places if known else None,
             )
-            check_matched(found)
+            notes += check_matched(recording.samples, found, recording.axis_paths)
             matched.append(found)
         progress('aligning', (k + 1) / (len(recordings) + 1))
     low, high = driven_ranges(machine, matched)
@@ -181,7 +181,8 @@ def _calibrated(
                 return reduce_to_stops(recordings[k].samples, one, config)
             return reduce_to_pieces(recordings[k].samples, one, nodes, config, tables)
 
-    done, logs, fitted, tables = None, None, None, None
+    done, logs, fitted = None, None, None
+    tables: ErrorTables | None = _located(machine, nodes, matched[0].location)
     before = 0.0
     for _ in range(2):
         runs = []
@@ -204,7 +205,24 @@ def _calibrated(
             replace(m, pose=done.poses[stations[k]], places=places) for k, m in enumerate(matched)
         ]
     assert done is not None
-    return _assembled(recordings, matched, done, config, method, (low, high), before)
+    result = _assembled(recordings, matched, done, config, method, (low, high), before)
+    return replace(result, warnings=(*notes, *result.warnings))
+
+
+def _located(
+    machine: Machine, nodes: Mapping[str, Array], location: Mapping[str, float]
+) -> ErrorTables:
+    """Tables of lines that lie elsewhere, and nothing else: where places are looked for first."""
+    motions: dict[str, MotionTable] = {}
+    for motion in machine.motions:
+        zero = np.zeros(len(nodes[motion.axis]))
+        motions[motion] = MotionTable(nodes[motion.axis], zero, zero)
+    return ErrorTables(
+        machine,
+        motions,
+        {n: Squareness() for n in machine.squareness},
+        {n: LocationError(location[n]) for n in machine.location},
+    )
 
 
 def _mean_distance(runs: Sequence[AxisRun]) -> float:
@@ -215,24 +233,6 @@ def _mean_distance(runs: Sequence[AxisRun]) -> float:
         along = np.einsum('ij,ij->i', off, run.pieces.direction)
         found.append(np.linalg.norm(off - along[:, None] * run.pieces.direction, axis=1))
     return float(np.concatenate(found).mean())
-
-
-def check_matched(found: Matched) -> None:
-    """Refuse a track that does not fit its curves.
-
-    Raises
-    ------
-    InputError
-        Names the part and how far it is off.
-    """
-    worst = int(np.argmax(found.distance))
-    if found.distance[worst] > OFF:
-        target = found.parts[worst].path.target
-        raise InputError(
-            f"part {worst + 1} ('{target}'): the track is "
-            f'{1e3 * found.distance[worst]:.2f} mm off the curve that the axes drive; check '
-            f'chain, direction and centre of the rotary axes, and the places of the targets'
-        )
 
 
 def driven_ranges(machine: Machine, matched: Sequence[Matched]) -> tuple[Array, Array]:
@@ -311,7 +311,12 @@ def _assembled(
         corners=linear,
         fit=fit,
         warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(done, made),
-        failed_gates=_failed(fit),
+        failed_gates=(
+            *_failed(fit),
+            *wrong_lines(
+                {n: (v.value, v.identifiable) for n, v in made.tables.location.items()}, machine
+            ),
+        ),
         advice=advice,
         method=method,
         config=config,
@@ -461,18 +466,3 @@ def _rotary_advice(machine: Machine, name: str, axis: str, nests: set[str], runs
 def first_pose(result: AxisCalibration) -> RigidTransform:
     """Pose of the tracker in the first recording, to the link that it stands on."""
     return result.solution.poses[0]
-
-
-def unknown_places(machine: Machine) -> tuple[str, ...]:
-    """Targets whose places are not known well."""
-    return tuple(n for n in machine.targets if not is_known(machine, n))
-
-
-def require_rotary(recordings: Sequence[Recording]) -> None:
-    """Refuse what a calibration with rotary axes cannot do yet."""
-    for recording in recordings:
-        if not recording.axis_paths:
-            raise ConfigError(
-                f'{Path(recording.name).name}: machines with rotary axes need bags with axis '
-                f'positions (/planner/axes)'
-            )

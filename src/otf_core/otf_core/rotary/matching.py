@@ -22,6 +22,7 @@ from otf_core.model.axis_path import AxisPath, position_at
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.joints import Seen, Sight
 from otf_core.model.machine import SPINDLE, Machine
+from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
 from otf_core.rotary.track import MOST, STEP, Curve, Track, by_length, follow
 
@@ -35,10 +36,10 @@ KNOWN = 1e-4
 ROUNDS = 12
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
+NEAR = 2e-4
+"""m; change of pose and places below which samples keep their legs."""
 HALF_CHORD, LONGEST_STEP = 2e-3, 5e-3
 """m; half of the chord that gives the direction of travel, and longest step along a curve."""
-OFF = 2.5e-3
-"""m; robust distance from the curves above which bag and machine do not belong together."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,8 @@ class Matched:
         Legs done in its part, of every sample; NaN where it belongs to none.
     part : ndarray of int64, shape (n,)
         Part of every sample; -1 for none.
+    location : mapping of name to float, m and rad
+        Rough location errors of the rotary axes.
     distance : tuple of float
         m; median distance of the samples from the curve, for every part.
     driven : tuple of float
@@ -85,6 +88,7 @@ class Matched:
     places: Mapping[str, Array]
     place: Array
     part: Index
+    location: Mapping[str, float]
     distance: tuple[float, ...]
     driven: tuple[float, ...]
 
@@ -204,8 +208,8 @@ def match(
         following.append(_Following(part, track, by_length(track, curve)))
     if pose is None:
         pose = _first_pose(machine, following, known)
-    pose, known = _refined(machine, following, pose, known)
-    return _placed(samples, machine, following, pose, known)
+    pose, known, location = _refined(machine, following, pose, known)
+    return _placed(samples, machine, following, pose, known, location)
 
 
 def _curve(machine: Machine, one: _Following, places: Mapping[str, Array]) -> Curve:
@@ -257,9 +261,10 @@ def _refined(
     following: Sequence[_Following],
     pose: RigidTransform,
     places: Mapping[str, Array],
-) -> tuple[RigidTransform, dict[str, Array]]:
-    """Pose and places of reflectors on the table from the tracks of all parts."""
-    known = dict(places)
+) -> tuple[RigidTransform, dict[str, Array], dict[str, float]]:
+    """Pose, places of reflectors on the table and lines of axes from the tracks of all parts."""
+    known, actual = dict(places), machine
+    location = dict.fromkeys(machine.location, 0.0)
     free = sorted(
         {
             f.part.path.target
@@ -269,8 +274,9 @@ def _refined(
         }
     )
     column = {name: 6 + 3 * k for k, name in enumerate(free)}
-    size = 6 + 3 * len(free)
-    band = 0.15
+    first = 6 + 3 * len(free)
+    size = first + len(location)
+    band, far = 0.15, True
     for _ in range(ROUNDS):
         normal, right = np.zeros((size, size)), np.zeros(size)
         for name, at in column.items():
@@ -278,12 +284,16 @@ def _refined(
             own = np.arange(at, at + 3)
             normal[own, own] += 1e-6 / u**2  # next to nothing beside millions of samples
             right[own] += 1e-6 / u**2 * (np.array(machine.targets[name].place) - known[name])
+        for k, value in enumerate(location.values(), start=first):
+            normal[k, k] += 1.0
+            right[k] -= value
         for f in following:
-            curve = _curve(machine, f, known)
+            curve = _curve(actual, f, known)
             points = pose.apply(f.track.xyz)
-            f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
+            if far:
+                f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
             place = curve.place_at(f.reach)
-            sight = sight_at(machine, f.part.path.target, known)
+            sight = sight_at(actual, f.part.path.target, known)
             place, seen, tangent = closest(sight, curve, place, points)
             f.reach = curve.reach_at(place)
             off = points - seen.position
@@ -297,6 +307,9 @@ def _refined(
             if name in column:
                 inner = np.eye(3)[None] if seen.inner is None else seen.inner
                 rows[:, :, column[name] : column[name] + 3] = -inner
+            for k, scalar in enumerate(location, start=first):
+                if scalar in seen.scalars:
+                    rows[:, :, k] = -seen.scalars[scalar]
             rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
             normal += np.einsum('n,nij,nik->jk', weight, rows, rows, optimize=True)
             right -= np.einsum('n,nij,ni->j', weight, rows, off, optimize=True)
@@ -304,10 +317,30 @@ def _refined(
         pose = pose.moved_by(step[:3], step[3:6])
         for name, at in column.items():
             known[name] = known[name] + step[at : at + 3]
+        for k, scalar in enumerate(location, start=first):
+            location[scalar] += float(step[k])
+        actual = with_lines(machine, location)
         band = max(0.03, 0.5 * band)
+        far = float(np.abs(step[[0, 1, 2, *range(6, first)]]).max()) > NEAR
         if np.abs(step[[0, 1, 2, *range(6, size)]]).max() < SETTLED * 100:
             break
-    return pose, known
+    return pose, known, location
+
+
+def with_lines(machine: Machine, location: Mapping[str, float]) -> Machine:
+    """The machine with the lines of its rotary axes where location errors put them."""
+    axes = dict(machine.axes)
+    for name in machine.rotary_names:
+        spec = axes[name]
+        assert spec.direction is not None
+        six = np.zeros(6)
+        for scalar in location_names(name):
+            six[DIRECTIONS.index(scalar[0])] = location.get(scalar, 0.0)
+        direction = np.array(spec.direction) + np.cross(six[3:], spec.direction)
+        x, y, z = (float(v) for v in direction / np.linalg.norm(direction))
+        a, b, c = (float(v) for v in np.array(spec.centre) + six[:3])
+        axes[name] = replace(spec, direction=(x, y, z), centre=(a, b, c))
+    return replace(machine, axes=axes)
 
 
 def closest(sight: Sight, curve: Curve, place: Array, points: Array) -> tuple[Array, Seen, Array]:
@@ -350,17 +383,21 @@ def _placed(
     following: Sequence[_Following],
     pose: RigidTransform,
     places: Mapping[str, Array],
+    location: Mapping[str, float],
 ) -> Matched:
+    actual = with_lines(machine, location)
     place, number = np.full(len(samples), np.nan), np.full(len(samples), -1, dtype=np.int64)
     distance, driven = [], []
     time = samples.time
     for k, f in enumerate(following):
         own = slice(f.part.first, f.part.last)
-        curve = _curve(machine, f, places)
+        curve = _curve(actual, f, places)
         reach = np.interp(time[own], f.track.time, f.reach)
         place[own], number[own] = curve.place_at(reach), k
         off = np.linalg.norm(pose.apply(f.track.xyz) - curve.at(f.reach), axis=1)
         distance.append(float(np.median(off)))
         driven.append(float((f.reach.max() - f.reach.min()) / curve.length))
     parts = tuple(f.part for f in following)
-    return Matched(machine, parts, pose, places, place, number, tuple(distance), tuple(driven))
+    return Matched(
+        machine, parts, pose, places, place, number, location, tuple(distance), tuple(driven)
+    )
