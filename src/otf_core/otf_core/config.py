@@ -144,7 +144,7 @@ class CalibrationConfig(Parameters):
         'm or rad', 1e-7, 1.0,
     )  # fmt: skip
     reversal: str = parameter(
-        'auto', 'errors that differ between forward and backward travel: one value a motion, '
+        'auto', 'errors that differ between forward and backward travel: one value per motion, '
         'tables along the axis, or by evidence on held-out legs',
         choices=('auto', 'none', 'constant', 'tables'),
     )  # fmt: skip

@@ -55,7 +55,7 @@ class TypicalSystematic:
     motions : mapping of name to ndarray, shape (k,), m or rad
         u with them at every node; zero where not identifiable.
     grid : tuple of two floats, m
-        Root mean square over a grid of the u of the error vector, rigid motion taken out: as
+        Root mean square over a grid of the u of the error vector, rigid motion removed: as
         stated and with them.
     change : ndarray, shape (full, k), m and rad
         Of all unknowns, per typical standard uncertainty of each coefficient.

@@ -150,7 +150,7 @@ NOISE = ('u_range', 'u_angle')
 def chosen(presets: Mapping[str, Preset], name: str, where: str) -> Preset:
     """Return a preset by its name; ConfigError lists those that exist."""
     if name not in presets:
-        raise ConfigError(f"{where}: '{name}' is no preset; known here: {', '.join(presets)}")
+        raise ConfigError(f"{where}: '{name}' is not a preset; known here: {', '.join(presets)}")
     return presets[name]
 
 

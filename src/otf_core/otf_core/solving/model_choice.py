@@ -389,7 +389,7 @@ def choose_reversal(
 ) -> Choice:
     """Choose a reversal model by what it leaves of held-out legs.
 
-    The model may be given by the configuration; whether axes that stand are held is always
+    The model may be given by the configuration; whether axes at rest are held is always
     chosen.
 
     Parameters

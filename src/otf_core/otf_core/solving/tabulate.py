@@ -96,7 +96,7 @@ class TableCost:
     motions : mapping of motion to float, m or rad
         Root mean square over the range of function less table.
     grid : float
-        m; mean length of the difference on a grid, rigid motion taken out.
+        m; mean length of the difference on a grid, rigid motion removed.
     """
 
     motions: Mapping[str, float]
