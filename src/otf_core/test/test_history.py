@@ -261,7 +261,10 @@ def test_one_run_alone_is_not_judged(found, tmp_path):
 
 def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 1e-5], 24)
-    assert h.standing is Standing.CHANGED and 'cannot distinguish a drift from a jump' in head_of(h)[2]
+    assert (
+        h.standing is Standing.CHANGED
+        and 'cannot distinguish a drift from a jump' in head_of(h)[2]
+    )
     assert 'if it continues evenly' in format_history(h)
 
 

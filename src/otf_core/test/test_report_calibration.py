@@ -175,7 +175,8 @@ TEN_QUESTIONS = {
         r'Volumetric error as found: mean [\d.]+ µm, largest [\d.]+ ± [\d.]+ µm; '
         r'expected after compensation: mean [\d.]+ µm, largest [\d.]+ µm \(U, k = 2; ',
     'Where is it worst, and which motion is to blame?':
-        r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* It is mainly due to E'
+        r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* It is mainly due '
+        r'to E'
         r'.* Largest displacement: E[XYZ]{2}, [a-z]+, [\d.−]+ ± [\d.]+ µm at [XYZ] [\d.−]+ mm',
     'What is not known?': r'Not known: ',
     'Is Y square to X, which way does it lean, and how sure is that?':
