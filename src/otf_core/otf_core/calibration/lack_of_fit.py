@@ -101,7 +101,7 @@ class Unfollowed:
         )
 
 
-def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | None:
+def unfollowed(runs: Sequence[Observed], joint: JointSolution) -> Unfollowed | None:
     """What a solution leaves in every pass; None where no line was driven twice.
 
     Parameters
@@ -111,16 +111,16 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
     """
     if any(run.pieces.standstill for run in runs):
         return None
-    across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in done.runs]
+    across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in joint.runs]
     residual = np.concatenate(across)
-    line, one, other, alike = _pairs(runs, done)
+    line, one, other, alike = _pairs(runs, joint)
 
-    def told(which: NDArray[np.bool_]) -> Unfollowed | None:
+    def of_pairs(which: NDArray[np.bool_]) -> Unfollowed | None:
         if not which.any():
             return None
-        return _told(line[which], one[which], other[which], residual, done)
+        return _told(line[which], one[which], other[which], residual, joint)
 
-    within, between = told(alike), told(~alike)
+    within, between = of_pairs(alike), of_pairs(~alike)
     if between is None or between.lines < MIN_REPEATED_LINES:
         return within
     if within is None or within.lines < MIN_REPEATED_LINES:
@@ -129,25 +129,27 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
 
 
 def _told(
-    line: Index, one: Index, other: Index, residual: Array, done: JointSolution
+    line: Index, one: Index, other: Index, residual: Array, joint: JointSolution
 ) -> Unfollowed:
     """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
     some = np.unique(np.linspace(0, len(one) - 1, MAX_PAIRS).astype(np.int64))
-    rows = [_rows(done, of[some]) for of in (one, other)]
-    taken = np.einsum('pik,kl,pil->p', rows[0], done.solution.covariance, rows[1], optimize=True)
+    rows = [_rows(joint, of[some]) for of in (one, other)]
+    of_unknowns = np.einsum(
+        'pik,kl,pil->p', rows[0], joint.solution.covariance, rows[1], optimize=True
+    )
     total, count = np.bincount(line, product), np.bincount(line)
     total, count = total[count > 0], count[count > 0]
     mean = float(total.sum() / count.sum())
     scatter = float(np.sqrt(np.sum((total - mean * count) ** 2)) / count.sum())
-    return Unfollowed(mean + float(taken.mean()), scatter, len(count))
+    return Unfollowed(mean + float(of_unknowns.mean()), scatter, len(count))
 
 
-def _rows(done: JointSolution, places: Index) -> Array:
+def _rows(joint: JointSolution, places: Index) -> Array:
     """Derivatives (m, 3, full) across the path of pieces, counted through all runs."""
-    found = np.zeros((len(places), 3, done.unknowns.full))
+    found = np.zeros((len(places), 3, joint.unknowns.full))
     first = 0
-    for run in done.runs:
+    for run in joint.runs:
         end = first + len(run.system.q)
         own = (places >= first) & (places < end)
         piece = places[own] - first
@@ -159,14 +161,14 @@ def _rows(done: JointSolution, places: Index) -> Array:
 
 
 def _pairs(
-    runs: Sequence[Observed], done: JointSolution
+    runs: Sequence[Observed], joint: JointSolution
 ) -> tuple[Index, Index, Index, NDArray[np.bool_]]:
     """Line and both pieces of every two passes that follow each other over the same place.
 
     And whether both are of one run.
     """
     lines, cells, legs, straight = [], [], [], []
-    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         direction, q = _without_sense(run.pieces.direction), solved.system.q
         along = np.einsum('pi,pi->p', q, direction)
         foot = q - along[:, None] * direction

@@ -113,20 +113,20 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     columns = offset_columns(rows, share, kind)
     left, score = fit.left(columns), fit.score(columns)
     root, vectors = linalg.eigh(left)
-    root, seen = np.maximum(root, 0.0), vectors.T @ score
+    root, projection = np.maximum(root, 0.0), vectors.T @ score
     variance = (MAX_WIDTH / 10) ** 2
     noise = fit.ratio**2
     for _ in range(ITERATIONS):
         cover = 1.0 / (root / noise + 1.0 / variance)
-        value = cover * seen / noise
-        taken = float(2.0 * seen @ value - value @ (root * value))
+        value = cover * projection / noise
+        explained = float(2.0 * projection @ value - value @ (root * value))
         determined = float(np.sum(1.0 - cover / variance))
         variance = float(value @ value) / max(determined, 1e-9)
         variance = float(np.clip(variance, 1e-16, MAX_WIDTH**2))
-        noise = max(fit.square - taken, 1e-12) / max(fit.freedom - determined, 1.0)
+        noise = max(fit.square - explained, 1e-12) / max(fit.freedom - determined, 1.0)
     cover = 1.0 / (root / noise + 1.0 / variance)
-    value = cover * seen / noise
-    evidence = 0.5 * float(seen @ value) / noise
+    value = cover * projection / noise
+    evidence = 0.5 * float(projection @ value) / noise
     evidence -= 0.5 * float(np.sum(np.log1p(root * variance / noise)))
     u = np.sqrt(np.einsum('ij,j,ij->i', vectors, cover, vectors))
     shape = (share.shape[1], -1)

@@ -260,9 +260,9 @@ def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
     where : str
         In words.
     """
-    seen = standstill_noise(samples, find_standstills(samples, speed))
-    if seen is not None:
-        return seen.noise.level, 'at standstill'
+    measured = standstill_noise(samples, find_standstills(samples, speed))
+    if measured is not None:
+        return measured.noise.level, 'at standstill'
     third, middle = _third(samples)
     distance = np.linalg.norm(middle, axis=1)
     along = np.einsum('ij,ij->i', third, middle) / distance

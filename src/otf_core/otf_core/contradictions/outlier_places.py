@@ -216,14 +216,14 @@ def _repeated(cell: Index, leg: Index, out: NDArray[np.bool_]) -> float:
     count = int(cell.max(initial=0)) + 1
     driven, left = np.bincount(passes, minlength=count), np.bincount(lost, minlength=count)
     again = driven[cell] > 1
-    told = out & again
-    if told.sum() < 0.5 * max(out.sum(), 1):
+    repeated = out & again
+    if repeated.sum() < 0.5 * max(out.sum(), 1):
         return 0.0
     several = driven > 1
     share = left[several].sum() / driven[several].sum()
-    chance = float(np.mean(share ** (driven[cell][told] - 1.0)))
-    seen = float((left[cell] == driven[cell])[told].mean())
-    return max(0.0, (seen - chance) / (1.0 - chance)) if chance < 1.0 else 0.0
+    chance = float(np.mean(share ** (driven[cell][repeated] - 1.0)))
+    agreement = float((left[cell] == driven[cell])[repeated].mean())
+    return max(0.0, (agreement - chance) / (1.0 - chance)) if chance < 1.0 else 0.0
 
 
 def _different(values: Index) -> Index:
@@ -241,5 +241,5 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:
     """What is to be said of samples that were left out."""
-    told = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
-    return [Finding('left out', WARNING, r.words()) for r in told]
+    notable = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
+    return [Finding('left out', WARNING, r.words()) for r in notable]

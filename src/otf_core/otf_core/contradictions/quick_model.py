@@ -420,8 +420,8 @@ def gain(left: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, 
     """
     root, vectors = np.linalg.eigh(left)
     least = np.maximum(1e-9 * root[..., -1:], 1.0 / prior**2)
-    seen = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
-    value = np.einsum('...ij,...j->...i', vectors, seen)
+    projection = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
+    value = np.einsum('...ij,...j->...i', vectors, projection)
     return np.asarray(np.sum(score * value, axis=-1)), np.asarray(value)
 
 

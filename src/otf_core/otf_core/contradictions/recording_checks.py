@@ -21,7 +21,7 @@ from otf_core.files.text_table import unit_hint, unit_words
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording, blamed
+from otf_core.pieces.runs import Recording, errors_of
 
 SAME_PLACE = 1e-7
 """m; measured twice, a point differs by more: noise."""
@@ -89,7 +89,7 @@ MAX_CHECKED_SAMPLES = 100_000
 def check_stamps(recordings: Sequence[Recording]) -> None:
     """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             check_samples(recording.samples, recording.path)
 
 
@@ -204,7 +204,7 @@ MAX_OUTSIDE = 1e-3
 def check_path_in_machine(recordings: Sequence[Recording]) -> None:
     """Refuse a path that the machine cannot drive; InputError says why."""
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             check_path(recording.path, recording.machine)
 
 

@@ -340,8 +340,8 @@ def settle_steps(
         step = max(steps, key=lambda s: s.share)
         run = model.runs[step.run]
         parts = split(run, step, nodes, config) if mend else None
-        said = replace(step, time=run.late + step.time)
-        found.append(_finding(name, said, parts is not None, mend=mend))
+        stated = replace(step, time=run.late + step.time)
+        found.append(_finding(name, stated, parts is not None, mend=mend))
         if parts is None:
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]

@@ -139,7 +139,7 @@ class Recording:
 
 
 @contextmanager
-def blamed(name: str) -> Iterator[None]:
+def errors_of(name: str) -> Iterator[None]:
     """Put the name of a recording in front of what is wrong with it; nothing if it has none."""
     try:
         yield
@@ -316,7 +316,7 @@ def prepare_runs(
     check_same_machine(recordings)
     alignments, ranges = [], []
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             samples, path = recording.samples, recording.path
             alignments.append(found := align(samples, path, config, recording.seen))
             check_partial(
@@ -330,7 +330,7 @@ def prepare_runs(
     nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
-        with blamed(recording.name):
+        with errors_of(recording.name):
             runs.append(reduced(recording, alignment, nodes, config))
     return runs, nodes
 

@@ -231,12 +231,12 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
     outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
     beyond, hop = _length(outer - corners), _length(outer - inner)
     off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
-    told = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
+    long_enough = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
     goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
     doubtful = goes_on & (
         (off >= MIN_CORNER_DEVIATION) | (beyond >= np.maximum(MIN_CORNER_GAP, 2 * hop))
     )
-    for k, side in np.argwhere(doubtful & told[:, None]).tolist():
+    for k, side in np.argwhere(doubtful & long_enough[:, None]).tolist():
         way = points[first[k] : last[k] + 1][:: -1 if side else 1]
         found[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
     return found

@@ -367,8 +367,8 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     bend = curvature(lines)
     size = np.linalg.norm(bend, axis=2).mean(axis=1)
     sagitta = size * lines.length**2 / 8.0
-    seen = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
-    points, chord = points[seen], chord[seen]
+    visible = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
+    points, chord = points[visible], chord[visible]
     if not len(points):
         return None
     largest = float(sagitta[chord].max())

@@ -47,7 +47,7 @@ def recording(spoil, passes=2, seed=8):
 
 def found(spoil, passes=2):
     solution = solve_recordings([recording(spoil, passes)], COARSE, mend=False).solution
-    return unfollowed(solution.runs, solution.done)
+    return unfollowed(solution.runs, solution.joint)
 
 
 def test_what_repeats_is_measured_and_what_does_not_is_not():
@@ -79,7 +79,7 @@ def test_curves_alone_tell_nothing():
         replace(r, pieces=replace(r.pieces, bend=np.ones((len(r.pieces), 3))))
         for r in solution.runs
     ]
-    assert unfollowed(bent, solution.done) is None
+    assert unfollowed(bent, solution.joint) is None
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_between_runs_only_what_is_in_all_of_them_comes_again():
     def of(*spoils):
         given = [recording(s, passes=1, seed=k) for k, s in enumerate(spoils)]
         solution = solve_recordings(given, COARSE, mend=False).solution
-        return unfollowed(solution.runs, solution.done)
+        return unfollowed(solution.runs, solution.joint)
 
     same, turned = of(sag, sag), of(sag, risen)
     assert same.square > 5.0 * same.u
