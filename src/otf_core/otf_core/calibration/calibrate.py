@@ -420,8 +420,8 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
     unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
     if unsure:
         found.append(
-            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
-            f'misfit of the model counted'
+            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, the '
+            f'misfit of the model included'
         )
     for name, table in tables.motions.items():
         if table.identifiable and table.node_identifiable is not None:
@@ -443,7 +443,7 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
 
 
 def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
-    """Name the motions that hold a share of a rotation that two target offsets do not show.
+    """Name the motions that contain a share of a rotation that two target offsets do not show.
 
     With the offsets T1 and T2 a rotation r of an axis whose lever arm no other axis changes is a
     translation where r x (T2 - T1) = 0: the turn about the line between both targets is not seen.
@@ -469,9 +469,10 @@ def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> li
             continue
         others = ' and '.join(m for m in rotations if m not in unseen)
         found.append(
-            f'{others} hold a share of {unseen[0]}, which is taken for zero: the target offsets '
-            f'do not differ along one machine axis, and no turn of {axis} about the line between '
-            f'them is seen; the translations of {axis} hold the rest of it. Predictions at these '
-            f'offsets are right. Take offsets that differ along a machine axis, or a third one'
+            f'{others} contain a share of {unseen[0]}, which is set to zero: the target offsets '
+            f'do not differ along one machine axis, so that a rotation of {axis} about the line '
+            f'between them cannot be observed; the translations of {axis} contain the rest of it. '
+            f'Predictions at these offsets are right. Take offsets that differ along a machine '
+            f'axis, or a third one'
         )
     return found

@@ -87,16 +87,17 @@ class Unfollowed:
         ):
             return None
         cause = (
-            'the tracker errs as it points there, or the machine changed between the runs'
+            'the tracker has an error when pointing there, or the machine changed between the runs'
             if self.between is not None and self.between < MIN_SHARE_BETWEEN_RUNS * self.square
-            else 'the machine does what tables of single axes cannot follow (waves of a screw, '
-            'steps, sag, the second order of large errors), or the tracker errs as it points there'
+            else 'the machine behaves in a way that tables of single axes cannot represent '
+            '(waves of a screw, steps, sag, the second order of large errors), or the tracker has '
+            'an error when pointing there'
         )
         where = '' if self.between is None else ' of a run'
         return (
             f'in every pass{where} over a line the tables leave {1e6 * self.size:.2g} um alike, '
             f'beside {1e6 * grid_u:.2g} um of mean uncertainty of the grid: {cause}; the errors '
-            f'that they state are wrong by as much and more, and u holds nothing of it; '
+            f'that they state are wrong by as much and more, and u does not include it; '
             f'./otf diagnose looks for it'
         )
 

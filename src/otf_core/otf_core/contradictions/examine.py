@@ -62,8 +62,8 @@ def check_chain(model: Model) -> list[Finding]:
     )
     return [Finding('chain', GATE, (
         f'{model.rows.machine.chain} leaves {1e6 * left[stated]:.2f} um; other orders of axes '
-        f'from workpiece to tool leave less: {named}. The place of b cannot be seen in data; '
-        f'correct the chain in machine.yaml'
+        f'from workpiece to tool leave less: {named}. The position of b cannot be '
+        f'determined from the data; correct the chain in machine.yaml'
     ))]  # fmt: skip
 
 

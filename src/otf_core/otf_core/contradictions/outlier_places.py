@@ -141,12 +141,12 @@ class LeftOut:
             return text
         if not rules:
             return (
-                f'{text}. They are many: stray reflections, or something that the machine does; '
-                f'./otf diagnose takes all but the farthest into the gap'
+                f'{text}. There are many of them: stray reflections or real machine behaviour; '
+                f'./otf diagnose includes all but the most distant in the gap'
             )
         return (
-            f'{text}. They lie {" and ".join(rules)}: probably something that the machine does, '
-            f'and no bad samples; ./otf diagnose takes them into the gap'
+            f'{text}. They lie {" and ".join(rules)}: probably real machine behaviour '
+            f'rather than bad samples; ./otf diagnose includes them in the gap'
         )
 
 

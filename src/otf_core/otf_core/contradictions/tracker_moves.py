@@ -369,12 +369,12 @@ def _finding(name: str, step: Step, mended: bool, *, mend: bool) -> Finding:
     text = f'{name + ": " if name else ""}tracker or target moved {step.words}'
     if mended:
         return Finding('moved', WARNING, (
-            f'{text}; the parts before and after are solved each with a place of the tracker of '
-            f'its own. Check clamping and target'
+            f'{text}; the parts before and after are solved each with a tracker pose of its '
+            f'own. Check clamping and target'
         ))  # fmt: skip
     if mend:
         return Finding('moved', GATE, (
-            f'{text}; what is left on one side does not fix the tracker: clamp both and record '
-            f'again, or cut the recording there'
+            f'{text}; what is left on one side does not determine the tracker pose: clamp '
+            f'both and record again, or cut the recording there'
         ))  # fmt: skip
     return Finding('moved', WARNING, f'{text}; check clamping and target')

@@ -40,7 +40,7 @@ from otf_core.tracking.measured_track import Track
 MIN_STOP = 0.05
 """s; shortest part of a stop, settling left out, that is averaged."""
 MIN_STOPS = 4
-"""Fewer stops do not fix the place of the tracker."""
+"""Fewer stops do not determine the tracker pose."""
 SAME_PLACE = 1e-4
 """m; successive stops at one point that lie closer together are one stop."""
 

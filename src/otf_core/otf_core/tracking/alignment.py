@@ -88,7 +88,7 @@ def line_step(
     normal, right = _line_sums(*moments, away, unit, size)
     if np.linalg.eigvalsh(normal)[0] < 1e-7:
         raise InputError(
-            'the driven lines do not fix the place of the tracker (all parallel or too few); '
+            'the driven lines do not determine the tracker pose (all parallel or too few); '
             'record the whole path'
         )
     motion = np.linalg.solve(normal, right)

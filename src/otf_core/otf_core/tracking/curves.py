@@ -306,7 +306,7 @@ class Bulge:
         size = f'sagitta of the published chords: {1e6 * self.sagitta:.2g} um'
         if not self.u < MAX_U_OF_SHARE and self.sagitta > MIN_SAGITTA_REMARK:
             return (
-                f'the samples do not tell whether curves were driven along chords or arcs '
+                f'the samples do not show whether curves were driven along chords or arcs '
                 f'({size}); chords are assumed: publish finer chords'
             )
         if left > MIN_SAGITTA_REMARK and left > 3.0 * self.u * self.sagitta:

@@ -73,7 +73,7 @@ def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners
     assert (left.again, left.at_corners, left.too_many) == (again, at_corners, too_many)
     said = [f.words for f in solved.findings if f.check == 'left out']
     assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
-    assert ('takes them into the gap' in said[0]) == again
+    assert ('includes them in the gap' in said[0]) == again
     assert ('all but the farthest into the gap' in said[0]) == (too_many and not again)
     if spoil is chip_under_the_slide:
         assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
@@ -85,4 +85,4 @@ def test_stray_samples_that_meet_by_chance_are_not_what_the_machine_does():
     (left,) = solve_recordings([run], CalibrationConfig(**coarse)).outliers
     assert left.samples > 0.05 * left.of
     assert left.repeated < 0.3 and not left.by_machine
-    assert 'probably something that the machine does' not in left.words()
+    assert 'probably real machine behaviour' not in left.words()

@@ -65,7 +65,7 @@ def test_a_calibration_says_what_it_leaves_in_every_pass():
         for s in (nothing, sag)
     ]
     assert [len(one) for one in said] == [0, 1]
-    assert 'u holds nothing of it' in said[1][0]
+    assert 'u does not include it' in said[1][0]
 
 
 def test_one_pass_tells_nothing():
@@ -105,7 +105,7 @@ def test_only_what_is_sure_and_matters_is_told(change, told):
 def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, machine):
     words = Unfollowed(1e-12, 0.1e-12, 60, between).warning(0.5e-6)
     assert ('waves of a screw' in words) == machine
-    assert 'the tracker errs as it points there' in words
+    assert 'the tracker has an error when pointing there' in words
     assert ('changed between the runs' in words) != machine
     assert ('pass of a run' in words) == (between is not None)
 
