@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear model of runs with tables, reversal, lag and slow drift, fitted in less than a second.
 
-The rigid-body model of ``kinematics`` with tables at half the pitch, so that their kinks cost
-little, pieces taken as independent, fitted robustly. Examinations
-compare with it what fits and what does not; error tables come from ``solving.joint``.
+Rows, lever arms, squareness and hat functions are those of ``solving``, with tables at half the
+pitch, so that their kinks cost little. Pieces are taken as independent and fitted robustly.
+Examinations compare with it what fits and what does not; tables come from ``solving.joint``.
 
 A row of the tables holds, for every axis, the influences of its six motions times the two hat
 functions that are not zero there. So the products of two axes are 6 x 6 numbers of a piece, the
