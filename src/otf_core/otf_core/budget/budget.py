@@ -229,7 +229,7 @@ _LINES = (attrgetter('noise'), attrgetter('misfit'))
 
 
 def residual_freedom(joint: JointSolution, correlation_factor: float) -> float:
-    """Degrees of freedom of the noise level as the residuals tell it; at least 1."""
+    """Degrees of freedom of the noise level from the residuals; at least 1."""
     moments = [alike.moments for solved in joint.runs for alike in solved.whitener.alike]
     trace = sum(float(np.sum(m.variance)) for m in moments)
     square = sum(float(np.sum(m.square)) for m in moments)
@@ -237,7 +237,7 @@ def residual_freedom(joint: JointSolution, correlation_factor: float) -> float:
 
 
 def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
-    """Degrees of freedom of the noise level as the standstills tell it; zero if too short.
+    """Degrees of freedom of the noise level from the standstills; zero if too short.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ class Examined:
     Attributes
     ----------
     runs : list of Run
-        Mended where ``contradictions`` could mend them, with all their pieces.
+        Repaired where ``contradictions`` could repair them, with all their pieces.
     nodes : mapping of axis to ndarray, m
         Table nodes.
     findings : tuple of Finding
@@ -158,7 +158,7 @@ def solve_recordings(
     progress: Progress = silent,
     prepare: Preparation = prepare_runs,
     *,
-    mend: bool = True,
+    repair: bool = True,
 ) -> SolvedRecordings:
     """Align, reduce to pieces, examine and solve.
 
@@ -166,8 +166,8 @@ def solve_recordings(
     ----------
     recordings, config, progress, prepare
         As of ``calibrate_runs``.
-    mend : bool
-        Mend what can be mended, see ``contradictions.examine``.
+    repair : bool
+        Repair what can be repaired, see ``contradictions.examine``.
     """
     one_heap()
     progress('aligning', 0.0)
@@ -177,7 +177,7 @@ def solve_recordings(
     give_back()
 
     progress('solving', 0.0)
-    runs, contradictions = examine(runs, nodes, config, mend=mend)
+    runs, contradictions = examine(runs, nodes, config, repair=repair)
     give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
@@ -272,7 +272,7 @@ def assemble(
 
 @dataclass(frozen=True)
 class Assessed:
-    """What a result says of a solution, whatever was decided about reversal or found in runs.
+    """Fit and uncertainty of a solution, with any reversal model.
 
     Attributes
     ----------

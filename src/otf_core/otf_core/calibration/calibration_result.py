@@ -419,7 +419,7 @@ class RunResult:
     rate : float
         Hz, usual rate of the samples.
     lost : Lost
-        What their stamps say is missing.
+        Samples missing according to the stamps.
     noise : NoiseModel
         Noise of single samples as the residuals show it.
     misfit : Misfit
@@ -491,7 +491,7 @@ class CalibrationResult:
     effects : tuple of StatedEffect
         Taken off the runs before the tables were solved for.
     effects_sentence : str
-        What was found and done about effects; empty where nobody asked.
+        Effects found and removed; empty without ``--effects``.
     machine_verdict : Verdict, optional
         By the limits of machine.yaml; None without any.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tables leave alike in every pass over a line: lack of fit, told from noise.
+"""Lack of fit: residuals that recur in every pass over a line, separated from noise.
 
 Noise of the tracker, drift and vibration come anew in every pass; what a machine does at a place
 comes again, and so does what a tracker does as it points there. So with residual vectors v and w
@@ -37,15 +37,15 @@ from otf_core.solving.joint import JointSolution
 PLACE_LENGTH = 0.008
 """m; pieces whose middles lie in the same stretch of a line are the same place."""
 SAME_LINE, SAME_DIRECTION = 2e-3, 1e-3
-"""m, and change of a unit vector, by which lines are told apart."""
+"""m, and change of a unit vector, below which lines count as the same."""
 MAX_BEND = 1e-9
 """m/s^2; pieces on curves are left out: their chords are no lines of their own."""
 MAX_PAIRS = 400
 """Pairs of pieces of which the share of the unknowns is worked out."""
 MIN_REPEATED_LINES = 12
-"""Lines that were driven more than once below which nothing is told."""
+"""Lines driven more than once; with fewer no lack of fit is reported."""
 MIN_SIGNIFICANCE = 3.0
-"""Standard deviations, by the scatter between lines, from which on it is told. Of runs
+"""Standard deviations, by the scatter between lines, from which on it is reported. Of runs
 of which nothing comes again this was 2.6 at most in 48."""
 MIN_SHARE_OF_U = 0.5
 """Of the uncertainty of the grid, below which it changes that by less than an eighth."""

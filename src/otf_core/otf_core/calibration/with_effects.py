@@ -440,7 +440,7 @@ def calibrate_with_file(
 
 
 def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
-    """Effects of a file that can be taken off; ConfigError says why one cannot."""
+    """Effects of a file that can be removed; ConfigError states why one cannot."""
     found = read_effects(file, recordings[0].machine)
     for one in found:
         if one.effect.belongs_to is BelongsTo.NOISE:

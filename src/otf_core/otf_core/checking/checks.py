@@ -58,7 +58,7 @@ class Seen:
     nodes : mapping of axis to ndarray, m, optional
         Of the tables.
     remarks : tuple of str
-        What was mended while it was read.
+        What was repaired while it was read.
     said : tuple of str
         How it was read, where that is not as usual.
     refused : mapping of step to str

@@ -203,19 +203,19 @@ def shifted(run: Run, found: FoundAgain) -> Run:
     return replace(run, samples=samples, pieces=replace(pieces, xyz=xyz))
 
 
-def settle_offsets(model: Model, *, mend: bool) -> tuple[Model, list[Finding]]:
+def settle_offsets(model: Model, *, repair: bool) -> tuple[Model, list[Finding]]:
     """Find offsets of segments, take them off and solve anew; all runs."""
     found: list[Finding] = []
     runs = list(model.runs)
     for k in range(len(runs)):
         again = find_offsets(model, k)
         if again is not None:
-            found.append(_finding(runs[k], again, mend=mend))
-            runs[k] = shifted(runs[k], again) if mend else runs[k]
-    return (Model.of(runs) if found and mend else model), found
+            found.append(_finding(runs[k], again, repair=repair))
+            runs[k] = shifted(runs[k], again) if repair else runs[k]
+    return (Model.of(runs) if found and repair else model), found
 
 
-def _finding(run: Run, again: FoundAgain, *, mend: bool) -> Finding:
+def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
     name = f'{run.recording.name}: ' if run.recording.name else ''
     offsets, breaks = again.offsets, int(again.segment[-1])
     times = f'{breaks} times' if breaks > 1 else 'once'
@@ -223,7 +223,7 @@ def _finding(run: Run, again: FoundAgain, *, mend: bool) -> Finding:
     done = (
         f'; offsets of the parts between breaks are estimated (u '
         f'{np.mean(offsets.u) * 1e6:.2g} um) and taken off'
-        if mend
+        if repair
         else ''
     )
     return Finding('found again', WARNING, (

@@ -33,7 +33,7 @@ from otf_core.tracking.curves import Lines
 STRETCH_LENGTH = 0.02
 """m; stretches of a line that are compared between passes."""
 SAME_POINT = 1e-3
-"""m; raster by which lines are told apart."""
+"""m; raster by which lines are distinguished."""
 MAX_CORNER_DISTANCE, MAX_CORNER_SHARE_OF_LEG = 0.06, 0.25
 """m, and share of its leg, within which a sample lies near a corner."""
 MIN_REGULAR_SHARE = 0.7
@@ -41,15 +41,15 @@ MIN_REGULAR_SHARE = 0.7
 MAX_SHARE_OF_ALL = 0.5
 """Share near corners of all samples, over that of those left out, up to which that is a rule."""
 MIN_SAMPLES, MIN_PLACES = 20, 3
-"""Samples, and corners or stretches, of which a rule can be told."""
+"""Samples, and corners or stretches, that are needed to establish a rule."""
 WARNING_SHARE = 0.01
-"""Share of all samples from which it is said in any case."""
+"""Share of all samples from which outliers are reported in any case."""
 MANY_SHARE = 0.1
 """Share of all samples from which they are hardly bad ones, unless something reflects the beam."""
 MAX_LISTED = 4
 """Places that are named."""
 MAX_USED_SAMPLES = 400_000
-"""Samples that were kept; of more, every second, third, ... is looked at."""
+"""Samples that were kept; of more, every second, third, ... is used."""
 
 
 @dataclass(frozen=True)
@@ -240,6 +240,6 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
 
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:
-    """What is to be said of samples that were left out."""
+    """Findings on samples that were left out."""
     notable = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
     return [Finding('left out', WARNING, r.words()) for r in notable]

@@ -328,7 +328,7 @@ class Design:
         return np.concatenate([self.usual.T @ columns, self.tables.T @ columns])
 
     def sums(self, of_rows: sparse.csr_array) -> Array:
-        """Sums of rows, weighted as sparse rows (j, r) say, shape (j, k + n)."""
+        """Sums of rows with the weights of sparse rows (j, r), shape (j, k + n)."""
         return np.hstack([of_rows @ self.usual, (of_rows @ self.tables).toarray()])
 
     def normal(self, weight: Array) -> Array:
@@ -434,7 +434,7 @@ def _solve(design: Design, target: Array, weight: Array) -> tuple[tuple[Array, b
 
 
 def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
-    inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # of a triangle, which tells the trace
+    inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # squares add up to the trace wanted
     unknowns = len(inverse) - float(np.sum(np.tril(inverse) ** 2)) / PRIOR_SIGMA**2
     return float(np.sum(weight > 0)) - unknowns
 
@@ -470,7 +470,7 @@ def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
 
 
 MAX_PIECES = 10_000
-"""Pieces that are looked at: of more, spread evenly, every second, third, ..."""
+"""Pieces that are used: of more, spread evenly, every second, third, ..."""
 MAX_PIECES_OF_COMPARISON = 4000
 """The same where many models are compared."""
 

@@ -71,7 +71,7 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
 
 
 LATTICE_POINTS = 4
-"""Points per axis of the lattice that is looked at."""
+"""Points per axis of the lattice that is evaluated."""
 MAX_U_OF_GOOD_MACHINE = 5.0
 """Uncertainty over the noise of a sample below which small errors mean a good machine."""
 

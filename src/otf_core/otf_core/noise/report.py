@@ -49,7 +49,7 @@ MAX_LOST_SHARE = 0.01
 MAX_LEVEL = 20e-6
 """m and rad; no laser tracker at work is louder, so the target itself moves."""
 LONG_TIME_SHARE = 0.95
-"""Share of the longest correlation time looked for, from which on it may be longer."""
+"""Share of the longest correlation time searched for, from which on it may be longer."""
 MIN_INTERVAL = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
 

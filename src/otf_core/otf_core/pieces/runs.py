@@ -53,7 +53,7 @@ class Observed:
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
-        What the residuals say of noise and misfit, see ``joint.fit_noise``.
+        Noise and misfit fitted to the residuals, see ``joint.fit_noise``.
     name : str
         Where it comes from, for messages and reports; empty if it needs none.
     late : float, s
@@ -77,7 +77,7 @@ class Observed:
 
     @property
     def leg_starts(self) -> Array | None:
-        """When every line began from rest, as far as samples tell; see ``tracking.leg_starts``."""
+        """When every line began from rest, as far as known; see ``tracking.leg_starts``."""
         return None
 
     @property

@@ -66,7 +66,7 @@ PRIOR_SIGMAS = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 LOWER_BOUNDS = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
 UPPER_BOUNDS = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
 MAX_LINES, MAX_PIECES_PER_LINE = 48, 100
-"""Lines and pieces of each that are looked at: five numbers need no more."""
+"""Lines and pieces of each that are used: five numbers need no more."""
 MAX_STEPS = 6
 MAX_STEP = 1.5
 FINAL_STEP, FINAL_SHARE_OF_SIGMA = 0.03, 0.3
@@ -186,7 +186,7 @@ def fit_noise(
     ----------
     residual : ndarray, shape (c, p), m
     noise : NoiseModel
-        As standstills or specification say it; the prior.
+        From standstills or specification; the prior.
     covariance : ndarray, shape (full, full)
         Posterior covariance of the estimates.
     start : ndarray, shape (5,), optional
@@ -357,7 +357,7 @@ def solve_robustly(
     Returns
     -------
     runs : list, as given
-        With the pieces that were kept, and noise and misfit as the residuals say them.
+        With the pieces that were kept, and noise and misfit fitted to the residuals.
     solution : JointSolution
     """
     runs = list(runs)
@@ -374,7 +374,7 @@ def solve_robustly(
 def improved_runs(
     runs: Sequence[AnyRun], joint: JointSolution, config: CalibrationConfig
 ) -> tuple[list[AnyRun], bool]:
-    """Runs less pieces far from their solution, with noise as its residuals say it.
+    """Runs less pieces far from their solution, with noise fitted to its residuals.
 
     Returns
     -------
@@ -404,7 +404,7 @@ def _same_noise(found: FittedNoise, before: Array) -> bool:
 
 
 def fitted_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
-    """What the residuals of one run say of noise and misfit, see ``fit_noise``."""
+    """Noise and misfit fitted to the residuals of one run, see ``fit_noise``."""
     return fit_noise(
         solved.system,
         run.pieces,

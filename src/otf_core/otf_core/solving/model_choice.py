@@ -146,7 +146,7 @@ def _steps_unexplained(solved: SolvedRun) -> bool:
         step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
         found.append(np.stack([step - noise, noise]))
     excess, noise = np.concatenate(found, axis=1)
-    if not excess.size:  # stops: no two pieces of one line that could tell
+    if not excess.size:  # stops: no two pieces of one line to compare
         return True
     excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
     mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
@@ -317,7 +317,7 @@ MIN_GAIN_OVER_SCATTER = 3.0
 RIVAL = ServoMismatch()
 """What is taken for a reversal most easily."""
 MIN_LINES = 16
-"""Fewer lines tell nothing of the scatter: no reversal is modelled then."""
+"""Fewer lines do not determine the scatter: no reversal is modelled then."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class ReversalSolution(Generic[AnyRun]):
-    """Solution with the reversal model that was asked for or chosen.
+    """Solution with the reversal model that was configured or chosen.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ PIECES_PER_BLOCK = 2048
 MIN_ACTING_SHARE, MIN_SQUARE = 0.02, 1e-300
 """Share of its largest value, and m^2, above which a column acts."""
 VALUES_PER_BLOCK = 65_536
-"""Values that are looked at together."""
+"""Values that are evaluated together."""
 
 
 def piece_state(

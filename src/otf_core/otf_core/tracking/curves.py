@@ -271,7 +271,7 @@ JACKKNIFE_BLOCKS = 20
 MIN_SAGITTA_REMARK = 2e-6
 """m; what is left of the sagitta is worth a remark."""
 MAX_U_OF_SHARE = 0.2
-"""Uncertainty of the share above which the samples do not tell."""
+"""Uncertainty of the share above which the samples do not decide."""
 MIN_ARC_SHARE = 0.5
 """Share from which on arcs are closer to what was driven than chords."""
 
@@ -285,7 +285,7 @@ class Bulge:
     share : float
         0 for chords, 1 for arcs.
     u : float
-        Its standard uncertainty; infinite if the samples do not tell.
+        Its standard uncertainty; infinite if the samples do not show it.
     sagitta : float
         Of the curves, largest, m.
     """

@@ -18,7 +18,7 @@ from otf_core.tracking.curves import Lines
 from otf_core.tracking.matching import OFF_PATH
 
 SHORT, LONG = 2e-5, 5e-3
-"""m; stretch of a leg whose samples tell when it began."""
+"""m; stretch of a leg whose samples show when it began."""
 REST_BEFORE_START = (0.25, 0.05)
 """s before a leg is seen to move, between which the target stands."""
 MAX_SPREAD_AT_REST = 2e-5

@@ -46,7 +46,7 @@ def recording(spoil, passes=2, seed=8):
 
 
 def found(spoil, passes=2):
-    solution = solve_recordings([recording(spoil, passes)], COARSE, mend=False).solution
+    solution = solve_recordings([recording(spoil, passes)], COARSE, repair=False).solution
     return unfollowed(solution.runs, solution.joint)
 
 
@@ -74,7 +74,7 @@ def test_one_pass_tells_nothing():
 
 
 def test_curves_alone_tell_nothing():
-    solution = solve_recordings([recording(sag)], COARSE, mend=False).solution
+    solution = solve_recordings([recording(sag)], COARSE, repair=False).solution
     bent = [
         replace(r, pieces=replace(r.pieces, bend=np.ones((len(r.pieces), 3))))
         for r in solution.runs
@@ -113,7 +113,7 @@ def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, mac
 def test_between_runs_only_what_is_in_all_of_them_comes_again():
     def of(*spoils):
         given = [recording(s, passes=1, seed=k) for k, s in enumerate(spoils)]
-        solution = solve_recordings(given, COARSE, mend=False).solution
+        solution = solve_recordings(given, COARSE, repair=False).solution
         return unfollowed(solution.runs, solution.joint)
 
     same, turned = of(sag, sag), of(sag, risen)
