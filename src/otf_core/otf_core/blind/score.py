@@ -179,7 +179,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
     traceless = [o for o in outcomes if o.kind == 'unknown' and not all(o.visible)]
     return [
         _results('command failed', outcomes, 'failed'),
-        _results('nothing: none errors_of', of('none'), 'quiet'),
+        _results('nothing: none blamed', of('none'), 'quiet'),
         Row(f'noise as specified: {", ".join(NOISE)} named',
             sum(bool(NOISE & set(o.extra)) for o in quiet), len(quiet)),
         *_named('one effect', of('one')),
@@ -202,7 +202,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         Row('no catalogue, no trace: given a name',
             sum(bool(o.named) for o in traceless), len(traceless)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
-        _results(', errors_of on another', hidden, 'wrong', 'second'),
+        _results(', blamed on another', hidden, 'wrong', 'second'),
     ]  # fmt: skip
 
 
@@ -212,7 +212,7 @@ def first_place(alone: Sequence[Outcome]) -> list[Row]:
     return [
         _right('named rightly', [o for o in alone if o.visible[0]]),
         _results('no trace from there: listed as not visible', hidden, 'not_visible'),
-        _results(', errors_of on another', hidden, 'wrong', 'second'),
+        _results(', blamed on another', hidden, 'wrong', 'second'),
     ]
 
 
@@ -294,7 +294,7 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
         _results('called unknown', seen, 'unknown'),
         *_inputs(seen),
         _left(', less than half of the gap left', seen, HALF),
-        Row('errors_of with confidence on another that can be told apart', apart, len(seen)),
+        Row('blamed with confidence on another that can be told apart', apart, len(seen)),
         Row(', on one of the same trace', len(sure) - apart, len(seen)),
         _results('nothing said', seen, 'unseen'),
     ]

@@ -61,6 +61,8 @@ def _loader() -> Any:
 
 
 _WORDS = reprlib.Repr()
+_WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
+_WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _MAX_SHOWN_LETTERS = 250
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""

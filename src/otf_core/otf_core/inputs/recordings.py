@@ -18,7 +18,7 @@ from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.machine import TOOL, Machine, load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording, blamed
+from otf_core.pieces.runs import Recording, errors_of
 
 AnyReading = BagReading | TextReading
 
@@ -132,7 +132,7 @@ def read_recording(
     declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
     signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
-    with blamed(name):
+    with errors_of(name):
         path, parts = _driven(content, used)
     return Recording(
         content.samples,

@@ -74,7 +74,7 @@ def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners
     said = [f.words for f in solved.findings if f.check == 'left out']
     assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
     assert ('includes them in the gap' in said[0]) == again
-    assert ('all but the farthest into the gap' in said[0]) == (too_many and not again)
+    assert ('all but the most distant in the gap' in said[0]) == (too_many and not again)
     if spoil is chip_under_the_slide:
         assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
         assert 'all near X 0.1' in said[0] and 'same places in every pass' in said[0]
