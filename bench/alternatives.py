@@ -8,7 +8,7 @@ and tables together, and ``otf_core``. All but the last read with rosbags and re
 
 Seconds run from bag to tables in memory, without imports of NumPy, SciPy and rosbags; peak memory
 is that of the process until then; the error left is the mean length on a grid, rigid motion
-taken out, against the truth of the simulation. Cases: 'simulate' (the project's, machine.yaml of
+removed, against the truth of the simulation. Cases: 'simulate' (the project's, machine.yaml of
 otf_bringup: true tables have the nodes that are solved for), and forms of the independent
 simulator src/otf_core/test/nature.py, which shares no formula with any of them.
 

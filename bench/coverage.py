@@ -6,7 +6,7 @@ coloured noise, half to two thirds of its variance correlated over 0.15 s to 0.4
 squareness error and grid component is compared with the truth; the interval is value +/- U with
 the coverage factor that is stated for 95 %. Node values are compared in the gauge of the tables
 (the truth is fitted with the same gauge at the nodes), grid errors with the best rigid motion
-taken out of both sides.
+removed of both sides.
 
 ``--smooth``: cubic splines through the true node values, which tables can only follow in part.
 ``--same-machine``: one machine, path and tracker place, N draws of the noise only (JCGM 101); the

@@ -9,7 +9,7 @@ First block: the true errors are tables with the nodes that are solved for. Seco
 curves (cubic splines) through the same values, which piecewise linear tables cannot follow.
 
 Last columns: share of the grid's error components within 2 u of the truth (expected: 95 %)
-and median of their sizes over u (expected: 0.67), rigid motion taken out of both.
+and median of their sizes over u (expected: 0.67), rigid motion removed of both.
 
 The seeds were not used in development. Nothing is tuned to them.
 

@@ -10,7 +10,7 @@ generalised least squares with the true colour, calibrate, and two limits that k
 'roughness known', a Gaussian process with the true length and size of every motion, and the
 'oracle', which knows the covariance over the ensemble of the form.
 
-Grid error on 216 points that are neither nodes nor on the path, rigid motion taken out of both
+Grid error on 216 points that are neither nodes nor on the path, rigid motion removed of both
 sides: left is the mean length after over before. Within 2 u: share of the components; |error|/u:
 their median. Seconds: of calibrate all of it, of the others the solution alone.
 

@@ -7,7 +7,7 @@ path both ways, 60 um and 90 urad, noise 0.5 um and 1.5 urad, 60 % of its varian
 'matern' are smooth, 'polygon' is linear between the nodes of the tables. Seeds go round the three
 chains.
 
-Judged on 216 points that are neither nodes nor on the path, rigid motion taken out of both sides.
+Judged on 216 points that are neither nodes nor on the path, rigid motion removed of both sides.
 Asked for: 90 to 99 % within 2 u and a median of |error|/u of 0.5 to 0.9; rows that depart from it
 are marked with *.
 

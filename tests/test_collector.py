@@ -9,11 +9,10 @@ import pytest
 from cells import write_machine
 
 from otf_calibrator.collector import SILENT, Collector, PathTaken
-from otf_calibrator.losses import Publisher, SequenceWatch, lost_words
+from otf_calibrator.losses import LATE, lost_words
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.publishers import GONE, GONE_BESIDE, Choice
+from otf_calibrator.publishers import GONE, GONE_BESIDE, Choice, Publisher, SequenceWatch
 from otf_calibrator.session import LAST_SAMPLES, Session
-from otf_calibrator.stream import LATE
 from otf_core.config import CalibrationConfig
 from otf_core.errors import Cancelled
 from otf_core.model.path import NominalPath

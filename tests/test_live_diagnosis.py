@@ -5,15 +5,13 @@ import json
 import math
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cells import MACHINE, write_truth
 from graph import PATIENCE, offline_diagnosis, without_date
 
-from otf_calibrator.diagnosis_job import DiagnosisJob
-from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.children import Diagnosis, Failure
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
@@ -52,7 +50,7 @@ def diagnoses_of(node):
     threads = Path(f'/proc/{node.process.pid}/task').iterdir()
     listed = ' '.join((thread / 'children').read_text() for thread in threads).split()
     commands = [Path(f'/proc/{child}/cmdline').read_text() for child in listed]
-    return [command for command in commands if 'otf_calibrator.diagnosis_process' in command]
+    return [command for command in commands if 'otf_calibrator.child\0diagnose' in command]
 
 
 def assert_same_content(report, gap):
@@ -141,10 +139,9 @@ def job(machine_file, tmp_path):
     samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
     path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
     recording = Recording(samples, path, load_machine(machine_file))
-    request = SimpleNamespace(config=CalibrationConfig())
     folder = tmp_path / MACHINE['name']
     folder.mkdir()
-    job = DiagnosisJob(SimpleNamespace(recording=recording, request=request, folder=folder))
+    job = Diagnosis(recording, CalibrationConfig(), folder)
     yield job
     job.close()
     assert not list(folder.iterdir())

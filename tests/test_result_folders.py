@@ -4,7 +4,6 @@
 import json
 import os
 from pathlib import Path
-from types import SimpleNamespace
 from unittest.mock import ANY
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.diagnosis_job import DiagnosisJob
+from otf_calibrator.children import Diagnosis
 from otf_calibrator.job import Calibrated, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
@@ -98,8 +97,7 @@ def begun(tmp_path):
     recording = Recording(samples, path, load_machine(tmp_path / 'machine.yaml'))
     folder = tmp_path / 'run'
     folder.mkdir()
-    request = SimpleNamespace(config=CalibrationConfig())
-    job = DiagnosisJob(SimpleNamespace(recording=recording, request=request, folder=folder))
+    job = Diagnosis(recording, CalibrationConfig(), folder)
     yield job
     job.close()
 

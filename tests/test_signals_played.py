@@ -7,7 +7,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from otf_calibrator.listening import listen
+from otf_calibrator.inputs import listen
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
@@ -30,13 +30,13 @@ def test_value_without_a_stamp_has_the_time_of_a_bag_that_is_played(graph, tmp_p
     clock = node.create_publisher(Clock, '/clock', qos.STATUS)
     spindle = node.create_publisher(Float64, '/spindle', 10)
     graph.wait(lambda: spindle.get_subscription_count(), 'the subscription')
-    taken, take = [], intake.beside.add
-    intake.beside.add = lambda *value: (take(*value), taken.append(value))
+    taken, take = [], intake.signals.add
+    intake.signals.add = lambda *value: (take(*value), taken.append(value))
     stamps = [START + k * STEP for k in range(20)]
     for k, stamp in enumerate(stamps):
         clock.publish(Clock(clock=convert.time_from_ns(stamp)))
         graph.wait(lambda at=stamp: node.get_clock().now().nanoseconds == at, 'the clock')
         spindle.publish(Float64(data=20.0 + k))
         graph.wait(lambda count=k: len(taken) > count, 'the value')
-    (found,) = intake.beside.of(Samples(np.array(stamps), np.zeros((20, 3)))).values()
+    (found,) = intake.signals.of(Samples(np.array(stamps), np.zeros((20, 3)))).values()
     assert found.stamp_ns.tolist() == stamps and found.value.tolist() == list(range(20, 40))

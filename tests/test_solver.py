@@ -10,8 +10,7 @@ import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.solver import Solver
-from otf_calibrator.solver_task import Task
+from otf_calibrator.children import CalibrationTask, Solver
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled, InputError, OtfError
@@ -30,7 +29,7 @@ def ignored(stage, fraction):
 
 def task(recording):
     """Plain calibration of a recording."""
-    return Task(recording, CONFIG, 'otf', 'none')
+    return CalibrationTask(recording, CONFIG, 'otf', 'none')
 
 
 @pytest.fixture(scope='module')

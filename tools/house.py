@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of the packages of otf_core: layers and arrows from the imports alone.
+"""Figure of the packages of otf_core: layers and arrows from the imports alone.
 
-Every room stands one floor above the highest room that it imports from. An arrow is left out
-where others lead the same way.
+Every package stands one layer above the highest package that it imports from. An arrow is omitted
+where others lead to the same package.
 
 Usage: python3 tools/house.py docs/images/house.svg
 """
@@ -18,79 +18,79 @@ WIDTH, STEP, BOX, HEIGHT = 900, 62, 118, 30
 
 
 def imports() -> dict[str, set[str]]:
-    """Rooms, and the rooms that each imports from."""
-    rooms = {p.name for p in CORE.iterdir() if (p / '__init__.py').exists()}
-    found: dict[str, set[str]] = {room: set() for room in rooms}
-    for room in rooms:
-        for file in (CORE / room).rglob('*.py'):
+    """Packages, and the packages that each imports from."""
+    packages = {p.name for p in CORE.iterdir() if (p / '__init__.py').exists()}
+    found: dict[str, set[str]] = {package: set() for package in packages}
+    for package in packages:
+        for file in (CORE / package).rglob('*.py'):
             for node in ast.walk(ast.parse(file.read_text(encoding='utf-8'))):
                 if isinstance(node, ast.ImportFrom) and node.module:
                     parts = node.module.split('.')
-                    if parts[0] == 'otf_core' and len(parts) > 1 and parts[1] in rooms:
-                        found[room].add(parts[1])
-        found[room].discard(room)
+                    if parts[0] == 'otf_core' and len(parts) > 1 and parts[1] in packages:
+                        found[package].add(parts[1])
+        found[package].discard(package)
     return found
 
 
-def floors(below: dict[str, set[str]]) -> dict[str, int]:
-    """Floor of every room, the lowest is 0."""
+def layers(below: dict[str, set[str]]) -> dict[str, int]:
+    """Layer of every package, the lowest is 0."""
     level: dict[str, int] = {}
 
-    def of(room: str) -> int:
-        if room not in level:
-            level[room] = 1 + max((of(other) for other in below[room]), default=-1)
-        return level[room]
+    def of(package: str) -> int:
+        if package not in level:
+            level[package] = 1 + max((of(other) for other in below[package]), default=-1)
+        return level[package]
 
-    for room in sorted(below):
-        of(room)
+    for package in sorted(below):
+        of(package)
     return level
 
 
 def reduced(below: dict[str, set[str]]) -> list[tuple[str, str]]:
     """Arrows that are not implied by others."""
 
-    def reach(room: str) -> set[str]:
-        return below[room].union(*(reach(other) for other in below[room]))
+    def reach(package: str) -> set[str]:
+        return below[package].union(*(reach(other) for other in below[package]))
 
     return sorted(
-        (room, other)
-        for room, others in below.items()
+        (package, other)
+        for package, others in below.items()
         for other in others
         if not any(other in reach(between) for between in others - {other})
     )
 
 
 def picture() -> str:
-    """Return the house as SVG."""
+    """Return the figure as SVG."""
     below = imports()
-    level = floors(below)
+    level = layers(below)
     top = max(level.values())
     place: dict[str, tuple[float, float]] = {}
-    for floor in range(top + 1):
-        rooms = sorted(room for room, at in level.items() if at == floor)
-        for k, room in enumerate(rooms):
-            x = WIDTH * (k + 1) / (len(rooms) + 1)
-            place[room] = x + 40 * ((floor % 3) - 1), 30 + STEP * (top - floor)
+    for layer in range(top + 1):
+        packages = sorted(package for package, at in level.items() if at == layer)
+        for k, package in enumerate(packages):
+            x = WIDTH * (k + 1) / (len(packages) + 1)
+            place[package] = x + 40 * ((layer % 3) - 1), 30 + STEP * (top - layer)
     height = 60 + STEP * top
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
         f'font-family="sans-serif" font-size="13">',
-        '<title>Rooms of otf_core: imports lead down</title>',
+        '<title>Packages of otf_core: imports lead down</title>',
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" '
         'markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z" fill="#667"/></marker></defs>',
         f'<rect width="{WIDTH}" height="{height}" fill="#fff"/>',
     ]
-    for room, other in reduced(below):
-        (x, y), (to_x, to_y) = place[room], place[other]
+    for package, other in reduced(below):
+        (x, y), (to_x, to_y) = place[package], place[other]
         parts.append(
             f'<path d="M{x:.0f} {y + HEIGHT / 2:.0f}L{to_x:.0f} {to_y - HEIGHT / 2 - 1:.0f}" '
             f'stroke="#99a" fill="none" marker-end="url(#tip)"/>'
         )
-    for room, (x, y) in sorted(place.items()):
+    for package, (x, y) in sorted(place.items()):
         parts.append(
             f'<rect x="{x - BOX / 2:.0f}" y="{y - HEIGHT / 2:.0f}" width="{BOX}" '
             f'height="{HEIGHT}" rx="4" fill="#eef3f8" stroke="#357"/>'
-            f'<text x="{x:.0f}" y="{y + 5:.0f}" text-anchor="middle" fill="#123">{room}</text>'
+            f'<text x="{x:.0f}" y="{y + 5:.0f}" text-anchor="middle" fill="#123">{package}</text>'
         )
     return '\n'.join([*parts, '</svg>', ''])
 

@@ -206,7 +206,7 @@ def test_faults_are_read_and_mistakes_named():
     for spec, said in (
         ('bem_loss=1', "'bem_loss' is unknown; did you mean beam_loss"),
         ('split=2', 'split: 2 is out of range'),
-        ('split=x', "split: 'x' is no number"),
+        ('split=x', "split: 'x' is not a number"),
     ):
         with pytest.raises(ConfigError, match=f'--faults: {said}'):
             read_faults(spec)

@@ -159,7 +159,7 @@ def test_decimal_commas_are_read_where_the_description_says_so(tmp_path):
     how = read_description(described(tmp_path, decimal=','))
     assert read_point('7,5;1000,5;-20;1e3', how) == (7_500_000_000, (1.0005, -0.02, 1.0))
     for line in ('7;1.000,5;20;30', '7;1.5;20;30'):
-        with pytest.raises(Unreadable, match='column 1 is no number'):
+        with pytest.raises(Unreadable, match='column 1 is not a number'):
             read_point(line, how)
     with pytest.raises(ConfigError, match="decimal: ',' separates the columns, too"):
         read_description(described(tmp_path, decimal=',', separator=','))
@@ -195,8 +195,8 @@ def test_source_that_goes_away_is_connected_to_again(make, tmp_path):
     ('line', 'said'),
     [
         ('hello', "column 1 is missing, there are 1; check .* 'hello'|column 1 is missing"),
-        ('0.1;1;two;3', 'column 2 is no number'),
-        ('0.1;1;nan;3', 'column 2 is no number'),
+        ('0.1;1;two;3', 'column 2 is not a number'),
+        ('0.1;1;nan;3', 'column 2 is not a number'),
         ('0.1;0;0;0', 'is none'),
         ('0.1;1e9;0;0', 'check length'),
         ('9e99;1;2;3', 'stamp is out of range'),
@@ -256,7 +256,7 @@ def test_wrong_lines_are_said_by_few_examples(make, tmp_path):
             return backend.health.unreadable > 600
 
         until(many)
-        assert 'column 1 is no number in line' in backend.trouble and len(said) < 10
+        assert 'column 1 is not a number in line' in backend.trouble and len(said) < 10
 
 
 def test_lines_of_text_between_points_are_no_trouble(make, tmp_path):

@@ -43,7 +43,7 @@ def generate_launch_description():
 
 
 def option(info, text):
-    """Return a parameter as the command takes it; what is no number the command refuses."""
+    """Return a parameter as the command takes it; what is not a number the command refuses."""
     if not text:
         return []
     factor = CLI_UNITS.get(info.name, ('', 1))[1]

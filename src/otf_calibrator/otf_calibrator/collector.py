@@ -15,15 +15,14 @@ and a second tracker do not.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
-from otf_calibrator.losses import Restarts
-from otf_calibrator.other_path import OtherPath
-from otf_calibrator.stream import LATE, Stream
+from otf_calibrator.losses import LATE, Restarts, Stream
 from otf_core.bags.sample_order import Clock, Screening
-from otf_core.calibration.first_sight import TwoPaths
+from otf_core.calibration.first_sight import TwoPaths, first_legs
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
@@ -49,6 +48,53 @@ BEGUN = 0.05
 """The same before the state speaks of the next run instead of the last result."""
 SAME_PATH = 1e-6
 """m; paths that differ by less are the same."""
+COMPARED_EVERY = 0.05
+"""Share of the path that is driven between two comparisons."""
+
+
+@dataclass
+class OtherPath:
+    """A path that the target may turn out to follow.
+
+    Parameters
+    ----------
+    newer : bool
+        It was published after that of the run: it is the one of the next run.
+    since : int
+        Samples of the run that had come before it.
+    message : bytes
+        In which it came.
+    """
+
+    path: NominalPath
+    config: CalibrationConfig
+    newer: bool
+    since: int = 0
+    message: bytes = b''
+    watcher: PathWatcher = field(init=False)
+    _asked: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        """Begin to follow the target."""
+        self.watcher = PathWatcher(self.path, self.config)
+
+    def worth_asking(self, at_the_end: bool) -> bool:
+        """Tell whether the samples should be compared with both paths; once per so much travel.
+
+        Parameters
+        ----------
+        at_the_end : bool
+            The run is about to be calibrated.
+        """
+        travelled = self.watcher.travelled
+        more = travelled - self._asked
+        if travelled < first_legs(self.path) or not more:
+            return False
+        return at_the_end or not self._asked or more > COMPARED_EVERY * self.path.length
+
+    def asked(self) -> None:
+        """Take note that they are compared."""
+        self._asked = self.watcher.travelled
 
 
 class PathTaken(Enum):

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,16 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_calibrator.beside import Beside
 from otf_calibrator.collector import Collector, PathTaken
-from otf_calibrator.losses import SequenceWatch, lost_words
-from otf_calibrator.publishers import Choice
+from otf_calibrator.losses import lost_words
+from otf_calibrator.publishers import Choice, SequenceWatch
 from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import GAP, OTHER_POINT, PATH, POINT, STATUS
 from otf_core.bags.sample_order import judged
-from otf_core.bags.signals import read_signals, topic_of
+from otf_core.bags.signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
@@ -32,6 +32,11 @@ from otf_core.model.signals import Signal
 A = TypeVar('A')
 TAKEN_UP = 600.0
 """s; a run that was written longer ago is not the running measurement."""
+MOST_VALUES = 200_000
+"""Values of each signal that are kept."""
+BEFORE, AFTER = 1800 * 10**9, 10 * 10**9
+"""ns; what was measured so long before and after the samples is theirs: what warms up follows
+its temperature with a lag."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,36 @@ class Batch:
     missed: int = 0
 
 
+class SignalBuffer:
+    """Values of declared signals as they arrive, given out for a run."""
+
+    def __init__(self, specs: Sequence[SignalSpec] = ()) -> None:
+        self.specs = tuple(specs)
+        self._values: dict[SignalSpec, deque[tuple[int, float]]] = {
+            spec: deque(maxlen=MOST_VALUES) for spec in self.specs
+        }
+
+    def add(self, spec: SignalSpec, stamp_ns: int, value: float) -> None:
+        """Take one value; what is no number is left out."""
+        if math.isfinite(value):
+            self._values[spec].append((stamp_ns, value))
+
+    def of(self, samples: Samples) -> dict[SignalSpec, Signal]:
+        """Signals around the time of samples, those with enough values."""
+        if not len(samples):
+            return {}
+        first, last = int(samples.stamp_ns.min()) - BEFORE, int(samples.stamp_ns.max()) + AFTER
+        near = {
+            spec: {s: v for s, v in tuple(own) if first <= s <= last}
+            for spec, own in self._values.items()
+        }
+        return {
+            spec: signal_of(spec.wanted, list(own.items()))
+            for spec, own in near.items()
+            if len(own) >= MIN_MESSAGES
+        }
+
+
 class Intake:
     """Between the topics and the collector.
 
@@ -80,7 +115,7 @@ class Intake:
     ) -> None:
         self._collector, self._warn = collector, warn
         self.journal: Journal | None = None
-        self.beside = Beside()
+        self.signals = SignalBuffer()
         self._sequence, self._choice = SequenceWatch(publishers), Choice()
         self._apart = 0
         self._gaps: set[bytes] = set()
@@ -182,7 +217,7 @@ class Intake:
 
     def signal(self, spec: SignalSpec, stamp_ns: int, value: float, message: bytes) -> None:
         """Take a value of a signal and its message."""
-        self.beside.add(spec, stamp_ns, value)
+        self.signals.add(spec, stamp_ns, value)
         if self.journal:
             self.journal.message(topic_of(spec), message)
 
@@ -321,14 +356,14 @@ class Intake:
                 watcher.stays()  # the journal of a run that was over holds no more
             for spec, signal in self._signals_in(recorded.run.folder).items():
                 for stamp, value in zip(signal.stamp_ns, signal.value, strict=True):
-                    self.beside.add(spec, int(stamp), float(value))
+                    self.signals.add(spec, int(stamp), float(value))
             said.append(f'{recorded.run.folder}: goes on with {count} samples of it')
         return '; '.join(said)
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
         """Signals of a run that is taken up."""
-        found = read_signals(folder, (), self.beside.specs)
-        return {s: found[s.name] for s in self.beside.specs if s.name in found}
+        found = read_signals(folder, (), self.signals.specs)
+        return {s: found[s.name] for s in self.signals.specs if s.name in found}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
         collector, now, wrong = self._collector, time.monotonic(), judged(xyz).tolist()

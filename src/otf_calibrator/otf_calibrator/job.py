@@ -17,11 +17,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
 
-from otf_calibrator.early import Early
+from otf_calibrator.children import CalibrationTask, Solved, Solver
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.request import Request
-from otf_calibrator.solver import Solver
-from otf_calibrator.solver_task import Solved, Task
+from otf_calibrator.request import Early, Request
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
 from otf_core.calibration.calibration_result import CalibrationResult
@@ -224,7 +222,7 @@ class Worker:
             if self._ahead.is_set():
                 raise Cancelled('the run is calibrated')
 
-        task = Task(recording_of(request), request.config, request.files.method, NONE)
+        task = CalibrationTask(recording_of(request), request.config, request.files.method, NONE)
         found = self._solver.solve(task, progress)
         assert isinstance(found, CalibrationResult), 'no effects are taken off'
         return found
@@ -252,7 +250,7 @@ class Worker:
 
     def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
         files = request.files
-        task = Task(recording, request.config, files.method, files.effects)
+        task = CalibrationTask(recording, request.config, files.method, files.effects)
         return self._solver.solve(task, progress)
 
 

@@ -1,84 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who published a sample, and what was lost on the way: by the numbers that publishers give."""
+"""What of a run is lost: by what the driver states of its stream, and by stamps over restarts.
+
+The driver states how many samples it has published, and the stamp of the last of them. Samples
+arrive in their order: once one with a later stamp is there, those up to this stamp that are not
+are lost, however many more are on their way.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import takewhile
 
 from otf_core.model.observation import SampleBuffer
 
-PUBLISHERS = 4
-"""Publishers whose numbers are remembered: those before have ended."""
-GAP = 1000
-"""Messages in a row that a publisher may lose while there is another one: with more it cannot be
-told from that one."""
-
+REMEMBERED = 10_000
+"""Stamps of the last samples; a status is not later than so many of them."""
+LATE = 2.0
+"""s; samples that have not arrived so long after the end of their stream are lost."""
 LOOKED_AT = 500
 """Last samples before a restart whose rate counts."""
 
 
 @dataclass
-class Publisher:
-    """One publisher: the number of its last message."""
+class Stream:
+    """What is known of one stream of the driver; all zero without any status.
 
-    last: int
-
-
-class SequenceWatch:
-    """Tells publishers apart, and counts gaps in the numbers of each.
-
-    Fast DDS hands over the number of every message; where the middleware does not (None), only
-    the driver's own count is left, and all messages count as of one publisher. rclpy does not say
-    who sent a message. A number goes on with the nearest one before it, unless the graph knows
-    several publishers and the gap is large.
-
-    Parameters
-    ----------
-    present : callable
-        Returns how many publishers the graph knows at this moment.
+    One that was taken over from another has not shown yet whether it goes on with the run; of one
+    that is heard of again it is unknown how many of the samples before have arrived.
     """
 
-    def __init__(self, present: Callable[[], int] = lambda: 1) -> None:
-        self._present = present
-        self._known: list[Publisher] = []
-        self._unnumbered = Publisher(0)
+    name: str = ''
+    received: int = 0
+    announced: int = 0
+    finished: bool = False
+    ended: bool = False
+    ended_at: float = 0.0
+    heard: float = 0.0
+    taken_over: bool = False
+    unknown: int = 0
+    missing: int | None = None
+    """Samples that have not arrived although later ones have; None: not known."""
+    _stamps: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _stated: tuple[int, int] | None = None
 
-    def publishers(self, sequence: Iterable[int | None]) -> list[tuple[Publisher, int]]:
-        """Return the publisher of every message, and how many of its messages are missing before.
+    def arrive(self, stamp_ns: int) -> None:
+        """Take a sample."""
+        if self._stated and stamp_ns > self._stated[1]:
+            self._count(self._stated[0], self.received)
+        self.received += 1
+        self._stamps.append(stamp_ns)
 
-        Parameters
-        ----------
-        sequence : iterable of int or None
-            Numbers of messages in the order of their arrival.
-        """
-        found: list[tuple[Publisher, int]] = []
-        for number in sequence:
-            if number is None:
-                self._known = []
-                found.append((self._unnumbered, 0))
-                continue
-            publisher, missed = self._goes_on(number), 0
-            if publisher is None:
-                publisher = Publisher(number)
-                self._known.append(publisher)
+    def announce(self, published: int, last_ns: int) -> None:
+        """Take a number of samples, and the stamp of the last one, ns; 0 where none is stated."""
+        self.announced, self._stated = published, None
+        later = sum(1 for _ in takewhile(lambda stamp: stamp > last_ns, reversed(self._stamps)))
+        if last_ns and later < len(self._stamps):
+            if later or self._stamps[-1] == last_ns:
+                self._count(published, self.received - later)
             else:
-                missed = number - publisher.last - 1
-                publisher.last = number
-                self._known.remove(publisher)  # the one heard last stays longest
-                self._known.append(publisher)
-            del self._known[:-PUBLISHERS]
-            found.append((publisher, missed))
-        return found
+                self._stated = published, last_ns
 
-    def _goes_on(self, number: int) -> Publisher | None:
-        """The publisher whose numbers this one goes on with; None: another one."""
-        before = max(
-            (p for p in self._known if p.last < number), key=lambda p: p.last, default=None
-        )
-        if before is None or number - before.last <= GAP or self._present() < 2:
-            return before
-        return None
+    def _count(self, published: int, received: int) -> None:
+        """Take how many of so many samples have arrived."""
+        self.missing, self._stated = max(0, published - self.unknown - received), None
+
+    @property
+    def lost(self) -> int:
+        """Samples that were announced and have not arrived."""
+        return max(0, self.announced - self.unknown - self.received)
+
+    def over(self, now: float) -> bool:
+        """Tell whether no further sample of this stream will come."""
+        silent = now - max(self.ended_at, self.heard)
+        return self.ended and (self.received >= self.announced or silent > LATE)
 
 
 class Restarts:

@@ -11,12 +11,11 @@ from rclpy.serialization import serialize_message
 
 from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnostics import tell
+from otf_calibrator.inputs import PathReceiver, listen, status_of, stream_before
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import check_files
-from otf_calibrator.listening import listen, status_of, stream_before
-from otf_calibrator.outcomes import OutcomePublisher
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.path_receiver import PathReceiver
+from otf_calibrator.results import OutcomePublisher
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig

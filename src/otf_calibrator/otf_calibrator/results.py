@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latched publishers: tables, errors on a grid, result, alignment, tf if there; the diagnosis."""
+"""What calibrations and diagnoses end with: latched results, failures, states."""
 
 from __future__ import annotations
 
+import traceback
 from concurrent.futures import Future
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
+from std_msgs.msg import Header
 
-from otf_calibrator.diagnosis_job import Answer
-from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.children import Answer, Failure
 from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated
 from otf_calibrator.losses import lost_words
-from otf_calibrator.session import Ahead
-from otf_calibrator.shared_tracker import SharedTracker
+from otf_calibrator.session import Ahead, Session
+from otf_calibrator.state import StatePublisher
 from otf_core.calibration.calibration_result import CalibrationResult, volume_errors
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
@@ -24,11 +25,38 @@ from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
+from otf_ros.convert import ns_from_time, time_from_ns
 
 try:
     from tf2_ros import StaticTransformBroadcaster
 except ImportError:  # a small installation: calibrator/alignment says the same
     StaticTransformBroadcaster = None
+
+
+class SharedTracker:
+    """One tracker for several machines: whose run the samples were.
+
+    Every calibrator hears all samples of its tracker, also while another machine drives. When a
+    run is calibrated, the calibrator of its machine publishes on ``tracker/calibrated`` the stamp
+    of the last sample and, as frame_id, the topic of the path, which tells machines apart. The
+    others set the samples until then aside.
+    """
+
+    def __init__(self, node: Node, intake: Intake) -> None:
+        self._intake, self._path = intake, node.resolve_topic_name('planner/path')
+        self._publisher = node.create_publisher(Header, 'tracker/calibrated', qos.COMMAND)
+        node.create_subscription(Header, 'tracker/calibrated', self._on_other, qos.COMMAND)
+
+    def tell(self, outcome: Calibrated) -> None:
+        """Say that a run was that of this machine; not of an interim result."""
+        if outcome.request.final:
+            stamp = time_from_ns(int(outcome.request.samples.stamp_ns[-1]))
+            self._publisher.publish(Header(stamp=stamp, frame_id=self._path))
+
+    def _on_other(self, message: Header) -> None:
+        if message.frame_id != self._path:
+            why = f'they were of the run along {message.frame_id}'
+            self._intake.of_another(ns_from_time(message.stamp), why)
 
 
 class ResultPublishers:
@@ -143,3 +171,39 @@ class ResultPublishers:
             message.output_directory = str(outcome.folder)
         message.run_id, message.machine = outcome.result.run_id, outcome.recording.machine.name
         self._gap.publish(message)
+
+
+class OutcomePublisher:
+    """Publishes what a calibration or a diagnosis ended with."""
+
+    def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
+        self._log, self._session, self._state = node.get_logger(), session, state
+        self.results = ResultPublishers(node, session.intake)
+
+    def finish(self, job: Future[Calibrated]) -> None:
+        """Publish the result of a calibration, or why there is none."""
+        error = job.exception()
+        if error is None:
+            for text in self.results.publish(job.result()):
+                self._log.warning(text)
+            return
+        if not isinstance(error, OtfError):
+            self._log.error(''.join(traceback.format_exception(error)))
+        text = self.results.publish_failure(error) + self._session.intake.kept()
+        if isinstance(error, Cancelled):
+            self._state.cancelled(text, self._session)
+        else:
+            self._state.failed(text)
+
+    def complete(self, outcome: Calibrated) -> None:
+        """State that all files of a calibration are there; diagnose it if that is wanted."""
+        self._state.done(outcome)
+        if outcome.request.files.diagnose:
+            started, text = self._session.diagnose()
+            if not started:
+                self.publish_diagnosis(outcome, Failure(2, text))
+
+    def publish_diagnosis(self, outcome: Calibrated, answer: Answer) -> None:
+        """Publish what a diagnosis gave."""
+        self.results.publish_gap(outcome, answer)
+        self._state.diagnosed(outcome, answer)

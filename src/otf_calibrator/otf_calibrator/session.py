@@ -12,15 +12,20 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 
+from otf_calibrator.children import Answer, Diagnosis
 from otf_calibrator.collector import Collector
-from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
-from otf_calibrator.glances import Glances
 from otf_calibrator.intake import Batch, Intake
 from otf_calibrator.job import Calibrated, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.calibration.first_sight import FirstSight, TwoPaths, first_sight, follows_the_other
+from otf_core.calibration.first_sight import (
+    FirstSight,
+    TwoPaths,
+    first_legs,
+    first_sight,
+    follows_the_other,
+)
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.tracking.path_watch import PathWatcher
@@ -29,6 +34,49 @@ Ahead = CalibrationResult | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
 INTERIM = 'interim result: the run goes on, and its samples are still taken'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
+LOOK_EVERY = 30.0
+"""s of driving between two looks."""
+LOOK_SHARE = 0.05
+"""Share of the path that is driven between two looks, if that is sooner."""
+MOST_LOOKS = 4
+"""Looks at a run; after that the first lap will tell."""
+UNREPORTED_LOOKS = 1
+"""Looks that may fail unsaid: the first legs often do not determine anything yet."""
+
+
+class FirstLooks:
+    """When to look at a run before its first lap is over: until the tracker is found."""
+
+    def __init__(self) -> None:
+        self._run = -1
+        self._began = 0.0
+        self._looks = 0
+        self._least = 0.0
+        self._found = False
+
+    @property
+    def patient(self) -> bool:
+        """Whether a look that shows nothing is nothing to worry about yet."""
+        return not self._found and self._looks <= UNREPORTED_LOOKS
+
+    def found(self) -> None:
+        """The place of the tracker is known, or soon will be: no further look at this run."""
+        self._found = True
+
+    def due(self, collector: Collector, now: float) -> bool:
+        """Tell whether to look now, a time in s; counts it then."""
+        if collector.path is None or collector.taken or not collector.travelled:
+            return False
+        if collector.run != self._run:
+            self._run, self._began, self._looks, self._found = collector.run, now, 0, False
+            self._least = first_legs(collector.path)
+        if self._found or self._looks >= MOST_LOOKS or collector.travelled < self._least:
+            return False
+        driven = collector.travelled / (LOOK_SHARE * collector.path.length)
+        if max(driven, (now - self._began) / LOOK_EVERY) < self._looks + 1:
+            return False
+        self._looks += 1
+        return True
 
 
 class Session:
@@ -50,7 +98,7 @@ class Session:
     collector : Collector
     intake : Intake
     worker : Worker
-    diagnosis : DiagnosisJob or None
+    diagnosis : Diagnosis or None
         The diagnosis under way.
     """
 
@@ -68,11 +116,12 @@ class Session:
         self._job: Future[Calibrated] | None = None
         self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
-        self._glances = Glances()
+        self._first_looks = FirstLooks()
         self._verdict: Future[bool] | None = None
         self._which: tuple[int, Future[bool]] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
-        self.diagnosis: DiagnosisJob | None = None
+        self.diagnosis: Diagnosis | None = None
+        self._diagnosed: Calibrated | None = None
         self._last: Calibrated | None = None
         self._asked = (-1, 0)
         self._waits_since: float | None = None
@@ -183,7 +232,7 @@ class Session:
             self.intake.journal.folder if self.intake.journal else None,
             final,
             collector.restarts.uncounted,
-            self.intake.beside.of(samples),
+            self.intake.signals.of(samples),
         )
 
     def cancel(self) -> None:
@@ -201,12 +250,12 @@ class Session:
         collector = self.collector
         lap = None if self.busy else collector.first_lap()
         if lap:
-            self._glances.found()
+            self._first_looks.found()
             self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
         elif (
             self._ahead is None
             and not self.busy
-            and self._glances.due(collector, time.monotonic())
+            and self._first_looks.due(collector, time.monotonic())
         ):
             look = partial(first_sight, path=collector.path, travelled=collector.travelled)
             look = partial(look, config=self._settings()[1])
@@ -215,8 +264,8 @@ class Session:
             return None
         ahead, self._ahead = self._ahead, None
         if ahead.exception() is None:
-            self._glances.found()
-        elif self._glances.patient:
+            self._first_looks.found()
+        elif self._first_looks.patient:
             return None
         return ahead
 
@@ -255,9 +304,12 @@ class Session:
         if self._last.folder is None:
             return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
         try:
-            self.diagnosis = DiagnosisJob(self._last)
+            self.diagnosis = Diagnosis(
+                self._last.recording, self._last.request.config, self._last.folder
+            )
         except OSError as error:
             return False, f'the diagnosis cannot be started: {error}'
+        self._diagnosed = self._last
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
     def diagnosed(self) -> tuple[Calibrated, Answer] | None:
@@ -265,8 +317,9 @@ class Session:
         answer = self.diagnosis.finished() if self.diagnosis else None
         if answer is None or self.diagnosis is None:
             return None
-        job, self.diagnosis = self.diagnosis, None
-        return job.outcome, answer
+        self.diagnosis = None
+        assert self._diagnosed is not None, 'since its start'
+        return self._diagnosed, answer
 
     def abandon(self) -> None:
         """End a diagnosis under way, if there is one."""

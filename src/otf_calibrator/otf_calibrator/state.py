@@ -9,9 +9,8 @@ import time
 
 from rclpy.node import Node
 
+from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
-from otf_calibrator.diagnosis_job import Answer
-from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_core.live.stages import TimeLeft

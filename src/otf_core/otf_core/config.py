@@ -144,7 +144,7 @@ class CalibrationConfig(Parameters):
         'm or rad', 1e-7, 1.0,
     )  # fmt: skip
     reversal: str = parameter(
-        'auto', 'errors that differ between forward and backward travel: one value a motion, '
+        'auto', 'errors that differ between forward and backward travel: one value per motion, '
         'tables along the axis, or by evidence on held-out legs',
         choices=('auto', 'none', 'constant', 'tables'),
     )  # fmt: skip
@@ -194,7 +194,7 @@ class SimulationConfig(Parameters):
         0.3, 'correlation time of that share (first-order Gauss-Markov)', 's', 1e-3, 100
     )
     resolution: float = parameter(
-        0.0, 'recorded coordinates are rounded to multiples of this; 0: not', 'm', 0, 1e-3
+        0.0, 'recorded coordinates are rounded to multiples of this; 0: not rounded', 'm', 0, 1e-3
     )
     packet_loss: float = parameter(
         0.0, 'share of samples lost, in whole packets of a third of a second', '', 0, 0.9

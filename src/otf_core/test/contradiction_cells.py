@@ -34,11 +34,11 @@ def again(recording, name='run 2', **fields):
     return replace(recording, samples=replace(recording.samples, **fields), name=name)
 
 
-def asked(*recordings, mend=True):
+def asked(*recordings, repair=True):
     """Findings on recordings, as calibrate comes to them."""
     check_recordings(recordings)
     runs, nodes = prepare_runs(recordings, CONFIG)
-    return examine(runs, nodes, CONFIG, mend=mend)[1]
+    return examine(runs, nodes, CONFIG, repair=repair)[1]
 
 
 def stepped(recording, shift, at=0.5, turn=(0.0, 0.0, 0.0)):

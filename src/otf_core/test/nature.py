@@ -374,7 +374,7 @@ class Judgement:
 
 
 def judge(cell, tables, covariance=None, count=6):
-    """Compare tables with the true errors on a lattice, rigid motion taken out of both."""
+    """Compare tables with the true errors on a lattice, rigid motion removed of both."""
     q = cell.lattice(count)
     rows, values = table_rows(tables, cell.chain, cell.offset, q)
     flat = rows.reshape(3 * len(q), -1)

@@ -193,7 +193,7 @@ LEFT_OUT = {
     'commented out': (
         0, '# t x y z\n' + points(lambda k, *p: f'{"# " * (k == 0)}{SECONDS[k]} {" ".join(p)}'), ''
     ),
-    'a word': (2, changed(2, 1, 'broken'), 'x_mm is no number (line 4)'),
+    'a word': (2, changed(2, 1, 'broken'), 'x_mm is not a number (line 4)'),
 }  # fmt: skip
 """Which row is lost, the text, and why; empty: by a comment."""
 
@@ -237,7 +237,7 @@ REFUSED = {
         table('t [s];Hz;V;D [mm]', polar(-1, True, GON)), {}, ('its unit is not stated', 'Hz [gon]')
     ),
     'angles in grad': (
-        table('t [s];Hz [grad];V [grad];D [mm]', polar(-1, True, GON)), {}, ("'grad' is no unit of angles",)
+        table('t [s];Hz [grad];V [grad];D [mm]', polar(-1, True, GON)), {}, ("'grad' is not a unit of angles",)
     ),
     'vertical angle of either kind': (
         table('t [s];Hz [deg];V [deg];D [mm]', [[*r[:2], '7' if k % 2 else '80', r[3]] for k, r in enumerate(polar(-1, True, DEG))]),

@@ -72,7 +72,7 @@ def test_what_calibrates_and_diagnoses_knows_nothing_of_simulations():
     assert not offenders(known)
 
 
-def test_axes_are_asked_of_the_machine_above_the_room_that_describes_it():
+def test_axes_are_asked_of_the_machine_above_the_package_that_describes_it():
     assert not offenders(
         lambda file, tree: (
             file.parent.name != 'model' and 'otf_core.model.machine.AXES' in set(imports(tree))

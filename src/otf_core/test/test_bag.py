@@ -251,7 +251,9 @@ def test_trailing_padding_is_ignored_as_rosbags_does(tmp_path):
     padded = [(a, b, c, d + bytes(i % 4)) for i, (a, b, c, d) in enumerate(MESSAGES)]
     assert_same(read_bag(write_mcap(tmp_path / 'a.mcap', padded)))
     padded[9] = (*padded[9][:3], padded[9][3] + bytes(4))
-    with pytest.raises(InputError, match=r'message 8 is no PointStamped .* follow its last field'):
+    with pytest.raises(
+        InputError, match=r'message 8 is not a PointStamped .* follow its last field'
+    ):
         read_bag(write_mcap(tmp_path / 'a.mcap', padded))
 
 

@@ -154,10 +154,10 @@ def test_points_in_a_wrong_frame_are_left_out_if_few_and_refused_if_most(
         (path_cdr(points=CORNERS[:1]), '1 points without any motion'),
         (path_cdr(points=CORNERS * np.nan), 'point 0 is not finite'),
         (path_cdr(points=CORNERS * 1e4), r'point 1, .* is beyond 1000 m; the unit is m'),
-        (path_cdr()[:-1], 'no nav_msgs/msg/Path in CDR .*it ends early'),
-        (path_cdr() + bytes(4), 'no nav_msgs/msg/Path in CDR .*follow its last field'),
+        (path_cdr()[:-1], 'not a nav_msgs/msg/Path in CDR .*it ends early'),
+        (path_cdr() + bytes(4), 'not a nav_msgs/msg/Path in CDR .*follow its last field'),
         (path_cdr()[:24] + b'\xff' * 4 + path_cdr()[28:], '4294967295 poses do not fit'),
-        (b'', 'no nav_msgs/msg/Path in CDR .*begins with nothing'),
+        (b'', 'not a nav_msgs/msg/Path in CDR .*begins with nothing'),
     ],
 )
 def test_unusable_path_is_explained(tmp_path, path, text):

@@ -108,7 +108,7 @@ def test_mcap_cut_off_anywhere_is_read_to_its_last_complete_chunk(tmp_path, capl
             assert 'has no end (cut off, or still being recorded)' in caplog.text
             assert found.remarks
         elif not cut or cut < 8:
-            with pytest.raises(InputError, match='is empty' if not cut else 'is no MCAP'):
+            with pytest.raises(InputError, match='is empty' if not cut else 'is not an MCAP'):
                 read_bag(file)
 
 

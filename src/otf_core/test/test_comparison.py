@@ -119,7 +119,7 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain, other):
         result = compared(*pair)
         assert set(result.common.folded) == set(blind)
         assert largest(result) < 1e-15
-    assert 'counted as such' in format_comparison(result)
+    assert 'treated as such' in format_comparison(result)
 
 
 def _constant(machine, motion, still=''):
@@ -174,7 +174,7 @@ def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of()
         'EAZ',
         'EBZ',
     )  # a longer tool along Z is none for a turn about Z
-    assert 'WARNING EAZ, EBZ: neither side tells' in format_comparison(longer)
+    assert 'WARNING EAZ, EBZ: neither source distinguishes' in format_comparison(longer)
     assert comparison_to_dict(longer)['translations_apart_by'] == ['EAZ', 'EBZ']
 
 
@@ -243,10 +243,10 @@ def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
     assert data['volume']['within'] is None
     assert {m['within'] for m in data['motions'].values()} == {None}
     text = format_comparison(result)
-    assert '100 %' not in text and 'no side states an uncertainty' in text
+    assert '100 %' not in text and 'neither source states an uncertainty' in text
     (tmp_path / 'comparison.json').write_text(json.dumps(data))
     assert cli.main(['info', str(tmp_path / 'comparison.json')]) == 0
-    assert 'no side states an uncertainty' in capsys.readouterr().out
+    assert 'neither source states an uncertainty' in capsys.readouterr().out
 
 
 def test_a_side_without_uncertainty_is_said_to_count_as_exact():
@@ -254,9 +254,9 @@ def test_a_side_without_uncertainty_is_said_to_count_as_exact():
     known = {n: replace(t, u=1e-6 + 0.0 * t.u) for n, t in tables.motions.items()}
     result = compared(replace(tables, motions=known), tables)
     assert comparison_to_dict(result)['without_uncertainty'] == ['b']
-    assert 'b states no uncertainty: E_n takes it as exact' in format_comparison(result)
+    assert 'b states no uncertainty: E_n treats it as exact' in format_comparison(result)
     both = replace(tables, motions=known)
-    assert 'takes it as exact' not in format_comparison(compared(both, both))
+    assert 'treats it as exact' not in format_comparison(compared(both, both))
     # the scatter of a single run is not known
     single = measure_directly(tables, 1, runs=1, noise=PERFECT)
     direct = source_of_measurement('d', single, tables.machine)

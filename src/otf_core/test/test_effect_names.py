@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No effect is named outside its own file: the other rooms read what it says about itself."""
+"""No effect is named outside its own file: the other packages read what it says about itself."""
 
 import ast
 import re

@@ -178,7 +178,7 @@ def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tabl
     sign = 'error' if name in ASKED else None
     content = TablesFile(blind, {'not_identifiable': ['B0Z', 'EAZ', 'ECZ']})
     made = export_format(name).export(Request(content, 'cell.txt', sign))
-    said = 'zero because the calibration does not show them: B0Z, EAZ, ECZ;'
+    said = 'zero because the calibration does not determine them: B0Z, EAZ, ECZ;'
     assert said in made.remarks[-2]
     assert made.remarks[-1].startswith('valid only at the target offset ')
     assert said.encode() in made.files['cell.txt']
@@ -245,7 +245,7 @@ def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
         assert sum('256 lines, evenly spread, instead of 400' in r for r in made.remarks) == 3
     if name == 'sinumerik-cec':
         dense = random_tables(some_machine(pitch=0.001), 5e-5, np.random.default_rng(11))
-        assert 'no table has more than 200 points' in exported(name, dense).remarks[-1]
+        assert 'tables are limited to 200 points' in exported(name, dense).remarks[-1]
 
 
 @pytest.mark.parametrize('name', ['lattice-csv', 'lattice-npz'])

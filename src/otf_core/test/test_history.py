@@ -86,7 +86,7 @@ def test_what_is_added_twice_is_there_once_and_nothing_is_rewritten(found, tmp_p
     assert add_run(tmp_path / 'store', file) == (name, False)
     assert (entry.stat().st_mtime_ns, entry.read_bytes()) == before
     entry.write_bytes(before[1].replace(b'"EXX"', b'"EXX" '))
-    with pytest.raises(InputError, match='changed by hand or cut'):
+    with pytest.raises(InputError, match='edited or truncated'):
         read_store(tmp_path / 'store')
 
 
@@ -217,7 +217,7 @@ def test_a_machine_of_which_one_run_follows_an_event_is_not_called_steady(found,
     mood, badge, sentence = head_of(h)
     assert (mood, badge) == ('open', 'changed')
     assert 'EXX by' in sentence and 'after X scale replaced (2029-06-01)' in sentence
-    assert 'cannot be judged yet' in sentence
+    assert 'cannot be assessed yet' in sentence
     assert not re.search('steady', history_page([h]), re.I)
 
 
@@ -228,7 +228,7 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     assert alone.standing is Standing.STEADY
     add_event(tmp_path / 'store', 'new spindle', '2026-01-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    assert h.standing is Standing.UNJUDGED and 'cannot be judged yet' in format_history(h)
+    assert h.standing is Standing.UNJUDGED and 'cannot be assessed yet' in format_history(h)
     add_event(tmp_path / 'store', 'collision', '2026-02-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
     assert h.standing is Standing.UNJUDGED and h.due is None
@@ -261,8 +261,11 @@ def test_one_run_alone_is_not_judged(found, tmp_path):
 
 def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 1e-5], 24)
-    assert h.standing is Standing.CHANGED and 'cannot tell a drift from a jump' in head_of(h)[2]
-    assert 'if it goes on evenly' in format_history(h)
+    assert (
+        h.standing is Standing.CHANGED
+        and 'cannot distinguish a drift from a jump' in head_of(h)[2]
+    )
+    assert 'if it continues evenly' in format_history(h)
 
 
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
@@ -373,7 +376,7 @@ def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
     monkeypatch.chdir(tmp_path)
     written(tmp_path / 'r', found, [0.0, 2e-5], 7)
     assert run('history', 'store') == 2
-    assert 'begins a store' in capsys.readouterr().err
+    assert 'creates a store' in capsys.readouterr().err
     assert run('history', 'store', '--add', 'r/0.json', '--add', 'r/1.json',
                '--out', 'page', '--json') == 0  # fmt: skip
     shown = json.loads(capsys.readouterr().out)

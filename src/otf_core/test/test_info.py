@@ -104,11 +104,11 @@ def test_every_schema_that_is_written_is_known(tmp_path, capsys):
     ('name', 'content', 'words'),
     [
         ('a.json', '{"schema": "otf-gap/1"}', "is no whole 'otf-gap/1'"),
-        ('a.json', '{"schema": "other/1"}', 'is nothing that otf writes or reads'),
+        ('a.json', '{"schema": "other/1"}', 'is not a file that otf writes or reads'),
         ('a.json', '{"schema', 'not valid JSON'),
-        ('a.npz', 'PK\x03\x04nothing', 'is no residuals.npz'),
+        ('a.npz', 'PK\x03\x04nothing', 'is not a residuals.npz'),
         ('a.yaml', 'name: [', 'a.yaml'),
-        ('a.txt', '', 'is nothing that otf'),
+        ('a.txt', '', 'is not a file that otf'),
     ],
 )
 def test_a_file_that_cannot_be_explained_is_one_line_and_exit_code_2(

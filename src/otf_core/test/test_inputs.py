@@ -186,10 +186,16 @@ def test_columns_and_rate_on_request(tmp_path):
         (TEXTS['plain'].replace(SECONDS[3], 'n/a'), ''),
         (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the head names no x'),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [ft],y [ft],z [ft]\n'), "'ft' is no unit of l"),
+        (
+            lines(lambda s, t, *p: f'{s},1,2,3', 't,x [ft],y [ft],z [ft]\n'),
+            "'ft' is not a unit of l",
+        ),
         (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (mils)\n# t X Y Z\n'), "'mils' is no"),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 't (mil),x,y,z\n'), r"t \(mil\): 'mil' is no unit"),
-        (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is no time"),
+        (
+            lines(lambda s, t, *p: f'{s},1,2,3', 't (mil),x,y,z\n'),
+            r"t \(mil\): 'mil' is not a unit",
+        ),
+        (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is not a time"),
         ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
@@ -234,7 +240,7 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     assert (
         json.loads(shown.out)['samples'] == 50 and 'x, y, z from x_m, y_m, z_m in m' in shown.err
     )
-    with pytest.raises(ConfigError, match='is a text and has no topics'):
+    with pytest.raises(ConfigError, match='is a text table and has no topics'):
         read_content([file], Given(path=corners, topic='/point'))
     assert run('check', file, '--rate', '-5') == 2
 
@@ -273,7 +279,7 @@ def test_points_are_read_as_people_have_them(tmp_path, text):
         ('X [mm];Y [m];Z [mm]\n1;2;3\n', 'x, y, z are in'),
         ('x [ft],y [ft],z [ft]\n1,2,3\n', "x, y, z are in 'ft'; expected m, dm, cm, mm"),
         ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
-        ('X;Y;Z\n1;10:11:12;3\n', r'Y is no number \(line 2\)'),
+        ('X;Y;Z\n1;10:11:12;3\n', r'Y is not a number \(line 2\)'),
         ('G1 X0 Y0\n', 'expected the header x,y,z'),
         ('a,b,c\n1,2,3\n', r'names no x, y, z \(it says: a,b,c\); write there what they are'),
     ],

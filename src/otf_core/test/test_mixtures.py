@@ -14,7 +14,7 @@ def warned(*offsets, hidden=('ECX', 'ECZ')):
 
 def test_a_line_between_targets_in_general_direction_leaves_a_mixture():
     (words,) = warned((0.08, -0.05, -0.25), (-0.1, 0.07, -0.1))
-    assert words.startswith('EAZ and EBZ hold a share of ECZ')  # the lever of X holds Y as well
+    assert words.startswith('EAZ and EBZ contain a share of ECZ')  # the lever of X holds Y as well
 
 
 def test_targets_along_a_machine_axis_leave_one_motion_unseen():

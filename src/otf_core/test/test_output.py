@@ -226,7 +226,7 @@ def test_single_file_is_refused_replaced_or_kept(tmp_path):
     assert file.read_text() == 'ours, 2'
     assert os.listdir(file.parent) == ['e.csv']
     file.write_text('theirs')
-    with pytest.raises(ConfigError, match='no result of this command'):
+    with pytest.raises(ConfigError, match='not a result of this command'):
         OutputFile(file, ours, overwrite=True)
     for name, words in ((tmp_path, 'is a folder'), (file / 'x', 'is a file')):
         with pytest.raises(ConfigError, match=words):

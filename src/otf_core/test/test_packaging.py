@@ -72,7 +72,7 @@ def test_the_command_is_that_of_the_offline_verbs():
     assert done.stdout == f'otf {otf_core.__version__}\n'
 
 
-def test_every_room_is_a_package_that_is_found():
+def test_every_package_is_a_package_that_is_found():
     folders = {file.parent for file in PACKAGE.rglob('*.py')}
     assert all((folder / '__init__.py').exists() for folder in folders)
 

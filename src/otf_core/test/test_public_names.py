@@ -47,7 +47,7 @@ def test_name_exists_is_listed_and_says_what_it_is(name):
 
 
 @every_name
-def test_no_name_hides_a_room(name):
+def test_no_name_hides_a_package(name):
     assert not (Path(otf_core.__file__).parent / name).exists()
 
 
@@ -79,7 +79,7 @@ def test_all_names_come_with_a_star():
     assert set(otf_core.__all__) <= set(space)
 
 
-def test_no_room_uses_the_front_door():
+def test_no_package_uses_the_public_names():
     for file in Path(otf_core.__file__).parent.rglob('*.py'):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module == 'otf_core':

@@ -99,7 +99,7 @@ def lost_zeros(stamps):
 
 
 def test_stamps_joined_without_leading_zeros_are_refused():
-    with pytest.raises(InputError, match='to and fro once they are sorted by stamp'):
+    with pytest.raises(InputError, match='back and forth when sorted by stamp'):
         ordered(lost_zeros(STAMPS + 123_456))
 
 
@@ -156,12 +156,12 @@ def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, ca
     assert first.samples.xyz.tobytes() == XYZ.tobytes()
     assert second.samples.xyz.tobytes() == OTHER[gap:].tobytes()
     assert first.remarks[0].startswith(
-        '2 publishers on /tracker/point, told apart by their clocks'
+        '2 publishers on /tracker/point, distinguished by their clocks'
     )
     run('check', file)
     assert '--publisher 2' in ''.join(capsys.readouterr())
     run('check', file, '--publisher', '1')
-    assert f'taken is 1: {COUNT} samples' in ''.join(capsys.readouterr())
+    assert f'using 1: {COUNT} samples' in ''.join(capsys.readouterr())
 
 
 def test_a_pause_of_one_clock_is_no_further_publisher(tmp_path):
@@ -176,7 +176,7 @@ def test_channels_tell_publishers_apart_on_one_clock(tmp_path):
     file = bag_of(tmp_path, mixed(STEP // 2), channels=True)
     content = read_content([file], Given(publisher=2))
     assert content.samples.xyz.tobytes() == OTHER.tobytes()
-    assert 'told apart by their channels' in content.remarks[0]
+    assert 'distinguished by their channels' in content.remarks[0]
 
 
 def test_places_tell_publishers_apart_on_one_clock(tmp_path):

@@ -109,4 +109,4 @@ def test_lost_samples_of_a_recorded_stream_are_told(cart):
 
 
 def test_a_target_that_is_never_at_rest_is_told(cart):
-    assert 'WARNING louder than laser trackers are' in format_noise(cart)
+    assert 'WARNING noisier than laser trackers are' in format_noise(cart)

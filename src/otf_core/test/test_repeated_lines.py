@@ -101,7 +101,7 @@ def test_whitener_of_lines_has_the_weight_of_all_passes():
 
 def test_matrices_that_are_not_held_are_those_that_are(monkeypatch):
     system, unknowns, held, _ = laps()
-    monkeypatch.setattr(whitener_module, 'HELD', 0.0)
+    monkeypatch.setattr(whitener_module, 'MAX_BYTES_IN_MEMORY', 0.0)
     anew = laps()[2]
     assert all(isinstance(a.held, np.ndarray) for a in held.alike)
     assert not any(isinstance(a.held, np.ndarray) for a in anew.alike)

@@ -199,7 +199,7 @@ def test_strange_names_are_escaped(view):
 @pytest.mark.parametrize(
     ('verdict', 'words'),
     [
-        ('none', 'the run shows no more than its simulation'),
+        ('none', 'the run shows nothing beyond its simulation'),
         ('unknown', 'no effect of the catalogue explains the gap'),
     ],
 )
@@ -369,14 +369,14 @@ def test_without_a_cause_the_first_screen_says_what_would_have_been_seen(view, v
     seen = {'backlash': 0.13, 'target_incidence': 0.7}
     answer = diagnosis(view, verdict, smallest_found_um=seen)
     for text in (format_diagnosis(answer), first_screen(report_html(answer))):
-        assert 'Looked for: 5 effects. 2 of them would have been found' in text
+        assert 'Considered: 5 effects. 2 of them would have been detected' in text
         assert re.search(r'0\.13 [µu]m \(backlash\) to 0\.70 [µu]m \(target incidence\)', text)
         assert 'whatever their size: tracker scale, target offset and table tilt' in text
-    assert 'Looked for' not in format_diagnosis(diagnosis(view, found=causes()))
+    assert 'Considered' not in format_diagnosis(diagnosis(view, found=causes()))
 
 
 def test_reversal_tables_state_their_own_value_and_why_it_differs(view):
     answer = diagnosis(view, found=causes())
     for text in (format_diagnosis(answer), plain(report_html(answer))):
-        assert 'reversal tables of the calibration hold backlash as well (X 4.40' in text
+        assert 'reversal tables of the calibration contain backlash as well (X 4.40' in text
         assert 'every motion of every axis may reverse' in text

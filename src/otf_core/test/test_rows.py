@@ -100,7 +100,7 @@ def test_whitened_columns_are_those_of_the_explicit_covariance(rows, number, leg
     columns[place] = rng.standard_normal((len(own), 3))
     white = rows.whiten(columns)
     expected = columns[place].T @ np.linalg.solve(matrix, columns[place])
-    # windows of samples are taken for dense: the mean of few differs by their spacing
+    # windows of samples are treated as dense: the mean of few differs by their spacing
     np.testing.assert_allclose(white.T @ white, expected, rtol=2e-3, atol=2e-3 * expected.max())
     assert not np.delete(white, place, axis=0).any()  # legs and components are independent
 

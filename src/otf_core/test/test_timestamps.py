@@ -145,7 +145,7 @@ def test_the_rule_is_found_anywhere_in_the_file():
 def test_dates_that_no_rule_fits_are_refused():
     with pytest.raises(MomentError, match=r'no order of .* fits all lines$'):
         read_moments(['31/01/2026 10:00:00', '01/31/2026 10:00:01'])
-    with pytest.raises(MomentError, match=r'no order .* fits all lines \(mdy was asked for\)'):
+    with pytest.raises(MomentError, match=r'no order .* fits all lines \(mdy was requested\)'):
         read_moments(['31/01/2026 10:00:00'], 'mdy')
 
 
@@ -155,16 +155,16 @@ def test_dates_that_no_rule_fits_are_refused():
         ('13:15:01:25', 'frames or milliseconds'),
         ('1:02:03:04', 'frames or milliseconds'),
         ('2026-03-14 13:15:01 CST', 'time zone CST'),
-        ('25:10:00', 'is no time of a day'),
-        ('13:15:01 PM', 'is no time of a day'),
-        ('13:61:01', 'is no time'),
-        ('2026-02-30 10:00:00', 'has no day that exists'),
+        ('25:10:00', 'is not a time of day'),
+        ('13:15:01 PM', 'is not a time of day'),
+        ('13:61:01', 'is not a time'),
+        ('2026-02-30 10:00:00', 'has a day that does not exist'),
         ('2026-03-14 13:15.5', 'has decimals of a minute'),
         ('14 Nov 13:15:01', 'date without a year'),
         ('14 Foo 2026 13:15:01', 'names no month'),
         ('2026-400 10:00:00', 'has no day of a year'),
-        ('-01:00:00', 'is no time'),
-        ('noon', 'is no time'),
+        ('-01:00:00', 'is not a time'),
+        ('noon', 'is not a time'),
     ],
 )
 def test_what_is_no_time_is_refused_by_name(text, said):
@@ -319,7 +319,7 @@ def test_an_ambiguous_date_names_its_column_and_the_cure_works(tmp_path):
 def test_a_bad_time_is_named_by_its_line(tmp_path):
     stamps = [f'{m:%H:%M:%S}.{part(m)}' for m in moments(NOON)]
     stamps[7] = '11:59:61.0 XX'
-    with pytest.raises(InputError, match=r"line 9: time: '11:59:61.0 XX' is no time"):
+    with pytest.raises(InputError, match=r"line 9: time: '11:59:61.0 XX' is not a time"):
         TextReading(table(tmp_path, stamps))
 
 

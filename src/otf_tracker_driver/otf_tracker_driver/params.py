@@ -23,8 +23,8 @@ class DriverConfig(Parameters):
         'the node ends with an error instead', 's', 0.0, 600.0,
     )  # fmt: skip
     wait_for_subscribers: int = parameter(
-        1, 'the stream starts once so many calibrators listen to tracker/point; recorders and '
-        'other listeners do not count', '', 0, 20,
+        1, 'number of calibrators subscribed to tracker/point at which the stream starts; '
+        'recorders and other subscribers do not count', '', 0, 20,
     )  # fmt: skip
 
 

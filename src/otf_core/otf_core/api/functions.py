@@ -327,7 +327,7 @@ def diagnose(
     InputError
         If samples and path do not belong together or determine nothing.
     ConfigError
-        If the runs are of different machines, or ``exclude`` names what is no effect.
+        If the runs are of different machines, or ``exclude`` names what is not an effect.
 
     Examples
     --------
@@ -340,7 +340,9 @@ def diagnose(
     runs = _several(recordings)
     unknown = [name for name in exclude if name not in REGISTRY]
     if unknown:
-        raise ConfigError(f'exclude: {unknown[0]!r}: no effect; known: {", ".join(REGISTRY)}')
+        raise ConfigError(
+            f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(REGISTRY)}'
+        )
     with giving_back():
         return diagnose_runs(runs, twin_recording, exclude, config, progress)
 

@@ -83,7 +83,7 @@ def _check_target(folder: Path, overwrite: bool) -> None:
         raise ConfigError(f'{folder}: exists already; choose another name or remove it')
     replaceable = folder.is_dir() and not folder.is_symlink()
     if not replaceable or not ((folder / 'metadata.yaml').is_file() or not any(folder.iterdir())):
-        raise ConfigError(f'{folder}: is no bag and is not overwritten; choose another name')
+        raise ConfigError(f'{folder}: is not a bag and is not overwritten; choose another name')
 
 
 def _replace(new: Path, folder: Path) -> None:

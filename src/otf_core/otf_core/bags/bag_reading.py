@@ -343,13 +343,13 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
     if found is None:
         raise ConfigError(
             f'--publisher: {where}: {part.point.name} has one publisher, or several that neither '
-            f'channels nor clocks nor places tell apart; leave the option out'
+            f'channels nor clocks nor places distinguish; omit the option'
         )
     if not 1 <= part.publisher <= len(found.words):
         raise ConfigError(f'--publisher {part.publisher}: {where}: there are {found}')
     mine = found.label == part.publisher
     remarks.append(
-        f'{len(found.words)} publishers on {part.point.name}, told apart by {found.by}; taken is '
+        f'{len(found.words)} publishers on {part.point.name}, distinguished by {found.by}; using '
         f'{part.publisher}: {found.words[part.publisher - 1]}'
     )
     channel = None if received.channel is None else received.channel[mine]
@@ -359,7 +359,7 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
 def advice_of(parts: Sequence[Received]) -> str:
     """Return what to type where publishers are mixed; empty where none are told apart."""
     found = publishers_of(parts[0]) if len(parts) == 1 else None
-    return f'; told apart by {found.by}, {found}' if found else ''
+    return f'; distinguished by {found.by}, {found}' if found else ''
 
 
 def _words(received: Received, mine: NDArray[np.bool_]) -> str:

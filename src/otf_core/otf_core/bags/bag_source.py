@@ -115,7 +115,7 @@ def locate(source: str | Path) -> BagSource:
     ConfigError
         If the path does not exist or is by its kind no bag.
     InputError
-        If a folder is no bag, holds several, or files of it are missing.
+        If a folder is not a bag, holds several, or files of it are missing.
     """
     path = Path(source)
     try:
@@ -129,12 +129,12 @@ def locate(source: str | Path) -> BagSource:
         except OSError as error:
             raise InputError(f'{path}: cannot be read ({error.strerror})') from None
     if path.name == 'metadata.yaml':
-        raise ConfigError(f'{path}: name the folder it lies in; {EXPECTED}')
+        raise ConfigError(f'{path}: name its folder; {EXPECTED}')
     if path.suffix == '.bag':
         raise ConfigError(f'{path}: is a ROS 1 bag; {ROS1}')
     if not is_storage(path) or not stat.S_ISREG(mode):
         swapped = '; is that machine.yaml?' if path.suffix in ('.yaml', '.yml') else ''
-        raise ConfigError(f'{path}: is no bag; {EXPECTED}{swapped}')
+        raise ConfigError(f'{path}: is not a bag; {EXPECTED}{swapped}')
     return BagSource(path, (path,))
 
 
@@ -163,7 +163,7 @@ def _locate_in_folder(folder: Path) -> BagSource:
         )
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and (p / 'metadata.yaml').is_file())
     if inside:
-        raise InputError(f'{folder}: is no bag but holds some ({_names(inside)}); name one')
+        raise InputError(f'{folder}: is not a bag but holds some ({_names(inside)}); name one')
     raise InputError(f'{folder}: holds neither metadata.yaml nor an .mcap file; {EXPECTED}')
 
 
@@ -199,7 +199,7 @@ def _from_metadata(folder: Path) -> BagSource:
     except (ConfigError, ValueError, RecursionError) as error:
         # ValueError: YAML dates that do not exist; RecursionError: nested without end
         text = str(error).removeprefix(f'{file}: ')
-        raise InputError(f"{file}: {text}; 'ros2 bag reindex' writes it anew") from None
+        raise InputError(f"{file}: {text}; 'ros2 bag reindex' rewrites it") from None
     info = data.get('rosbag2_bagfile_information') if isinstance(data, dict) else None
     names = info.get('relative_file_paths') if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not names:
@@ -223,7 +223,7 @@ def _from_metadata(folder: Path) -> BagSource:
         )
     strange = [p for p in files if not is_storage(p)]
     if strange:
-        raise InputError(f'{file}: lists {_names(strange)}; read are .mcap and .db3')
+        raise InputError(f'{file}: lists {_names(strange)}; supported are .mcap and .db3')
     return BagSource(folder, files, packed, _stated(info))
 
 
@@ -300,7 +300,7 @@ def _blocks_of(file: Path) -> Iterator[bytes]:
                 if size > most:
                     raise InputError(
                         f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
-                        f'size, and no recording does; it is not read'
+                        f'size, which is implausible for a recording; it is not read'
                     )
                 yield block
     except InputError:

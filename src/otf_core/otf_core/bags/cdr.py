@@ -87,7 +87,7 @@ def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
     Raises
     ------
     InputError
-        If it is no message of this type.
+        If it is not a message of this type.
     """
     form = FORMS[kind]
     try:
@@ -96,7 +96,7 @@ def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
         frame = reader.text()
         return (form if form.child is None else replace(form, child=reader.text())), frame
     except ValueError as error:
-        raise InputError(f'message 0 is no {form.type} in CDR ({error})') from None
+        raise InputError(f'message 0 is not a {form.type} in CDR ({error})') from None
 
 
 @cache
@@ -192,7 +192,7 @@ def decode_points(
         for i in np.flatnonzero(bad).tolist()
     )
     if frame in foreign:  # of the same frame, but longer than it should be
-        raise InputError(f'a message of frame {frame!r} is no {form.type} in CDR')
+        raise InputError(f'a message of frame {frame!r} is not a {form.type} in CDR')
     stamp_ns, xyz, _ = _decoded(buffer, start[~bad], frame, form)
     return DecodedPoints(stamp_ns, xyz, ~bad, foreign)
 
@@ -232,7 +232,7 @@ def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
         reader.numbers(f'{3 + form.after // 8}d')
         reader.finish()
     except ValueError as error:
-        raise InputError(f'message {number} is no {form.type} in CDR ({error})') from None
+        raise InputError(f'message {number} is not a {form.type} in CDR ({error})') from None
     if nanosec >= SECOND_NS:
         text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
         raise InputError(text)
@@ -296,7 +296,8 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If it is no Path, or the Path or a pose has another frame_id (a pose may leave it empty).
+        If it is not a Path, or the Path or a pose has another frame_id (a pose may leave it
+        empty).
     """
     points = []
     try:
@@ -317,7 +318,7 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
             points.append(reader.numbers('7d')[:3])
         reader.finish()
     except ValueError as error:
-        raise InputError(f'message is no nav_msgs/msg/Path in CDR ({error})') from None
+        raise InputError(f'message is not a nav_msgs/msg/Path in CDR ({error})') from None
     return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 

@@ -453,7 +453,7 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     try:
         repair(files[-1])
     except (OSError, ValueError, IndexError) as error:
-        raise InputError(f'{folder}: cannot be taken up ({error})') from None
+        raise InputError(f'{folder}: cannot be resumed ({error})') from None
     parts: list[Part] = []
     arrived = []
     own = {t.name for t in (*TOPICS, GAP)}
@@ -735,7 +735,7 @@ class Journal:
         kept = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
         if disk.f_bavail * disk.f_frsize - size < kept:
             raise OSError(
-                errno.ENOSPC, f'disk full but for {kept / 1e6:.1f} MB, kept for the results'
+                errno.ENOSPC, f'disk full except for {kept / 1e6:.1f} MB reserved for the results'
             )
 
 

@@ -62,7 +62,7 @@ def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
     Raises
     ------
     ValueError
-        If something that is no record begins where one should.
+        If something that is not a record begins where one should.
     """
     unpack = struct.Struct('<BQ').unpack_from
     view, at, last, last_head = buffer.data, begin, begin, end - RECORD_HEAD
@@ -273,7 +273,7 @@ class McapMessages:
         if whole:
             self._remarks.append(f'{name}: what follows the damage at byte {end} is left out')
             return
-        torn = ' and its last chunk, which is torn,' if self._left_out else ''
+        torn = ' and its last chunk, which is incomplete,' if self._left_out else ''
         self._remarks.append(
             f'{name} has no end (cut off, or still being recorded); read to its last '
             f'complete chunk: {self._count} messages, {size - end} of {size} bytes{torn} '
@@ -291,7 +291,9 @@ class McapMessages:
             raise InputError(f'{self._file}: cannot be read ({error.strerror})') from None
         data = np.frombuffer(self._pages, np.uint8)
         if bytes(data[: len(MAGIC)]) != MAGIC:
-            raise InputError(f'{self._file}: is no MCAP file (it does not begin with its mark)')
+            raise InputError(
+                f'{self._file}: is not an MCAP file (it does not begin with its mark)'
+            )
         return data
 
     def _give_back(self) -> None:
@@ -311,7 +313,9 @@ class McapMessages:
     def _damaged_end(self, what: str) -> None:
         """Refuse a file of which something is missing, or say so where that is wanted."""
         if self._grown():
-            self._remarks.append(f'{self._file.name} is being recorded; read as far as it went')
+            self._remarks.append(
+                f'{self._file.name} is being recorded; read up to its current end'
+            )
             self._overtaken = True
             return
         if not self._recover:
@@ -421,7 +425,8 @@ def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted
     """Raise InputError if a wanted topic has another message type or is not CDR."""
     if topic in wanted and (encoding == 'ros1' or kind in map(_name_in_ros1, wanted[topic])):
         raise InputError(
-            f'{where}: holds messages of ROS 1 ({topic}, {kind}), and ROS 2 is read; convert the '
+            f'{where}: holds messages of ROS 1 ({topic}, {kind}), but only ROS 2 is supported; '
+            f'convert the '
             f"ROS 1 bag it was made of: 'rosbags-convert --src RUN.bag --dst RUN'"
         )
     if topic in wanted and kind not in wanted[topic]:

@@ -216,9 +216,10 @@ share of its range, else there is no telling."""
 MOTION_STEP = 1e-4
 """m; steps up to this are no motion."""
 WRONG_STAMPS = (
-    'the target moves smoothly in the order in which the samples were received, and to and fro '
-    'once they are sorted by stamp: the stamps are wrong (seconds and parts of a second joined '
-    'without leading zeros, a part of the time left out?); correct them where they are made'
+    'the target moves smoothly in the order in which the samples were received, but back and '
+    'forth when sorted by stamp: the stamps are wrong'
+    ' (seconds and parts of a second joined '
+    'without leading zeros, a part of the time left out?); correct them at the source'
 )
 
 
@@ -260,7 +261,7 @@ def continued(stamp_ns: Stamps, xyz: Array, remarks: list[str]) -> Stamps:
         return stamp_ns
     back = ', '.join(f'{-1e-9 * step[i]:.3f} s at sample {i + 1}' for i in seams[:3])
     remarks.append(
-        f'stamps go back by {back}, but the target goes on from where it was: the clock was set '
+        f'stamps go back by {back}, but the target continues from where it was: the clock was set '
         f'back; they are continued with the usual step of {1e-6 * usual:.6g} ms'
     )
     return _shifted(stamp_ns, seams, usual - step[seams])
@@ -363,7 +364,7 @@ def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 class Screening:
-    """Leaves out what is no measurement, and counts it.
+    """Leaves out what is not a measurement, and counts it.
 
     Attributes
     ----------

@@ -200,21 +200,21 @@ def _summed(
     return sums
 
 
-def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
+def noise_parts(runs: Sequence[Observed], joint: JointSolution) -> NoiseParts:
     """Sum up the misfit and the covariance that the weights leave out.
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the same runs.
     """
-    size, normals, solved_for = done.unknowns.full, [], done.solution.accepted
+    size, normals, solved_for = joint.unknowns.full, [], joint.solution.accepted
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
-    for run, solved in zip(runs, done.runs, strict=True):
+    for run, solved in zip(runs, joint.runs, strict=True):
         shares = shares_of(solved.system, solved.whitener)
         parts = shared_out(partial(_summed, run, solved, solved_for), shares)
         product = reduce(np.add, (sums.product for sums in parts))
-        normals.append(of_free(product, done.unknowns, solved.residual.size))
+        normals.append(of_free(product, joint.unknowns, solved.residual.size))
         for sums in parts:
             within += sums.within
             between += sums.between
@@ -228,16 +228,16 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
 _LINES = (attrgetter('noise'), attrgetter('misfit'))
 
 
-def residual_freedom(done: JointSolution, correlation_factor: float) -> float:
-    """Degrees of freedom of the noise level as the residuals tell it; at least 1."""
-    moments = [alike.moments for solved in done.runs for alike in solved.whitener.alike]
+def residual_freedom(joint: JointSolution, correlation_factor: float) -> float:
+    """Degrees of freedom of the noise level from the residuals; at least 1."""
+    moments = [alike.moments for solved in joint.runs for alike in solved.whitener.alike]
     trace = sum(float(np.sum(m.variance)) for m in moments)
     square = sum(float(np.sum(m.square)) for m in moments)
-    return max(1.0, (trace**2 / square - done.solution.rank) / correlation_factor)
+    return max(1.0, (trace**2 / square - joint.solution.rank) / correlation_factor)
 
 
 def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
-    """Degrees of freedom of the noise level as the standstills tell it; zero if too short.
+    """Degrees of freedom of the noise level from the standstills; zero if too short.
 
     Parameters
     ----------
@@ -324,15 +324,15 @@ def declared_sources(runs: Sequence[Observed]) -> tuple[Systematic, ...]:
 
 
 def piece_states(
-    runs: Sequence[Observed], done: JointSolution, tables: ErrorTables
+    runs: Sequence[Observed], joint: JointSolution, tables: ErrorTables
 ) -> list[State]:
     """State of the pieces of every run, with what its machine declares."""
-    nodes = done.unknowns.knots
-    return [piece_state(r, s, nodes, tables) for r, s in zip(runs, done.runs, strict=True)]
+    nodes = joint.unknowns.knots
+    return [piece_state(r, s, nodes, tables) for r, s in zip(runs, joint.runs, strict=True)]
 
 
 def systematic_sensitivities(
-    sources: Sequence[Systematic], states: Sequence[State], done: JointSolution
+    sources: Sequence[Systematic], states: Sequence[State], joint: JointSolution
 ) -> list[Array]:
     """Change of the estimates per standard uncertainty of the coefficients of every source.
 
@@ -348,12 +348,12 @@ def systematic_sensitivities(
     -------
     list of ndarray, shape (full, k)
     """
-    pulls = systematic_pulls(sources, states, done)
-    return [done.solution.covariance @ pull for pull in pulls]
+    pulls = systematic_pulls(sources, states, joint)
+    return [joint.solution.covariance @ pull for pull in pulls]
 
 
 def systematic_pulls(
-    sources: Sequence[Systematic], states: Sequence[State], done: JointSolution
+    sources: Sequence[Systematic], states: Sequence[State], joint: JointSolution
 ) -> list[Array]:
     """A^T W c for the columns c of every source, (full, k): sensitivities less the covariance."""
     if not sources:
@@ -361,10 +361,10 @@ def systematic_pulls(
     sizes = [[_uncertainty(source, state) for source in sources] for state in states]
     columns = [
         partial(_columns, sources, state, solved, u)
-        for state, solved, u in zip(states, done.runs, sizes, strict=True)
+        for state, solved, u in zip(states, joint.runs, sizes, strict=True)
     ]
     ends = np.cumsum([len(u) for u in sizes[0]])
-    return np.split(projected(done, columns), ends[:-1], axis=1)
+    return np.split(projected(joint, columns), ends[:-1], axis=1)
 
 
 def _uncertainty(source: Systematic, state: State) -> Array:
@@ -480,23 +480,23 @@ class Budget:
 
 
 def whole_check(
-    runs: Sequence[Observed], done: JointSolution, residuals: Sequence[Array]
+    runs: Sequence[Observed], joint: JointSolution, residuals: Sequence[Array]
 ) -> ResidualCheck:
     """Check residuals (c, p) of all runs together against the noise assumed."""
-    white = [s.whitener.whiten(e) for s, e in zip(done.runs, residuals, strict=True)]
-    legs = np.concatenate(leg_numbers(done))
-    return check_residuals(np.concatenate(white, axis=1), legs, done.solution.rank)
+    white = [s.whitener.whiten(e) for s, e in zip(joint.runs, residuals, strict=True)]
+    legs = np.concatenate(leg_numbers(joint))
+    return check_residuals(np.concatenate(white, axis=1), legs, joint.solution.rank)
 
 
-def _prior_part(done: JointSolution) -> Array:
+def _prior_part(joint: JointSolution) -> Array:
     """Part C K^-1 C of the covariance C that data leave to the prior K, shape (full, full)."""
-    free = free_values(done.unknowns, done.solution.covariance)
-    return np.asarray(free.T @ done.roughness.precision @ free)
+    free = free_values(joint.unknowns, joint.solution.covariance)
+    return np.asarray(free.T @ joint.roughness.precision @ free)
 
 
 def make_budget(
     runs: Sequence[Run],
-    done: JointSolution,
+    joint: JointSolution,
     parts: NoiseParts,
     tables: ErrorTables,
     speed: float,
@@ -505,7 +505,7 @@ def make_budget(
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the same runs.
     parts : NoiseParts
         Of both.
@@ -519,28 +519,28 @@ def make_budget(
     Budget
         Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
-    own = done.solution.covariance
-    check = whole_check(runs, done, [s.residual for s in done.runs])
-    gauge = done.unknowns.gauge
-    smooth = _prior_part(done)
-    drawn = gauge @ done.roughness.drawn
+    own = joint.solution.covariance
+    check = whole_check(runs, joint, [s.residual for s in joint.runs])
+    gauge = joint.unknowns.gauge
+    smooth = _prior_part(joint)
+    drawn = gauge @ joint.roughness.drawn
     misfit = own @ parts.misfit @ own
     noise = own - misfit - smooth + own @ (parts.corners + parts.between) @ own
     misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
-    dof = residual_freedom(done, check.correlation_factor) + standstill_freedom(runs, speed)
+    dof = residual_freedom(joint, check.correlation_factor) + standstill_freedom(runs, speed)
     found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
     found.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
     declared = declared_sources(runs)
-    states = piece_states(runs, done, tables) if declared else []
-    changes = systematic_sensitivities(declared, states, done)
+    states = piece_states(runs, joint, tables) if declared else []
+    changes = systematic_sensitivities(declared, states, joint)
     for source, change in zip(declared, changes, strict=True):
         found.append((source.source, change @ change.T, np.inf))
     return Budget(
         tuple(Source(*entry) for entry in found),
         tuple(s.source for s in SYSTEMATIC if s not in declared),
         check.inflation,
-        np.eye(done.unknowns.full),
-        np.zeros(done.unknowns.full),
+        np.eye(joint.unknowns.full),
+        np.zeros(joint.unknowns.full),
     )
 
 

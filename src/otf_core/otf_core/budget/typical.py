@@ -55,7 +55,7 @@ class TypicalSystematic:
     motions : mapping of name to ndarray, shape (k,), m or rad
         u with them at every node; zero where not identifiable.
     grid : tuple of two floats, m
-        Root mean square over a grid of the u of the error vector, rigid motion taken out: as
+        Root mean square over a grid of the u of the error vector, rigid motion removed: as
         stated and with them.
     change : ndarray, shape (full, k), m and rad
         Of all unknowns, per typical standard uncertainty of each coefficient.
@@ -97,19 +97,19 @@ def _missing(assumed: Mapping[str, float]) -> list[Systematic]:
     return [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
 
 
-def typical_pulls(runs: Sequence[Observed], done: JointSolution) -> Array:
+def typical_pulls(runs: Sequence[Observed], joint: JointSolution) -> Array:
     """A^T W c of typical contributions, shape (full, coefficients); see ``systematic_pulls``."""
     assumed = missing_keys(runs)
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    states = piece_states(typical_runs(runs, assumed), done, tables) if assumed else []
+    tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
+    states = piece_states(typical_runs(runs, assumed), joint, tables) if assumed else []
     with one_thread():
-        found = systematic_pulls(_missing(assumed), states, done)
-    return np.concatenate([np.zeros((done.unknowns.full, 0)), *found], axis=1)
+        found = systematic_pulls(_missing(assumed), states, joint)
+    return np.concatenate([np.zeros((joint.unknowns.full, 0)), *found], axis=1)
 
 
 def typical_systematic(
     runs: Sequence[Observed],
-    done: JointSolution,
+    joint: JointSolution,
     tables: ErrorTables,
     rows: Array,
     covariance: Array,
@@ -119,7 +119,7 @@ def typical_systematic(
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the same runs.
     tables : ErrorTables
         As solved.
@@ -140,7 +140,7 @@ def typical_systematic(
     if not sources:
         return None
     with one_thread():
-        whole = done.solution.covariance @ pulls
+        whole = joint.solution.covariance @ pulls
         change = rows @ whole
         stated = np.maximum(np.diag(covariance), 0.0)
         u = np.sqrt(stated + np.sum(change**2, axis=1))
@@ -164,7 +164,7 @@ def typical_systematic(
         squareness={
             n: (float(np.sqrt(stated[k])), float(u[k]))
             for k, n in enumerate(SQUARENESS)
-            if n in done.solution.accepted
+            if n in joint.solution.accepted
         },
         motions=motions,
         grid=(float(np.sqrt(before)), float(np.sqrt(after))),

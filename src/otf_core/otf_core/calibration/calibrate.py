@@ -121,7 +121,7 @@ class Examined:
     Attributes
     ----------
     runs : list of Run
-        Mended where ``contradictions`` could mend them, with all their pieces.
+        Repaired where ``contradictions`` could repair them, with all their pieces.
     nodes : mapping of axis to ndarray, m
         Table nodes.
     findings : tuple of Finding
@@ -144,12 +144,12 @@ class SolvedRecordings(Examined):
 
     Attributes
     ----------
-    left : tuple of LeftOut
+    outliers : tuple of LeftOut
         What was left out of every run as outliers.
     """
 
     solution: ReversalSolution[Run]
-    left: tuple[LeftOut, ...]
+    outliers: tuple[LeftOut, ...]
 
 
 def solve_recordings(
@@ -158,7 +158,7 @@ def solve_recordings(
     progress: Progress = silent,
     prepare: Preparation = prepare_runs,
     *,
-    mend: bool = True,
+    repair: bool = True,
 ) -> SolvedRecordings:
     """Align, reduce to pieces, examine and solve.
 
@@ -166,8 +166,8 @@ def solve_recordings(
     ----------
     recordings, config, progress, prepare
         As of ``calibrate_runs``.
-    mend : bool
-        Mend what can be mended, see ``contradictions.examine``.
+    repair : bool
+        Repair what can be repaired, see ``contradictions.examine``.
     """
     one_heap()
     progress('aligning', 0.0)
@@ -177,7 +177,7 @@ def solve_recordings(
     give_back()
 
     progress('solving', 0.0)
-    runs, contradictions = examine(runs, nodes, config, mend=mend)
+    runs, contradictions = examine(runs, nodes, config, repair=repair)
     give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
@@ -197,7 +197,7 @@ def assemble(
     solved: ReversalSolution[Run],
     config: CalibrationConfig,
     findings: Sequence[Finding] = (),
-    taken: TakenOff | None = None,
+    removed: TakenOff | None = None,
 ) -> CalibrationResult:
     """Work out fit and uncertainties of a solution, tables and verdicts: the result.
 
@@ -205,43 +205,43 @@ def assemble(
     ----------
     findings : sequence of Finding
         Of the examination of its runs.
-    taken : TakenOff, optional
+    removed : TakenOff, optional
         Effects that were taken off the runs.
     """
     runs = solved.runs
-    found = assess(runs, solved.done, config, taken)
-    done, budget, table, tables = found.done, found.budget, found.table, found.tables
-    solution, covariance = done.solution, budget.covariance
+    assessed = assess(runs, solved.joint, config, removed)
+    joint, budget, table, tables = assessed.joint, assessed.budget, assessed.table, assessed.tables
+    solution, covariance = joint.solution, budget.covariance
     findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
-    prior = prior_of(done, tables, config.unidentifiable_above)
-    stated = with_typical(budget, found.typical)
-    whole = budget.covariance if found.typical is None else stated.covariance
+    prior = prior_of(joint, tables, config.unidentifiable_above)
+    stated = with_typical(budget, assessed.typical)
+    whole = budget.covariance if assessed.typical is None else stated.covariance
     volume = VolumetricError(tables, whole, prior, hidden)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
         covariance=covariance,
         budget=budget,
-        runs=tuple(found.results),
-        fit=found.fit,
-        headline=headline_of(volume, stated, found.typical),
+        runs=tuple(assessed.results),
+        fit=assessed.fit,
+        headline=headline_of(volume, stated, assessed.typical),
         reversal=Reversal(
             solved.choice.model,
             solved.choice.evidence,
             reversal_tables(
                 tables,
-                done.unknowns,
+                joint.unknowns,
                 solution.value,
-                found.whole,
+                assessed.whole,
                 solution.accepted,
             ),
             solved.choice.held,
             backlash_at_target(
                 tables,
-                done.unknowns,
+                joint.unknowns,
                 solution.value,
-                found.whole,
+                assessed.whole,
                 solution.accepted,
             ),
         ),
@@ -249,34 +249,34 @@ def assemble(
         table_costs=table.costs,
         prior=prior,
         not_identifiable=hidden,
-        typical=found.typical,
+        typical=assessed.typical,
         warnings=(
-            *typical_warnings(found.typical),
+            *typical_warnings(assessed.typical),
             *words_of(findings, WARNING),
-            *_warnings(found.fit, tables, config.unidentifiable_above),
-            *filter(None, [found.lack_of_fit]),
+            *_warnings(assessed.fit, tables, config.unidentifiable_above),
+            *filter(None, [assessed.lack_of_fit]),
             *mixture_warnings([r.machine for r in runs], hidden),
             *(r.alignment.remark for r in runs if r.alignment.remark),
-            *curve_remarks(runs, done),
+            *curve_remarks(runs, joint),
         ),
         failed_gates=(
             *words_of(findings, GATE),
-            *_failed_gates(found.fit),
+            *_failed_gates(assessed.fit),
         ),
         config=config,
         origin=origins(r.recording for r in runs),
-        effects=taken.stated if taken is not None else (),
+        effects=removed.stated if removed is not None else (),
         machine_verdict=judge(tables, whole, stated, hidden, prior),
     )
 
 
 @dataclass(frozen=True)
 class Assessed:
-    """What a result says of a solution, whatever was decided about reversal or found in runs.
+    """Fit and uncertainty of a solution, with any reversal model.
 
     Attributes
     ----------
-    done : JointSolution
+    joint : JointSolution
         With the covariance of all passes.
     budget : Budget
         Of the rows of ``table``.
@@ -288,7 +288,7 @@ class Assessed:
         Words on what the tables leave in every pass over a line, where it matters.
     """
 
-    done: JointSolution
+    joint: JointSolution
     results: list[RunResult]
     budget: Budget
     whole: Array
@@ -301,31 +301,31 @@ class Assessed:
 
 def assess(
     runs: Sequence[Run],
-    done: JointSolution,
+    joint: JointSolution,
     config: CalibrationConfig,
-    taken: TakenOff | None = None,
+    removed: TakenOff | None = None,
 ) -> Assessed:
-    """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
-    pulls = typical_pulls(runs, done)
-    parts = noise_parts(runs, done)
+    """Work out fit and uncertainty of a solution, with the effects ``removed`` off its runs."""
+    pulls = typical_pulls(runs, joint)
+    parts = noise_parts(runs, joint)
     give_back()
-    done = settled(done, config.unidentifiable_above, parts.normal)
-    unknowns, machine = done.unknowns, runs[0].machine
-    results = [_run_result(r, s, config) for r, s in zip(runs, done.runs, strict=True)]
-    fine = tables_of(machine, unknowns, done.solution)
-    budget = make_budget(runs, done, parts, fine, config.standstill_speed)
-    if taken is not None:
-        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
-    fit = _fit(runs, results, done, budget.inflation)
+    joint = settled(joint, config.unidentifiable_above, parts.normal)
+    unknowns, machine = joint.unknowns, runs[0].machine
+    results = [_run_result(r, s, config) for r, s in zip(runs, joint.runs, strict=True)]
+    fine = tables_of(machine, unknowns, joint.solution)
+    budget = make_budget(runs, joint, parts, fine, config.standstill_speed)
+    if removed is not None:
+        budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
+    fit = _fit(runs, results, joint, budget.inflation)
     grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
-    table = tabulate(machine, done, grid_u, config.unidentifiable_above)
+    table = tabulate(machine, joint, grid_u, config.unidentifiable_above)
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
     give_back()
-    typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
-    again = unfollowed(runs, done)
-    lack = again.warning(grid_u) if again is not None else None
-    return Assessed(done, results, budget, whole, fit, table, tables, typical, lack)
+    typical = typical_systematic(runs, joint, tables, table.rows, budget.covariance, pulls)
+    lack_of_fit = unfollowed(runs, joint)
+    warning = lack_of_fit.warning(grid_u) if lack_of_fit is not None else None
+    return Assessed(joint, results, budget, whole, fit, table, tables, typical, warning)
 
 
 def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:
@@ -358,9 +358,9 @@ def _lengths(components: Array) -> Array:
 
 
 def _fit(
-    runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution, inflation: float
+    runs: Sequence[Run], results: Sequence[RunResult], joint: JointSolution, inflation: float
 ) -> Fit:
-    check = whole_check(runs, done, [s.residual for s in done.runs])
+    check = whole_check(runs, joint, [s.residual for s in joint.runs])
     before = np.concatenate([_lengths(r.aligned) for r in results])
     after = np.concatenate([_lengths(r.residual) for r in results])
     normalised = np.concatenate([r.normalised for r in results], axis=1)
@@ -369,8 +369,8 @@ def _fit(
         used=sum(r.pieces.used for r in runs),
         outliers=sum(r.pieces.outliers for r in runs),
         pieces=len(after),
-        unknowns=done.solution.unknowns,
-        rank=done.solution.rank,
+        unknowns=joint.solution.unknowns,
+        rank=joint.solution.rank,
         coverage=min(r.alignment.coverage for r in runs),
         path_mae_before=float(before.mean()),
         path_mae_after=float(after.mean()),
@@ -379,7 +379,7 @@ def _fit(
         variance_ratio=check.variance_ratio,
         correlation_factor=check.correlation_factor,
         inflation=inflation,
-        iterations=done.iterations,
+        iterations=joint.iterations,
     )
 
 
@@ -420,8 +420,8 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
     unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
     if unsure:
         found.append(
-            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
-            f'misfit of the model counted'
+            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, the '
+            f'misfit of the model included'
         )
     for name, table in tables.motions.items():
         if table.identifiable and table.node_identifiable is not None:
@@ -443,7 +443,7 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
 
 
 def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
-    """Name the motions that hold a share of a rotation that two target offsets do not show.
+    """Name the motions that contain a share of a rotation that two target offsets do not show.
 
     With the offsets T1 and T2 a rotation r of an axis whose lever arm no other axis changes is a
     translation where r x (T2 - T1) = 0: the turn about the line between both targets is not seen.
@@ -469,9 +469,10 @@ def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> li
             continue
         others = ' and '.join(m for m in rotations if m not in unseen)
         found.append(
-            f'{others} hold a share of {unseen[0]}, which is taken for zero: the target offsets '
-            f'do not differ along one machine axis, and no turn of {axis} about the line between '
-            f'them is seen; the translations of {axis} hold the rest of it. Predictions at these '
-            f'offsets are right. Take offsets that differ along a machine axis, or a third one'
+            f'{others} contain a share of {unseen[0]}, which is set to zero: the target offsets '
+            f'do not differ along one machine axis, so that a rotation of {axis} about the line '
+            f'between them cannot be observed; the translations of {axis} contain the rest of it. '
+            f'Predictions at these offsets are right. Take offsets that differ along a machine '
+            f'axis, or a third one'
         )
     return found

@@ -2,7 +2,7 @@
 """Result of a calibration: tables, uncertainties, fit, headline, predictions and their display.
 
 The headline is the volumetric error on one grid (``evaluation.lattice`` over the whole volume,
-best rigid motion taken out) with one coverage factor, mean beside mean and largest beside largest.
+best rigid motion removed) with one coverage factor, mean beside mean and largest beside largest.
 Its uncertainty includes the systematic contributions: those of machine.yaml, and typical values
 for what it does not declare. pandas and matplotlib are used by ``to_frame`` and ``plot`` alone.
 """
@@ -137,7 +137,7 @@ class Headline(Expected):
     points : int
         Of the grid over the whole volume.
     error : mapping of 'mean', 'p95', 'max' to float, m
-        Lengths of the error vectors as the machine stands.
+        Lengths of the error vectors as found.
     of_largest : float, m
         Expanded uncertainty of the length of the largest error vector.
     """
@@ -148,10 +148,10 @@ class Headline(Expected):
 
     @property
     def error_words(self) -> str:
-        """The volumetric error as the machine stands."""
+        """The volumetric error as found."""
         mean = micro_figure(self.error['mean'], self.expanded['mean'])
         largest = micro_with_expanded(self.error['max'], self.of_largest)
-        return f'volumetric error as the machine stands: mean {mean}, largest {largest}'
+        return f'volumetric error as found: mean {mean}, largest {largest}'
 
     @property
     def words(self) -> tuple[str, str, str]:
@@ -419,7 +419,7 @@ class RunResult:
     rate : float
         Hz, usual rate of the samples.
     lost : Lost
-        What their stamps say is missing.
+        Samples missing according to the stamps.
     noise : NoiseModel
         Noise of single samples as the residuals show it.
     misfit : Misfit
@@ -491,7 +491,7 @@ class CalibrationResult:
     effects : tuple of StatedEffect
         Taken off the runs before the tables were solved for.
     effects_sentence : str
-        What was found and done about effects; empty where nobody asked.
+        Effects found and removed; empty without ``--effects``.
     machine_verdict : Verdict, optional
         By the limits of machine.yaml; None without any.
     """

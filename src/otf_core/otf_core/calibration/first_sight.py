@@ -16,7 +16,7 @@ from otf_core.model.path import NominalPath
 from otf_core.tracking.alignment import align
 
 MAX_SAMPLES = 500
-"""So many samples, evenly spread, are asked for their distance from the path."""
+"""Samples, evenly spread, whose distance from the path is evaluated."""
 MIN_FOLLOWED_SHARE = 0.8
 """Share of the path driven so far that the track has to follow."""
 MIN_LEGS = 3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tables leave alike in every pass over a line: lack of fit, told from noise.
+"""Lack of fit: residuals that recur in every pass over a line, separated from noise.
 
 Noise of the tracker, drift and vibration come anew in every pass; what a machine does at a place
 comes again, and so does what a tracker does as it points there. So with residual vectors v and w
@@ -37,15 +37,15 @@ from otf_core.solving.joint import JointSolution
 PLACE_LENGTH = 0.008
 """m; pieces whose middles lie in the same stretch of a line are the same place."""
 SAME_LINE, SAME_DIRECTION = 2e-3, 1e-3
-"""m, and change of a unit vector, by which lines are told apart."""
+"""m, and change of a unit vector, below which lines count as the same."""
 MAX_BEND = 1e-9
 """m/s^2; pieces on curves are left out: their chords are no lines of their own."""
 MAX_PAIRS = 400
 """Pairs of pieces of which the share of the unknowns is worked out."""
 MIN_REPEATED_LINES = 12
-"""Lines that were driven more than once below which nothing is told."""
+"""Lines driven more than once; with fewer no lack of fit is reported."""
 MIN_SIGNIFICANCE = 3.0
-"""Standard deviations, by the scatter between lines, from which on it is told. Of runs
+"""Standard deviations, by the scatter between lines, from which on it is reported. Of runs
 of which nothing comes again this was 2.6 at most in 48."""
 MIN_SHARE_OF_U = 0.5
 """Of the uncertainty of the grid, below which it changes that by less than an eighth."""
@@ -87,21 +87,22 @@ class Unfollowed:
         ):
             return None
         cause = (
-            'the tracker errs as it points there, or the machine changed between the runs'
+            'the tracker has an error when pointing there, or the machine changed between the runs'
             if self.between is not None and self.between < MIN_SHARE_BETWEEN_RUNS * self.square
-            else 'the machine does what tables of single axes cannot follow (waves of a screw, '
-            'steps, sag, the second order of large errors), or the tracker errs as it points there'
+            else 'the machine behaves in a way that tables of single axes cannot represent '
+            '(waves of a screw, steps, sag, the second order of large errors), or the tracker has '
+            'an error when pointing there'
         )
         where = '' if self.between is None else ' of a run'
         return (
             f'in every pass{where} over a line the tables leave {1e6 * self.size:.2g} um alike, '
             f'beside {1e6 * grid_u:.2g} um of mean uncertainty of the grid: {cause}; the errors '
-            f'that they state are wrong by as much and more, and u holds nothing of it; '
+            f'that they state are wrong by as much and more, and u does not include it; '
             f'./otf diagnose looks for it'
         )
 
 
-def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | None:
+def unfollowed(runs: Sequence[Observed], joint: JointSolution) -> Unfollowed | None:
     """What a solution leaves in every pass; None where no line was driven twice.
 
     Parameters
@@ -111,16 +112,16 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
     """
     if any(run.pieces.standstill for run in runs):
         return None
-    across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in done.runs]
+    across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in joint.runs]
     residual = np.concatenate(across)
-    line, one, other, alike = _pairs(runs, done)
+    line, one, other, alike = _pairs(runs, joint)
 
-    def told(which: NDArray[np.bool_]) -> Unfollowed | None:
+    def of_pairs(which: NDArray[np.bool_]) -> Unfollowed | None:
         if not which.any():
             return None
-        return _told(line[which], one[which], other[which], residual, done)
+        return _told(line[which], one[which], other[which], residual, joint)
 
-    within, between = told(alike), told(~alike)
+    within, between = of_pairs(alike), of_pairs(~alike)
     if between is None or between.lines < MIN_REPEATED_LINES:
         return within
     if within is None or within.lines < MIN_REPEATED_LINES:
@@ -129,25 +130,27 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
 
 
 def _told(
-    line: Index, one: Index, other: Index, residual: Array, done: JointSolution
+    line: Index, one: Index, other: Index, residual: Array, joint: JointSolution
 ) -> Unfollowed:
     """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
     some = np.unique(np.linspace(0, len(one) - 1, MAX_PAIRS).astype(np.int64))
-    rows = [_rows(done, of[some]) for of in (one, other)]
-    taken = np.einsum('pik,kl,pil->p', rows[0], done.solution.covariance, rows[1], optimize=True)
+    rows = [_rows(joint, of[some]) for of in (one, other)]
+    of_unknowns = np.einsum(
+        'pik,kl,pil->p', rows[0], joint.solution.covariance, rows[1], optimize=True
+    )
     total, count = np.bincount(line, product), np.bincount(line)
     total, count = total[count > 0], count[count > 0]
     mean = float(total.sum() / count.sum())
     scatter = float(np.sqrt(np.sum((total - mean * count) ** 2)) / count.sum())
-    return Unfollowed(mean + float(taken.mean()), scatter, len(count))
+    return Unfollowed(mean + float(of_unknowns.mean()), scatter, len(count))
 
 
-def _rows(done: JointSolution, places: Index) -> Array:
+def _rows(joint: JointSolution, places: Index) -> Array:
     """Derivatives (m, 3, full) across the path of pieces, counted through all runs."""
-    found = np.zeros((len(places), 3, done.unknowns.full))
+    found = np.zeros((len(places), 3, joint.unknowns.full))
     first = 0
-    for run in done.runs:
+    for run in joint.runs:
         end = first + len(run.system.q)
         own = (places >= first) & (places < end)
         piece = places[own] - first
@@ -159,14 +162,14 @@ def _rows(done: JointSolution, places: Index) -> Array:
 
 
 def _pairs(
-    runs: Sequence[Observed], done: JointSolution
+    runs: Sequence[Observed], joint: JointSolution
 ) -> tuple[Index, Index, Index, NDArray[np.bool_]]:
     """Line and both pieces of every two passes that follow each other over the same place.
 
     And whether both are of one run.
     """
     lines, cells, legs, straight = [], [], [], []
-    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         direction, q = _without_sense(run.pieces.direction), solved.system.q
         along = np.einsum('pi,pi->p', q, direction)
         foot = q - along[:, None] * direction

@@ -115,9 +115,9 @@ class Verdict:
             return f'{count} of {count} {limits} kept'
         states = [one.state for one in self.judged]
         found = [(states.count(s), WORDS[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
-        (first, said), *more = found
+        (first, state), *more = found
         rest = ''.join(f', {number} {word}' for number, word in more)
-        return f'{first} of {count} {limits} {said}{rest}'
+        return f'{first} of {count} {limits} {state}{rest}'
 
 
 @dataclass(frozen=True)

@@ -130,22 +130,22 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -
     Such an effect displaces the target in the same way whenever it comes by, but no table holds
     it. Its mean square along X, Y and Z is stated as uncertain positioning of that axis.
     """
-    done, machine = solved.done, solved.runs[0].machine
-    variance = np.zeros(done.unknowns.full)
-    tables = tables_of(machine, done.unknowns, done.solution)
+    joint, machine = solved.joint, solved.runs[0].machine
+    variance = np.zeros(joint.unknowns.full)
+    tables = tables_of(machine, joint.unknowns, joint.solution)
     staying = [one for one in effects if one.effect.stays_in_place]
     for one in staying:
         parts = []
-        for number, (run, at) in enumerate(zip(solved.runs, done.runs, strict=True)):
-            state = piece_state(run, at, done.unknowns.knots, tables)
+        for number, (run, at) in enumerate(zip(solved.runs, joint.runs, strict=True)):
+            state = piece_state(run, at, joint.unknowns.knots, tables)
             parts.append(one.displacement(state, number))
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
         for k, axis in enumerate(machine.axis_names):
-            basis = done.unknowns.bases[axis]
+            basis = joint.unknowns.bases[axis]
             share = float(
                 np.mean(np.sum(basis.matrix(basis.finer(PARTS_PER_INTERVAL)) ** 2, axis=1))
             )
-            variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
+            variance[joint.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
     return np.diag(variance)
 
 
@@ -202,7 +202,7 @@ def corrected(
 
 
 def estimates(
-    runs: Sequence[Run], done: JointSolution, effects: Sequence[Taken]
+    runs: Sequence[Run], joint: JointSolution, effects: Sequence[Taken]
 ) -> tuple[Estimates, Array, Array]:
     """Estimate the parameters of effects anew, jointly with tables and poses.
 
@@ -210,7 +210,7 @@ def estimates(
     ----------
     runs : sequence of Run
         Corrected by the effects as they are, as solved.
-    done : JointSolution
+    joint : JointSolution
         Of these runs.
 
     Returns
@@ -222,18 +222,18 @@ def estimates(
     size : ndarray, shape (k,), m
         Displacement per unit of each where it acts.
     """
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
     columns = []
-    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
-        state = piece_state(run, solved, done.unknowns.knots, tables)
+    for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
+        state = piece_state(run, solved, joint.unknowns.knots, tables)
         scene = _scene(replace(run, pose=solved.pose), number, state, effects)
         whole = np.concatenate([scene.mean(e, e.columns) for e in effects], axis=2)
         columns.append(across(solved, whole))
-    cross = projected(done, columns)
-    change = done.solution.covariance @ cross
+    cross = projected(joint, columns)
+    change = joint.solution.covariance @ cross
     size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
     matrix, right, own = -cross.T @ change, np.zeros(len(size)), np.zeros(len(size))
-    for part, solved in zip(columns, done.runs, strict=True):
+    for part, solved in zip(columns, joint.runs, strict=True):
         flat = part.reshape(-1, part.shape[2])
         weighted = solved.whitener.weighted(part).reshape(flat.shape)
         product = flat.T @ weighted
@@ -298,21 +298,21 @@ def solve_with_effects(
     now, whole = tuple(effects), list(runs)
     solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
     for _ in range(MAX_ROUNDS):
-        found, step, size = estimates(solved.runs, solved.done, now)
+        found, step, size = estimates(solved.runs, solved.joint, now)
         now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
         if largest < MAX_FINAL_CHANGE:
             break
-        tables = tables_of(runs[0].machine, solved.done.unknowns, solved.done.solution)
+        tables = tables_of(runs[0].machine, solved.joint.unknowns, solved.joint.solution)
         whole = [
             replace(r, pose=s.pose, fitted=k.fitted)
-            for r, s, k in zip(runs, solved.done.runs, solved.runs, strict=True)
+            for r, s, k in zip(runs, solved.joint.runs, solved.runs, strict=True)
         ]
-        clean = corrected(whole, now, solved.done.unknowns.knots, tables)
+        clean = corrected(whole, now, solved.joint.unknowns.knots, tables)
         if largest > MAX_CHANGE_FOR_SAME_MODEL:
             solved = solve_with_reversal(clean, nodes, config, progress)
             continue
-        start = Start.after(clean[0].machine, solved.done)
-        again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
+        start = Start.after(clean[0].machine, solved.joint)
+        again = solve_robustly(clean, solved.joint.unknowns, config, progress, start)
         solved = ReversalSolution(*again, solved.choice, solved.plain)
     return solved, found
 
@@ -440,7 +440,7 @@ def calibrate_with_file(
 
 
 def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
-    """Effects of a file that can be taken off; ConfigError says why one cannot."""
+    """Effects of a file that can be removed; ConfigError states why one cannot."""
     found = read_effects(file, recordings[0].machine)
     for one in found:
         if one.effect.belongs_to is BelongsTo.NOISE:

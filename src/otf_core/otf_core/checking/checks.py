@@ -58,7 +58,7 @@ class Seen:
     nodes : mapping of axis to ndarray, m, optional
         Of the tables.
     remarks : tuple of str
-        What was mended while it was read.
+        What was repaired while it was read.
     said : tuple of str
         How it was read, where that is not as usual.
     refused : mapping of step to str
@@ -336,17 +336,18 @@ def _check_clock(seen: Seen) -> Checked:
     said = ''
     if len(steps):
         said = (
-            f'the clock of the stamps was set {len(steps)} times against that of the recorder, '
-            f'first {steps[0]:.1f} s after the start: let the driver stamp with a clock that '
-            f'nobody sets'
+            f'the clock of the stamps was set {len(steps)} times relative to that of the '
+            f'recorder, first'
+            f' {steps[0]:.1f} s after the start: let the driver stamp with a clock that is '
+            f'never adjusted'
         )
     step = np.diff(samples.stamp_ns)
     jitter = float(np.median(np.abs(step - np.median(step))) / np.median(step))
     uneven = ''
     if jitter > JITTER:
         uneven = (
-            f'intervals of the stamps scatter by {100 * jitter:.0f} %, as times of arrival do: '
-            f'let the driver stamp the moment of measurement'
+            f'intervals of the stamps scatter by {100 * jitter:.0f} %, as reception times do: '
+            f'let the driver stamp the time of measurement'
         )
     return Checked(
         f'{words}, intervals scatter by {100 * jitter:.1f} %',
@@ -428,7 +429,7 @@ def _check_path(seen: Seen) -> Checked:
             f'{legs if missing else ""}; drive the rest, into the same recording or another one'
         )
         problems += errors(text) if coverage < MIN_COVERAGE else warnings(text)
-    end = '' if found.last_leg_driven or coverage < COMPLETE_PATH else ', but not to its end'
+    end = '' if found.last_leg_driven or coverage < COMPLETE_PATH else ', but not its end'
     return Checked(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
 
 
@@ -464,12 +465,12 @@ def _check_standstills(seen: Seen) -> Checked:
     words = f'{len(runs)}, {total:.1f} s in all'
     noise = standstill_noise(seen.samples, runs)
     if noise is None:
-        short = f'the target stood still for {total:.1f} s only' if total < MIN_TOTAL else (
+        short = f'the target was at rest for {total:.1f} s only' if total < MIN_TOTAL else (
             'the points of the standstills repeat without any noise'
         )  # fmt: skip
         return Checked(words, facts, warnings(
-            f'{short}: the noise is taken from machine.yaml then; let the target stand for '
-            f'{MIN_TOTAL:g} s at the start and the end, unfiltered'
+            f'{short}: the noise is then taken from machine.yaml; keep the target at rest for '
+            f'{MIN_TOTAL:g} s at the start and the end, without filtering'
         ))  # fmt: skip
     level = 1e6 * noise.noise.level
     facts |= {'noise_range_um': float(level[0]), 'noise_angle_urad': level[1:].tolist()}
@@ -518,9 +519,9 @@ def _check_forecast(seen: Seen) -> Checked:
     }
     words = f'{expected.expanded_words}\n{expected.forecast_words}'
     if unseen:
-        words += f'\nnot seen by this path: {", ".join(map(str, unseen))}'
+        words += f'\nnot shown by this path: {", ".join(map(str, unseen))}'
     loose = ', '.join(map(str, found.loose_nodes))
-    said = f'parts of {loose} will be interpolated only: no line passes there' if loose else ''
+    said = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
     return Checked(words, {'forecast': facts}, warnings(said))
 
 

@@ -127,7 +127,8 @@ def run_import(arguments: argparse.Namespace) -> int:
         write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
     words = (
         f'errors of the lattice {sizes["size_rms_um"]:.3f} um rms; the tables leave '
-        f'{sizes["left_rms_um"]:.3f} um rms of them; u is 0: none was carried over'
+        f'{sizes["left_rms_um"]:.3f} um rms of them; u is 0: uncertainties of the lattice are '
+        f'not carried over'
     )
     written = [Path(arguments.out) / 'error_tables.json']
     data = {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))}
@@ -178,11 +179,13 @@ def _added(arguments: argparse.Namespace) -> int:
     folder = Path(arguments.store)
     for results in arguments.add:
         name, new = add_run(folder, tables_file(results), arguments.at)
-        note(f'otf history: {results}: {"added as" if new else "is there already as"} {name}')
+        note(
+            f'otf history: {results}: {"added as" if new else "is already in the store as"} {name}'
+        )
     if arguments.event is not None:
         now = datetime.now(timezone.utc).isoformat(timespec='seconds')
         name, new = add_event(folder, arguments.event, arguments.at or now, arguments.name or '')
-        note(f'otf history: event {"added as" if new else "is there already as"} {name}')
+        note(f'otf history: event {"added as" if new else "is already in the store as"} {name}')
     return len(arguments.add) + (arguments.event is not None)
 
 
@@ -202,7 +205,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     machines = [m for m in store.machines if arguments.name in (None, m)]
     if not machines:
         raise ConfigError(
-            f'--name: no {arguments.name} in the store; there: {", ".join(store.machines)}'
+            f'--name: no {arguments.name} in the store; it contains: {", ".join(store.machines)}'
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
     histories: list[History] = [history_of(store, m, limit) for m in machines]
@@ -218,7 +221,9 @@ def run_history(arguments: argparse.Namespace) -> int:
         answer(arguments, words, data)
         return 0
     if len(histories) > 1:
-        raise ConfigError(f'--interim: of which machine? --name {"|".join(machines)}')
+        raise ConfigError(
+            f'--interim: the store contains several machines; give --name {"|".join(machines)}'
+        )
     check = _interim_check(histories[0], arguments.interim)
     data['interim'] = {**asdict(check), 'ratio': check.ratio, 'holds': check.holds}
     answer(arguments, f'{words}\n\n{check.words}', data)

@@ -203,7 +203,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
     if unknown:
-        raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
+        raise ConfigError(
+            f'--exclude: {unknown[0]} is not an effect; known: {", ".join(REGISTRY)}'
+        )
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)

@@ -68,8 +68,8 @@ def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig
     for option in ('passes', 'feed', 'feed_ratio', 'margin', 'levels'):
         if getattr(arguments, option) is not None:
             raise ConfigError(
-                f'--{option.replace("_", "-")}: {arguments.path} is a plan and decides it; '
-                f'give its path.csv to drive its path otherwise'
+                f'--{option.replace("_", "-")}: {arguments.path} is a plan, which sets this; '
+                f'give its path.csv to drive the same path with other settings'
             )
     dwell = file.plan.dwell.copy()
     if arguments.corner_dwell is not None:
@@ -309,11 +309,13 @@ def _check_options(arguments: argparse.Namespace) -> None:
     for name in sorted({n for names in NEEDED.values() for n in names}):
         given = getattr(arguments, name) is not None
         if given and name not in needed:
-            raise ConfigError(f'--{name}: not of fleet {arguments.what}; leave it out')
+            raise ConfigError(f'--{name}: does not apply to fleet {arguments.what}; leave it out')
         if not given and name in needed:
             raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
     if arguments.leave_one_out and arguments.what != BLIND:
-        raise ConfigError(f'--leave-one-out: not of fleet {arguments.what}; leave it out')
+        raise ConfigError(
+            f'--leave-one-out: does not apply to fleet {arguments.what}; leave it out'
+        )
     if 'trials' in needed:
         _check_cells(arguments)
 

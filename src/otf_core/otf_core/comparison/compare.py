@@ -343,7 +343,7 @@ class VolumeComparison:
         Standard uncertainty of the difference.
     squareness : tuple of float, or None
         Mean lengths of a, b and b - a with everything the sources know, squareness included and
-        the rigid motion taken out, both at the target offset of a; None if one of them lacks
+        the rigid motion removed, both at the target offset of a; None if one of them lacks
         squareness.
     """
 

@@ -142,8 +142,8 @@ def _check_size(
     if moved > MAX_ERROR * size or turned > MAX_ERROR:
         what = f'{moved:g} m' if moved > MAX_ERROR * size else f'{turned:g} rad'
         raise ConfigError(
-            f'{where}: an error of {what} is none of a machine of {size:g} m; state its unit in '
-            f'the header ({",".join(header)}), as in EX_um or EA_urad'
+            f'{where}: an error of {what} is implausible for a machine of {size:g} m; state its '
+            f'unit in the header ({",".join(header)}), as in EX_um or EA_urad'
         )
 
 

@@ -113,20 +113,20 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     columns = offset_columns(rows, share, kind)
     left, score = fit.left(columns), fit.score(columns)
     root, vectors = linalg.eigh(left)
-    root, seen = np.maximum(root, 0.0), vectors.T @ score
+    root, projection = np.maximum(root, 0.0), vectors.T @ score
     variance = (MAX_WIDTH / 10) ** 2
     noise = fit.ratio**2
     for _ in range(ITERATIONS):
         cover = 1.0 / (root / noise + 1.0 / variance)
-        value = cover * seen / noise
-        taken = float(2.0 * seen @ value - value @ (root * value))
+        value = cover * projection / noise
+        explained = float(2.0 * projection @ value - value @ (root * value))
         determined = float(np.sum(1.0 - cover / variance))
         variance = float(value @ value) / max(determined, 1e-9)
         variance = float(np.clip(variance, 1e-16, MAX_WIDTH**2))
-        noise = max(fit.square - taken, 1e-12) / max(fit.freedom - determined, 1.0)
+        noise = max(fit.square - explained, 1e-12) / max(fit.freedom - determined, 1.0)
     cover = 1.0 / (root / noise + 1.0 / variance)
-    value = cover * seen / noise
-    evidence = 0.5 * float(seen @ value) / noise
+    value = cover * projection / noise
+    evidence = 0.5 * float(projection @ value) / noise
     evidence -= 0.5 * float(np.sum(np.log1p(root * variance / noise)))
     u = np.sqrt(np.einsum('ij,j,ij->i', vectors, cover, vectors))
     shape = (share.shape[1], -1)
@@ -203,19 +203,19 @@ def shifted(run: Run, found: FoundAgain) -> Run:
     return replace(run, samples=samples, pieces=replace(pieces, xyz=xyz))
 
 
-def settle_offsets(model: Model, *, mend: bool) -> tuple[Model, list[Finding]]:
+def settle_offsets(model: Model, *, repair: bool) -> tuple[Model, list[Finding]]:
     """Find offsets of segments, take them off and solve anew; all runs."""
     found: list[Finding] = []
     runs = list(model.runs)
     for k in range(len(runs)):
         again = find_offsets(model, k)
         if again is not None:
-            found.append(_finding(runs[k], again, mend=mend))
-            runs[k] = shifted(runs[k], again) if mend else runs[k]
-    return (Model.of(runs) if found and mend else model), found
+            found.append(_finding(runs[k], again, repair=repair))
+            runs[k] = shifted(runs[k], again) if repair else runs[k]
+    return (Model.of(runs) if found and repair else model), found
 
 
-def _finding(run: Run, again: FoundAgain, *, mend: bool) -> Finding:
+def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
     name = f'{run.recording.name}: ' if run.recording.name else ''
     offsets, breaks = again.offsets, int(again.segment[-1])
     times = f'{breaks} times' if breaks > 1 else 'once'
@@ -223,7 +223,7 @@ def _finding(run: Run, again: FoundAgain, *, mend: bool) -> Finding:
     done = (
         f'; offsets of the parts between breaks are estimated (u '
         f'{np.mean(offsets.u) * 1e6:.2g} um) and taken off'
-        if mend
+        if repair
         else ''
     )
     return Finding('found again', WARNING, (

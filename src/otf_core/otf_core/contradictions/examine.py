@@ -62,8 +62,8 @@ def check_chain(model: Model) -> list[Finding]:
     )
     return [Finding('chain', GATE, (
         f'{model.rows.machine.chain} leaves {1e6 * left[stated]:.2f} um; other orders of axes '
-        f'from workpiece to tool leave less: {named}. The place of b cannot be seen in data; '
-        f'correct the chain in machine.yaml'
+        f'from workpiece to tool leave less: {named}. The position of b cannot be '
+        f'determined from the data; correct the chain in machine.yaml'
     ))]  # fmt: skip
 
 
@@ -146,11 +146,11 @@ def _metres(offset: Array) -> str:
 
 
 WARNING_RATIO = 1.3
-"""Residual together over alone from which on something is said."""
+"""Residual together over alone from which on a warning is given."""
 GATE_RATIO = 2.0
 """The same, for a gate."""
 WARNING_DIFFERENCE, CHANGED_DIFFERENCE, OTHER_MACHINE_DIFFERENCE = 0.05, 0.1, 0.3
-"""Part of the errors by which runs differ: from which on it is said; they changed; they are of
+"""Part of the errors by which runs differ: for a warning; for a changed machine; for
 another machine."""
 
 
@@ -260,9 +260,9 @@ def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
     where : str
         In words.
     """
-    seen = standstill_noise(samples, find_standstills(samples, speed))
-    if seen is not None:
-        return seen.noise.level, 'at standstill'
+    measured = standstill_noise(samples, find_standstills(samples, speed))
+    if measured is not None:
+        return measured.noise.level, 'at standstill'
     third, middle = _third(samples)
     distance = np.linalg.norm(middle, axis=1)
     along = np.einsum('ij,ij->i', third, middle) / distance
@@ -323,7 +323,7 @@ def _lever(samples: Samples) -> Array:
 
 
 def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
-    """Compare noise as measured and as specified, run by run; said once for all alike."""
+    """Compare noise as measured and as specified, run by run; runs alike are reported once."""
     found = [f for run in model.runs if (f := _check(model, run, config)) is not None]
     return found[:1]
 
@@ -370,21 +370,21 @@ def examine(
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     *,
-    mend: bool = True,
+    repair: bool = True,
 ) -> tuple[list[Run], tuple[Finding, ...]]:
-    """Examine runs for contradictions, and mend what can be mended.
+    """Examine runs for contradictions, and repair what can be repaired.
 
     Parameters
     ----------
     nodes : mapping of axis to ndarray, m
         Table nodes.
-    mend : bool
-        Take offsets off and cut runs at steps; else only say what is found.
+    repair : bool
+        Take offsets off and cut runs at steps; else only report.
 
     Returns
     -------
     runs : list of Run
-        Mended; a run that was cut at a step is several.
+        Repaired; a run that was cut at a step is several.
     findings : tuple of Finding
         Of all runs.
 
@@ -398,7 +398,7 @@ def examine(
     for run in runs:
         model = Model.of([run])
         if not check_chain(model):  # its misfit is taken for a step otherwise
-            model, found = _mended(model, found, nodes, config, mend=mend)
+            model, found = _repaired(model, found, nodes, config, repair=repair)
         alone.append(model)
     whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
     found += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
@@ -407,13 +407,13 @@ def examine(
     return list(whole.runs), tuple(found)
 
 
-def _mended(
+def _repaired(
     model: Model,
     found: list[Finding],
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     *,
-    mend: bool,
+    repair: bool,
 ) -> tuple[Model, list[Finding]]:
     """One run with offsets of segments and steps settled, and what was found so far.
 
@@ -421,11 +421,11 @@ def _mended(
     answer holds where it leaves as little.
     """
     spacing = tuple(nodes[a] for a in model.rows.machine.axis_names)
-    again, words = settle_offsets(model, mend=mend)
+    again, words = settle_offsets(model, repair=repair)
     if model.runs[0].pieces.standstill:
         return again, found + words
-    stepped, steps = settle_steps(model, spacing, config, mend=mend)
+    stepped, steps = settle_steps(model, spacing, config, repair=repair)
     if not words or (steps and stepped.fit.ratio < MAX_RATIO_OF_STEPS * again.fit.ratio):
         return stepped, found + steps
-    again, steps = settle_steps(again, spacing, config, mend=mend)
+    again, steps = settle_steps(again, spacing, config, repair=repair)
     return again, found + words + steps

@@ -33,7 +33,7 @@ from otf_core.tracking.curves import Lines
 STRETCH_LENGTH = 0.02
 """m; stretches of a line that are compared between passes."""
 SAME_POINT = 1e-3
-"""m; raster by which lines are told apart."""
+"""m; raster by which lines are distinguished."""
 MAX_CORNER_DISTANCE, MAX_CORNER_SHARE_OF_LEG = 0.06, 0.25
 """m, and share of its leg, within which a sample lies near a corner."""
 MIN_REGULAR_SHARE = 0.7
@@ -41,15 +41,15 @@ MIN_REGULAR_SHARE = 0.7
 MAX_SHARE_OF_ALL = 0.5
 """Share near corners of all samples, over that of those left out, up to which that is a rule."""
 MIN_SAMPLES, MIN_PLACES = 20, 3
-"""Samples, and corners or stretches, of which a rule can be told."""
+"""Samples, and corners or stretches, that are needed to establish a rule."""
 WARNING_SHARE = 0.01
-"""Share of all samples from which it is said in any case."""
+"""Share of all samples from which outliers are reported in any case."""
 MANY_SHARE = 0.1
 """Share of all samples from which they are hardly bad ones, unless something reflects the beam."""
 MAX_LISTED = 4
 """Places that are named."""
 MAX_USED_SAMPLES = 400_000
-"""Samples that were kept; of more, every second, third, ... is looked at."""
+"""Samples that were kept; of more, every second, third, ... is used."""
 
 
 @dataclass(frozen=True)
@@ -141,12 +141,12 @@ class LeftOut:
             return text
         if not rules:
             return (
-                f'{text}. They are many: stray reflections, or something that the machine does; '
-                f'./otf diagnose takes all but the farthest into the gap'
+                f'{text}. There are many of them: stray reflections or real machine behaviour; '
+                f'./otf diagnose includes all but the most distant in the gap'
             )
         return (
-            f'{text}. They lie {" and ".join(rules)}: probably something that the machine does, '
-            f'and no bad samples; ./otf diagnose takes them into the gap'
+            f'{text}. They lie {" and ".join(rules)}: probably real machine behaviour '
+            f'rather than bad samples; ./otf diagnose includes them in the gap'
         )
 
 
@@ -216,14 +216,14 @@ def _repeated(cell: Index, leg: Index, out: NDArray[np.bool_]) -> float:
     count = int(cell.max(initial=0)) + 1
     driven, left = np.bincount(passes, minlength=count), np.bincount(lost, minlength=count)
     again = driven[cell] > 1
-    told = out & again
-    if told.sum() < 0.5 * max(out.sum(), 1):
+    repeated = out & again
+    if repeated.sum() < 0.5 * max(out.sum(), 1):
         return 0.0
     several = driven > 1
     share = left[several].sum() / driven[several].sum()
-    chance = float(np.mean(share ** (driven[cell][told] - 1.0)))
-    seen = float((left[cell] == driven[cell])[told].mean())
-    return max(0.0, (seen - chance) / (1.0 - chance)) if chance < 1.0 else 0.0
+    chance = float(np.mean(share ** (driven[cell][repeated] - 1.0)))
+    agreement = float((left[cell] == driven[cell])[repeated].mean())
+    return max(0.0, (agreement - chance) / (1.0 - chance)) if chance < 1.0 else 0.0
 
 
 def _different(values: Index) -> Index:
@@ -240,6 +240,6 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
 
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:
-    """What is to be said of samples that were left out."""
-    told = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
-    return [Finding('left out', WARNING, r.words()) for r in told]
+    """Findings on samples that were left out."""
+    notable = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
+    return [Finding('left out', WARNING, r.words()) for r in notable]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear model of runs with tables, reversal, lag and slow drift, fitted in less than a second.
 
-The rigid-body model of ``kinematics`` with tables at half the pitch, so that their kinks cost
-little, pieces taken as independent, fitted robustly. Examinations
-compare with it what fits and what does not; error tables come from ``solving.joint``.
+Rows, lever arms, squareness and hat functions are those of ``solving``, with tables at half the
+pitch, so that their kinks cost little. Pieces are taken as independent and fitted robustly.
+Examinations compare with it what fits and what does not; tables come from ``solving.joint``.
 
 A row of the tables holds, for every axis, the influences of its six motions times the two hat
 functions that are not zero there. So the products of two axes are 6 x 6 numbers of a piece, the
@@ -328,7 +328,7 @@ class Design:
         return np.concatenate([self.usual.T @ columns, self.tables.T @ columns])
 
     def sums(self, of_rows: sparse.csr_array) -> Array:
-        """Sums of rows, weighted as sparse rows (j, r) say, shape (j, k + n)."""
+        """Sums of rows with the weights of sparse rows (j, r), shape (j, k + n)."""
         return np.hstack([of_rows @ self.usual, (of_rows @ self.tables).toarray()])
 
     def normal(self, weight: Array) -> Array:
@@ -420,8 +420,8 @@ def gain(left: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, 
     """
     root, vectors = np.linalg.eigh(left)
     least = np.maximum(1e-9 * root[..., -1:], 1.0 / prior**2)
-    seen = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
-    value = np.einsum('...ij,...j->...i', vectors, seen)
+    projection = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
+    value = np.einsum('...ij,...j->...i', vectors, projection)
     return np.asarray(np.sum(score * value, axis=-1)), np.asarray(value)
 
 
@@ -434,7 +434,7 @@ def _solve(design: Design, target: Array, weight: Array) -> tuple[tuple[Array, b
 
 
 def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
-    inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # of a triangle, which tells the trace
+    inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # squares add up to the trace wanted
     unknowns = len(inverse) - float(np.sum(np.tril(inverse) ** 2)) / PRIOR_SIGMA**2
     return float(np.sum(weight > 0)) - unknowns
 
@@ -470,7 +470,7 @@ def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
 
 
 MAX_PIECES = 10_000
-"""Pieces that are looked at: of more, spread evenly, every second, third, ..."""
+"""Pieces that are used: of more, spread evenly, every second, third, ..."""
 MAX_PIECES_OF_COMPARISON = 4000
 """The same where many models are compared."""
 

@@ -21,7 +21,7 @@ from otf_core.files.text_table import unit_hint, unit_words
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording, blamed
+from otf_core.pieces.runs import Recording, errors_of
 
 SAME_PLACE = 1e-7
 """m; measured twice, a point differs by more: noise."""
@@ -81,15 +81,15 @@ TO_AND_FRO = 5.0
 STRIDES = 50
 """Steps between neighbours of two streams, in steps of one of them."""
 MAX_COMPARED_SAMPLES = 20000
-"""Samples that are told apart one by one at most."""
+"""Samples that are compared one by one at most."""
 MAX_CHECKED_SAMPLES = 100_000
-"""Samples around which speed and roughness are looked at; of more, spread evenly."""
+"""Samples around which speed and roughness are evaluated; of more, spread evenly."""
 
 
 def check_stamps(recordings: Sequence[Recording]) -> None:
-    """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
+    """Refuse stamps that do not ascend or that belong to two streams; InputError states why."""
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             check_samples(recording.samples, recording.path)
 
 
@@ -133,7 +133,7 @@ def top_speed(samples: Samples) -> float:
 
 
 def _step(count: int) -> int:
-    """From one sample to the next where about ``MAX_CHECKED_SAMPLES`` of many are looked at."""
+    """From one sample to the next where about ``MAX_CHECKED_SAMPLES`` of many are evaluated."""
     return -(-count // MAX_CHECKED_SAMPLES)
 
 
@@ -202,9 +202,9 @@ MAX_OUTSIDE = 1e-3
 
 
 def check_path_in_machine(recordings: Sequence[Recording]) -> None:
-    """Refuse a path that the machine cannot drive; InputError says why."""
+    """Refuse a path that the machine cannot drive; InputError states why."""
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             check_path(recording.path, recording.machine)
 
 
@@ -242,6 +242,6 @@ CHECKS: tuple[Callable[[Sequence[Recording]], None], ...] = (
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
-    """Run all checks; InputError says what is wrong, where, and what to do."""
+    """Run all checks; InputError states what is wrong, where, and what to do."""
     for check in CHECKS:
         check(recordings)

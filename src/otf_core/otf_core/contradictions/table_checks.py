@@ -63,7 +63,7 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
         return ''
     words = (
         f'table_pitch: {named}: finer than the {1e3 * piece_length:g} mm that a piece of the path '
-        f'averages over: neighbouring nodes are not told apart by the data, and solving takes '
+        f'averages over: the data cannot distinguish neighbouring nodes, and solving takes '
         f'longer; take at least {1e3 * piece_length:g} mm'
     )
     _log.warning(words)
@@ -71,7 +71,7 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
 
 
 LATTICE_POINTS = 4
-"""Points per axis of the lattice that is looked at."""
+"""Points per axis of the lattice that is evaluated."""
 MAX_U_OF_GOOD_MACHINE = 5.0
 """Uncertainty over the noise of a sample below which small errors mean a good machine."""
 
@@ -142,11 +142,11 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
     )
     if u < MAX_U_OF_GOOD_MACHINE * noise:
         return [Finding('worth', WARNING, (
-            f'{text}: no more than the tracker can see; the machine needs no tables, or a '
-            f'better place of the tracker'
+            f'{text}: no larger than the tracker can resolve; the machine needs no tables, '
+            f'or the tracker a better position'
         ))]  # fmt: skip
     return [Finding('worth', GATE, (
         f'{text}: they would not improve the machine. What is driven determines too little, or '
         f'the residuals are far above the noise: drive a path that plan recommends, take a '
-        f'larger table_pitch, and mind the warnings'
+        f'larger table_pitch, and note the warnings'
     ))]  # fmt: skip

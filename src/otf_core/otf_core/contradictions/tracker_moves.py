@@ -169,7 +169,7 @@ MIN_SHARP_SHARE = 0.03
 """Share of what a step explains that a smooth change must not explain as well; axes that warm up
 gave up to 0.011, steps 0.07 and more."""
 MAX_STEPS = 5
-"""Steps that are looked for in one run; as many are none: something changes all the time."""
+"""Steps searched for in one run; as many are none: something changes all the time."""
 MAX_SHARE_AFTER_STEPS = 1.0 / 3.0
 """Share of the sum of squares beyond noise that several steps may leave: moves leave none. What
 changes all the time, as a cycle does, is a step at many moments, and cuts do not end it."""
@@ -312,7 +312,7 @@ def split(
 
 
 def settle_steps(
-    model: Model, nodes: Sequence[Array], config: CalibrationConfig, *, mend: bool
+    model: Model, nodes: Sequence[Array], config: CalibrationConfig, *, repair: bool
 ) -> tuple[Model, list[Finding]]:
     """Find steps, cut the runs there and solve anew, until no step is left.
 
@@ -322,8 +322,8 @@ def settle_steps(
         Of one recording.
     nodes : three arrays, m
         Table nodes of X, Y, Z.
-    mend : bool
-        Cut the runs; else only say what is found.
+    repair : bool
+        Cut the runs; else only report.
 
     Returns
     -------
@@ -339,9 +339,9 @@ def settle_steps(
             break
         step = max(steps, key=lambda s: s.share)
         run = model.runs[step.run]
-        parts = split(run, step, nodes, config) if mend else None
-        said = replace(step, time=run.late + step.time)
-        found.append(_finding(name, said, parts is not None, mend=mend))
+        parts = split(run, step, nodes, config) if repair else None
+        stated = replace(step, time=run.late + step.time)
+        found.append(_finding(name, stated, parts is not None, repair=repair))
         if parts is None:
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
@@ -357,7 +357,7 @@ def _leaves_much(parts: Model, whole: Model) -> bool:
 
 
 def _restless(name: str, count: int) -> Finding:
-    """What is said where steps have no end: no single move explains the run."""
+    """Finding where steps have no end: no single move explains the run."""
     return Finding('moved', WARNING, (
         f'{name + ": " if name else ""}what the tables leave changes over time, at {count} '
         f'moments and more, as no single move of tracker or target does: an effect that the model '
@@ -365,16 +365,16 @@ def _restless(name: str, count: int) -> Finding:
     ))  # fmt: skip
 
 
-def _finding(name: str, step: Step, mended: bool, *, mend: bool) -> Finding:
+def _finding(name: str, step: Step, repaired: bool, *, repair: bool) -> Finding:
     text = f'{name + ": " if name else ""}tracker or target moved {step.words}'
-    if mended:
+    if repaired:
         return Finding('moved', WARNING, (
-            f'{text}; the parts before and after are solved each with a place of the tracker of '
-            f'its own. Check clamping and target'
+            f'{text}; the parts before and after are solved each with a tracker pose of its '
+            f'own. Check clamping and target'
         ))  # fmt: skip
-    if mend:
+    if repair:
         return Finding('moved', GATE, (
-            f'{text}; what is left on one side does not fix the tracker: clamp both and record '
-            f'again, or cut the recording there'
+            f'{text}; what is left on one side does not determine the tracker pose: clamp '
+            f'both and record again, or cut the recording there'
         ))  # fmt: skip
     return Finding('moved', WARNING, f'{text}; check clamping and target')

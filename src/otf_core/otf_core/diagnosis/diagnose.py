@@ -149,7 +149,7 @@ def _without_reversal(
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
         return observed
-    return _WithoutReversal.of(solve_recordings(recordings, plain, mend=whole))
+    return _WithoutReversal.of(solve_recordings(recordings, plain, repair=whole))
 
 
 @dataclass(frozen=True)

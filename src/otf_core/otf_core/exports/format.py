@@ -90,8 +90,8 @@ class Request:
             return ()
         bound = offset_bound(self.content.tables.machine, names).sentence
         return (
-            f'zero because the calibration does not show them: {", ".join(names)}; what they do '
-            f'with another tool is not known',
+            f'zero because the calibration does not determine them: {", ".join(names)}; their '
+            f'influence with another tool is unknown',
             *((bound,) if bound else ()),
         )
 
@@ -173,9 +173,10 @@ class Format(ABC):
         """
         if self.sign_is_asked and request.sign is None:
             raise ConfigError(
-                f'--sign: {self.name} needs it: its manual leaves open whether the control takes '
-                f'values as {ERROR} (actual minus nominal) or as {CORRECTION} (what is added to '
-                f'the command); try it with one table of 0.1 mm on your machine, then give '
+                f'--sign: {self.name} needs it: its manual does not state whether the control '
+                f'interprets values as'
+                f' {ERROR} (actual minus nominal) or as {CORRECTION} (added to the command); '
+                f'test it with one table of 0.1 mm on your machine, then give '
                 f'--sign {ERROR} or --sign {CORRECTION}'
             )
         if not self.sign_is_asked and request.sign is not None:
@@ -241,7 +242,7 @@ POINTS_BETWEEN = 13
 
 @dataclass(frozen=True)
 class Remaining:
-    """Volumetric error on the points on which a calibration states it, rigid motion taken out.
+    """Volumetric error on the points on which a calibration states it, rigid motion removed.
 
     Attributes
     ----------

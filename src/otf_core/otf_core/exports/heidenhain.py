@@ -60,7 +60,7 @@ class Heidenhain(Format):
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
             (
-                'experimental: never tried on a control; measure again before you trust it',
+                'experimental: never tested on a control; verify by measurement before use',
                 *request.unseen_words,
             ),
         )

@@ -76,8 +76,8 @@ def _configuration(machine: Machine, name: str, records: int) -> str:
     return (
         f'compensation list: chain {chain}, workpiece_axes {len(machine.chain.table_side)}, '
         f'Interpolation GRID, file[0] {name}, file_format[0] ISG_CSV, max_records {records} or '
-        f'more; lever arms and sign follow the model of the kernel: measure again before you '
-        f'trust it'
+        f'more; lever arms and sign follow the model of the kernel: verify by measurement '
+        f'before use'
     )
 
 

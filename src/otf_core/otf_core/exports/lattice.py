@@ -193,7 +193,7 @@ def pair_name(pair: Pair, axes: Sequence[str]) -> str:
 
 
 def reversal_motions(content: TablesFile) -> dict[str, MotionTable]:
-    """Reversal values by motion, forward less backward; empty if the file holds none.
+    """Reversal values by motion, forward minus backward; empty if the file holds none.
 
     Raises
     ------
@@ -427,7 +427,8 @@ def _check_size(lattice: Lattice, machine: Machine) -> None:
     if largest > MAX_ERROR_RATIO * size:
         unit = 'um' if largest > MAX_ERROR_RATIO_IN_MM * size else 'mm'
         raise ConfigError(
-            f'lattice: an error of {largest:g} m is none of a machine of {size:g} m; are dx, dy, '
+            f'lattice: an error of {largest:g} m is implausible for a machine of {size:g} m; '
+            f'are dx, dy, '
             f'dz in {unit_words(unit)}? write dx_{unit},dy_{unit},dz_{unit} into the header'
         )
 

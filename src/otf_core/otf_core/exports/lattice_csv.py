@@ -26,7 +26,7 @@ class LatticeCsv(Format):
     name = 'lattice-csv'
     value_words = POINT_WORDS
     lacks = (
-        'the course between lattice points (take trilinear interpolation), other target offsets '
+        'values between lattice points (interpolate trilinearly), other target offsets '
         'than the measured one, correlations; differences between the directions of travel'
     )
     takes_points = True

@@ -23,10 +23,9 @@ class LatticeNpz(Format):
     name = 'lattice-npz'
     value_words = POINT_WORDS
     lacks = (
-        'the course between lattice points (take trilinear interpolation), other target offsets '
+        'values between lattice points (interpolate trilinearly), other target offsets '
         f'than the measured one, the covariance of more than {COVARIANCE_POINTS} points; '
-        f'differences between '
-        'the directions of travel'
+        f'differences between the directions of travel'
     )
     takes_points = True
 
@@ -49,8 +48,7 @@ class LatticeNpz(Format):
         else:
             remarks += (
                 f'without covariance, since {len(q)} points are more than {COVARIANCE_POINTS}; '
-                f'--points '
-                f'{COVARIANCE_POINTS_PER_AXIS} or fewer has it',
+                f'--points {COVARIANCE_POINTS_PER_AXIS} or fewer has it',
             )
         packed = io.BytesIO()
         x, y, z = lattice.axes

@@ -42,9 +42,8 @@ class LinuxCnc(Format):
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
         return (
-            'COMP_FILE_TYPE = 0: columns 2 and 3 are actual positions in mm where the control '
-            'believes to stand at column 1 (actual = nominal + error), in forward and in backward '
-            'travel'
+            'COMP_FILE_TYPE = 0: columns 2 and 3 are the actual positions in mm at the nominal '
+            'position in column 1 (actual = nominal + error), for forward and backward travel'
         )
 
     def export(self, request: Request) -> Exported:
@@ -90,8 +89,7 @@ def _positions(tables: ErrorTables, points: int | None) -> tuple[dict[int, Array
             positions[k] = axis_positions(tables, k, MAX_LINES)
             remarks.append(
                 f'{axis}: {MAX_LINES} lines, evenly spread, instead of {count}; the control '
-                f'reads no '
-                f'more'
+                f'reads no more'
             )
     return positions, remarks
 

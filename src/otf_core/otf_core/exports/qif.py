@@ -68,7 +68,8 @@ class Qif(Format):
             {request.name: text.encode()},
             lambda q: displacement(tables, q),
             (
-                'roll, pitch and yaw as the comment in the file says; the reader has to agree',
+                'roll, pitch and yaw are defined in a comment of the file; the reader must use '
+                'the same definition',
                 *request.unseen_words,
             ),
         )

@@ -26,9 +26,8 @@ MAX_POINTS = 200
 """Points of a table on a SINUMERIK 828D, which cannot be changed."""
 DECIMALS = 6
 _MOST_WORDS = (
-    f'no table has more than {MAX_POINTS} points, what an 828D holds, though the nodes of the '
-    f'error '
-    f'tables may be closer together; --points names another number'
+    f'tables are limited to {MAX_POINTS} points, the capacity of an 828D, although nodes of the '
+    f'error tables may be closer; set another number with --points'
 )
 
 

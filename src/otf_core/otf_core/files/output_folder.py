@@ -143,7 +143,7 @@ def _resolved(path: Path) -> Path:
 def _check_parent(path: Path, final: Path) -> None:
     nearest = _nearest(final.parent)
     if not nearest.is_dir():
-        raise _refuse(path, f'cannot be made ({nearest} is no folder)')
+        raise _refuse(path, f'cannot be made ({nearest} is not a folder)')
     _probe(nearest, path)
 
 
@@ -347,7 +347,7 @@ class OutputFile:
             )
         if not self._is_ours(self._final):
             raise _refuse(
-                self.path, 'exists and is no result of this command: it is never overwritten'
+                self.path, 'exists and is not a result of this command: it is never overwritten'
             )
 
     @contextmanager

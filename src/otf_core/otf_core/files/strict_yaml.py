@@ -61,6 +61,8 @@ def _loader() -> Any:
 
 
 _WORDS = reprlib.Repr()
+_WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
+_WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _MAX_SHOWN_LETTERS = 250
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
@@ -71,14 +73,14 @@ def shown(value: Any) -> str:
     try:
         text = _WORDS.repr(value)
     except ValueError:  # Python refuses to write integers of thousands of digits
-        return 'a number of thousands of digits'
+        return 'a number with thousands of digits'
     return text if len(text) <= _MAX_SHOWN_LETTERS else f'{text[:_MAX_SHOWN_LETTERS]} ...'
 
 
 def number_words(error: Exception) -> str:
     """First line of what a parser says, in words of ours where Python refuses a number."""
     text = str(error).partition('\n')[0]
-    return 'a number of thousands of digits' if 'integer string conversion' in text else text
+    return 'a number with thousands of digits' if 'integer string conversion' in text else text
 
 
 def read_yaml_bytes(path: str | Path) -> bytes:
@@ -95,7 +97,7 @@ def parse_yaml(data: bytes, path: str | Path) -> Any:
     Raises
     ------
     ConfigError
-        If it is no text or no YAML; says line and column.
+        If it is not a text or no YAML; says line and column.
     """
     import yaml
 
@@ -152,7 +154,7 @@ class Fields:
         for key in data:
             if not isinstance(key, str):
                 raise ConfigError(
-                    f'{where}: {shown(key)} is no key; decimals have a point, as in 0.3'
+                    f'{where}: {shown(key)} is not a key; decimals have a point, as in 0.3'
                 )
         self._data = dict(data)
         self._where = where
@@ -253,7 +255,7 @@ def read_json(path: str | Path) -> Any:
     Raises
     ------
     ConfigError
-        If the file cannot be read or is no JSON.
+        If the file cannot be read or is not JSON.
     """
     try:
         return json.loads(Path(path).read_text(encoding='utf-8-sig'))

@@ -165,7 +165,7 @@ def read_lines(path: str | Path) -> list[str]:
     ConfigError
         If the file cannot be read or is a pipe.
     InputError
-        If it is no text.
+        If it is not a text.
     """
     refuse_pipe(path)
     try:
@@ -175,7 +175,7 @@ def read_lines(path: str | Path) -> list[str]:
     if raw[:2] in (b'\xff\xfe', b'\xfe\xff'):
         text = raw.decode('utf-16', 'replace')
     elif b'\0' in raw[:4096]:
-        raise InputError(f'{path}: is no text file; export the points as CSV or text')
+        raise InputError(f'{path}: is not a text file; export the points as CSV or text')
     else:
         try:
             text = raw.decode('utf-8-sig')
@@ -394,7 +394,7 @@ def _open_mark(where: str, lines: Sequence[int], column: _Written, sure: set[str
     raise InputError(
         f'{where}: line {_line_of(lines, column, found.start())}: {column.name}: '
         f'{shown(found[0])} may hold a thousands separator or decimals, and nothing in the '
-        f'column decides; write the numbers without thousands separators'
+        f'column settles it; write the numbers without thousands separators'
     )
 
 
@@ -418,7 +418,7 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
         plain = rf'\d{{1,3}}(?:{group}\d{{3}})*(?:{re.escape(mark)}\d*)?'
         called = 'space' if groups[0].isspace() else groups[0]
         decimal = 'comma' if mark == ',' else 'point'
-        form = f'with thousands set off by {called} and decimal {decimal}s'
+        form = f'with thousands separated by {called} and decimal {decimal}s'
     accepted = re.compile(rf'[-+]?{plain}(?:[eE][-+]?\d+)?$')
     texts, faults = [], {}
     for row, text in enumerate(column.texts):
@@ -444,4 +444,4 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
 def _fault(name: str, text: str) -> str:
     if not text:
         return f'{name} is empty'
-    return f'{name} is {shown(text)}' if is_missing(text) else f'{name} is no number'
+    return f'{name} is {shown(text)}' if is_missing(text) else f'{name} is not a number'

@@ -73,7 +73,7 @@ MONTHS = (
 
 
 class MomentError(ValueError):
-    """A text that is no time, or times that can be read in two ways.
+    """A text that is not a time, or times that can be read in two ways.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
     Raises
     ------
     MomentError
-        If a text is no time, or if they can be read in two ways; says how.
+        If a text is not a time, or if they can be read in two ways; says how.
     """
     found = []
     for row, text in enumerate(texts):
@@ -159,12 +159,16 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
     dated = [one.date is not None for one in found]
     if len(set(dated)) > 1:
         row = dated.index(not dated[0])
-        has = 'has no date, but those before it have' if dated[0] else 'has a date, the first none'
+        has = (
+            'has no date, but those before it have'
+            if dated[0]
+            else 'has a date, but the first has none'
+        )
         raise MomentError(f'{shown(texts[row])} {has}', row)
     forms = {one.form for one in found}
     if len(forms) > 1:
         row = next(k for k, one in enumerate(found) if one.form != found[0].form)
-        raise MomentError(f'{shown(texts[row])} is of another form than {shown(texts[0])}', row)
+        raise MomentError(f'{shown(texts[row])} has another form than {shown(texts[0])}', row)
     seconds = np.array([one.seconds for one in found], np.int64) * SECOND_NS
     words = found[0].form or 'hours, minutes, seconds'
     if dated[0]:
@@ -247,7 +251,7 @@ def _plain(text: str) -> str:
 
 
 def _parted(text: str) -> _Text:
-    """Take a text apart; ValueError says why it is no time."""
+    """Take a text apart; ValueError says why it is not a time."""
     glued = GLUED.match(text)
     if glued is not None:
         day, ahead, _ = _after(text[glued.end() :])
@@ -275,17 +279,17 @@ def _parted(text: str) -> _Text:
 
 
 def _unread(text: str) -> str:
-    """Say what a text that is no time may be."""
+    """Say what a text that is not a time may be."""
     if re.fullmatch(r'\d{1,2}(:\d{1,2}){3}', text):
         return 'has four numbers: with days in front, or frames behind, which is not stated'
-    return 'is no time'
+    return 'is not a time'
 
 
 def _seconds(hours: str, minutes: str, seconds: str, half: str) -> int:
     """Seconds since midnight; ValueError if there is no such time."""
     h, m, s = int(hours), int(minutes), int(seconds)
     if h > 24 or m > 59 or s > 60 or (half and not 0 <= h <= 12):
-        raise ValueError('is no time of a day')
+        raise ValueError('is not a time of day')
     if half:
         h = h % 12 + (12 if half == 'P' else 0)
     return 3600 * h + 60 * m + s
@@ -297,7 +301,7 @@ def _with_decimal(match: re.Match[str], when: _Date | None, half: str) -> _Text:
     if when is not None or half:
         raise ValueError('has decimals of a minute; export hours, minutes and seconds')
     if second > 59:
-        raise ValueError('is no time')
+        raise ValueError('is not a time')
     return _Text(None, 60 * first + second, match['decimal'], 'minutes and seconds')
 
 
@@ -306,7 +310,7 @@ def _after(text: str) -> tuple[str, int, str]:
     """Half of the day (A, P), seconds ahead of UTC, and year in what follows a time of day."""
     match = AFTER.fullmatch(text)
     if match is None:
-        raise ValueError('is no time')
+        raise ValueError('is not a time')
     ahead = 0
     if match['zone']:
         zone = match['zone'].upper()
@@ -337,7 +341,7 @@ def _date(text: str, year: str = '') -> _Date:
         if len(match[1]) == 4:
             return _Date(_day_number(one, two, three))
         if len(match[4]) not in (2, 4) or len(match[1]) > 2:
-            raise ValueError('has no date that is known')
+            raise ValueError('has an unknown form of date')
         return _Date(None, (one, two, three), match[2], bare)
     if match := DAY_FIRST.match(bare):
         return _named(match[3] or year, match[2], match[1])
@@ -345,7 +349,7 @@ def _date(text: str, year: str = '') -> _Date:
         return _named(match[3] or year, match[1], match[2])
     if match := YEAR_FIRST.match(bare):
         return _named(match[1], match[2], match[3])
-    raise ValueError('has no date that is known')
+    raise ValueError('has an unknown form of date')
 
 
 def _is_month(text: str) -> bool:
@@ -386,7 +390,7 @@ def _day_number(year: int, month: int, day: int) -> int:
     try:
         return date(year, month, day).toordinal() - EPOCH
     except ValueError:
-        raise ValueError('has no day that exists') from None
+        raise ValueError('has a day that does not exist') from None
 
 
 def _days(
@@ -411,7 +415,7 @@ def _days(
     if not readings:
         raise MomentError(
             f'{dates[0].text!r} to {dates[-1].text!r}: no order of day, month and year fits all '
-            f'lines{f" ({order} was asked for)" if order else ""}'
+            f'lines{f" ({order} was requested)" if order else ""}'
         )
     good = {
         name: days
@@ -435,6 +439,6 @@ def _ordered(numbers: tuple[int, int, int], one: _Date, order: str) -> int:
     if order == 'ymd' and digits == 4:
         raise ValueError('the year stands last')
     if order == 'mdy' and one.sign == '.':
-        raise ValueError('no country writes it so')
+        raise ValueError('no country uses this order')
     year, month, day = (numbers[order.index(letter)] for letter in 'ymd')
     return _day_number(_full(year, 2 if order == 'ymd' else digits), month, day)

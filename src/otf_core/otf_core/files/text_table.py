@@ -80,7 +80,7 @@ def is_unit(text: str) -> bool:
 
 
 def parted(heading: str) -> tuple[str, str | None]:
-    """Name, in lower case, and unit of a heading; what stands in brackets and is no unit stays."""
+    """Name, in lower case, and unit of a heading; brackets without a unit stay in the name."""
     if len(heading) > MAX_HEADING_LETTERS:
         return heading[:MAX_HEADING_LETTERS].lower(), None
     text = ' '.join(heading.strip().lstrip('%').split())
@@ -277,8 +277,7 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
         first = next((line.strip()[:60] for line in every if line.strip()), '')
         raise InputError(
             f'{where}: holds no lines of at least {MIN_NUMBER_COLUMNS} numbers; the first line '
-            f'is {first!r}; '
-            f'export time, x, y, z of every sample, one sample a line'
+            f'is {first!r}; export time, x, y, z of every sample, one sample per line'
         )
     return _Reader(where, every, dialect, is_head).table()
 
@@ -311,12 +310,14 @@ def _open_ply(where: str, lines: list[str]) -> None:
         return
     words = [line.split() for line in lines[:PLY_HEAD]]
     if not any(w[:2] == ['format', 'ascii'] for w in words) or ['end_header'] not in words:
-        raise InputError(f'{where}: is no PLY in text form; write it as ascii')
+        raise InputError(f'{where}: is not a PLY file in text form; write it as ascii')
     end = words.index(['end_header'])
     elements = [k for k in range(end) if words[k][:1] == ['element']]
     first = next((k for k in elements if words[k][1:2] == ['vertex']), None)
     if first is None or first != elements[0] or not words[first][-1].isdigit():
-        raise InputError(f'{where}: PLY: the first element is no vertex; write the points alone')
+        raise InputError(
+            f'{where}: PLY: the first element is not a vertex; write the points alone'
+        )
     after = next((k for k in elements if k > first), end)
     names = [w[-1] for w in words[first:after] if w[:1] == ['property']]
     rows = int(words[first][-1])

@@ -262,7 +262,7 @@ def read_list(path: str | Path) -> list[ListedRun]:
         name, bag, machine = words
         if not NAME.fullmatch(name) or name in TAKEN:
             raise ConfigError(
-                f'{path}: line {number}: {name!r} is no name of a folder; letters, digits, '
+                f'{path}: line {number}: {name!r} is not a folder name; use letters, digits, '
                 f'dots, dashes and underscores'
             )
         if name in runs:
@@ -421,7 +421,7 @@ def take_folder(folder: Path, verb: str) -> Path:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f'{folder}: is a file; the results need a folder of their own')
     if folder.is_dir() and any(folder.iterdir()) and not (state / VERB_FILE).exists():
-        raise ConfigError(f'{folder}: holds files already, and no fleet; choose another folder')
+        raise ConfigError(f'{folder}: contains files but no fleet; choose another folder')
     ensure_folder(state)
     if (state / VERB_FILE).exists():
         other = read_json(state / VERB_FILE)
@@ -452,7 +452,7 @@ def run_fleet(
     known = {job.name: _done_before(folder, job) for job in jobs}
     outcomes = {name: outcome for name, outcome in known.items() if outcome is not None}
     if outcomes:
-        progress(f'{len(outcomes)} of {len(jobs)} runs are done already')
+        progress(f'{len(outcomes)} of {len(jobs)} runs are already done')
     left = [job for job in jobs if job.name not in outcomes]
     to_go = StepsLeft(len(left))
     for number, (job, outcome) in enumerate(workers(left), start=1 + len(outcomes)):

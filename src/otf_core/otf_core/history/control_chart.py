@@ -98,7 +98,7 @@ def by_motion(series: Series, difference: Array, covariance: Array) -> dict[str,
 
 
 def volume_change(series: Series, a: int, b: int) -> Change:
-    """The same over the volume: mean length of the error vectors, best rigid motion taken out."""
+    """The same over the volume: mean length of the error vectors, best rigid motion removed."""
     difference = series.values[b] - series.values[a]
     covariance = series.covariances[a] + series.covariances[b]
     whole = change_of(difference, covariance)
@@ -113,7 +113,7 @@ def volume_change(series: Series, a: int, b: int) -> Change:
 # Least-squares line of every node over time since the last event: rate = sum c_k x_k with c_k =
 # (t_k - mean t) / sum (t - mean t)^2, covariance sum c_k^2 C_k, widened where the runs scatter
 # about the line more than their uncertainties say (Birge ratio). The volume drifts by the mean
-# length of the rates on a grid, best rigid motion taken out.
+# length of the rates on a grid, best rigid motion removed.
 #
 # Whether a line describes the runs at all is tested from three runs on: what is left of every
 # motion about its generalised least-squares line is chi-square distributed if it does. Where it
@@ -181,13 +181,13 @@ class Due:
     limit : float
         m; mean volumetric drift that is allowed.
     days : float or None
-        None if no drift is seen.
+        None if no significant drift.
     earliest : float
         95 %: not before.
     latest : float or None
         95 %: not after; None if that cannot be said.
     withheld : str
-        Why there is no date, in words; empty where there is one or no drift is seen.
+        Why there is no date, in words; empty where there is one or no significant drift.
     """
 
     limit: float
@@ -310,8 +310,9 @@ def due(drift: Drift, last: Drift, limit: float) -> Due:
 
 # The history of one machine: control chart, what changed when, drift, next calibration.
 #
-# A machine is steady only where that was judged: at least two runs since the last event, no change
-# beyond chance between them, no drift, and none of them before an event that no run has followed.
+# A machine is steady only where that was judged: at least two runs since the last event, no
+# significant change between them, no drift, and none of them before an event that no run has
+# followed.
 
 
 class Standing(Enum):
@@ -365,7 +366,7 @@ class History:
     volume : tuple of Change
         The same over the volume.
     error : ndarray, shape (r,), m
-        Mean length of the errors over the volume by every run, best rigid motion taken out.
+        Mean length of the errors over the volume by every run, best rigid motion removed.
     u_error : ndarray, shape (r,), m
         Mean standard uncertainty of these errors.
     events : tuple of StoredEvent

@@ -68,7 +68,7 @@ def drifting(history: History) -> tuple[Array, str]:
     """
     if history.drift is not None and history.drift.significant:
         return history.drift.rate, 'the drift since the last event'
-    return history.series.values[-1], 'the errors themselves: no drift is seen'
+    return history.series.values[-1], 'the errors themselves: no significant drift'
 
 
 def _line(series: Series, vector: Array, start: Array, end: Array) -> _Seen:
@@ -168,8 +168,7 @@ class InterimCheck:
         return (
             f'{verdict}: mean deviation of {self.lines} lines {1e6 * self.left:.2f} um, '
             f'{1e6 * self.expected:.2f} um expected ({self.ratio:.1f} times; up to '
-            f'{HOLDING_RATIO} is '
-            f'chance)'
+            f'{HOLDING_RATIO} is chance)'
         )
 
 

@@ -107,7 +107,7 @@ def read_moment(text: str, where: str) -> datetime:
         moment = datetime.fromisoformat(text.replace('Z', '+00:00'))
     except ValueError:
         raise ConfigError(
-            f'{where}: {text!r} is no date; write 2026-11-21 or 2026-11-21T10:30:00Z'
+            f'{where}: {text!r} is not a date; write 2026-11-21 or 2026-11-21T10:30:00Z'
         ) from None
     return moment.replace(tzinfo=moment.tzinfo or timezone.utc).astimezone(timezone.utc)
 
@@ -147,7 +147,7 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
     content = load_tables(tables)
     moment = at or measured_at(content)
     if moment is None:
-        raise ConfigError(f'{tables}: does not say when it was measured; give --at DATE')
+        raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
     read_moment(moment, '--at' if at else str(tables))
     return _add(folder, {'kind': RUN, 'at': moment, 'tables': read_json(tables)})
 
@@ -156,7 +156,7 @@ def add_event(folder: Path, words: str, at: str, machine: str = '') -> tuple[str
     """Put an event into the store; of all machines if none is named. As ``add_run``."""
     read_moment(at, '--at')
     if not words.strip():
-        raise ConfigError('--event: say what happened')
+        raise ConfigError('--event: state what happened')
     return _add(folder, {'kind': EVENT, 'at': at, 'machine': machine, 'words': words.strip()})
 
 
@@ -183,7 +183,7 @@ def read_store(folder: str | Path) -> Store:
     folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError(
-            f'{folder}: no such folder; otf history {folder} --add RESULTS begins a store'
+            f'{folder}: no such folder; otf history {folder} --add RESULTS creates a store'
         )
     runs: list[StoredRun] = []
     events: list[StoredEvent] = []
@@ -208,8 +208,8 @@ def _read_entry(path: Path) -> dict[str, Any]:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != path.stem:
         raise InputError(
-            f'{path}: its content is not that of its name (SHA-256): changed by hand or cut; take '
-            f'it out of the store and add the results again'
+            f'{path}: its content does not match its name (SHA-256): edited or truncated; '
+            f'remove it from the store and add the results again'
         )
     entry = read_json(path)
     if not isinstance(entry, dict) or entry.get('schema') != SCHEMA:
@@ -275,9 +275,9 @@ class Series:
                 words.append(
                     f'the run {run.name} of {run.at:%Y-%m-%d} was measured with the target '
                     f'offset {_millimetres(tables.machine.target_offset)}, the latest run with '
-                    f'{_millimetres(offset)}: {", ".join(unseen)}, which it did not see, act '
-                    f'there as other translations; what seems to have changed may be the target '
-                    f'alone'
+                    f'{_millimetres(offset)}: {", ".join(unseen)}, which it did not determine, '
+                    f'act there as other translations; an apparent change may be due to the '
+                    f'target alone'
                 )
         return words
 

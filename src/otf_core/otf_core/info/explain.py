@@ -71,7 +71,7 @@ class Kind:
 
 
 def begins(path: Path, *starts: str) -> bool:
-    """Tell whether the first line of a text file that is no comment begins so."""
+    """Tell whether the first line of a text file that is not a comment begins so."""
     try:
         with path.open(encoding='utf-8-sig') as file:
             lines = (line for line in file if line.strip() and not line.startswith('#'))
@@ -92,7 +92,7 @@ EXPORT_LINES = {
     'sign: ': 'sign',
     'values: ': 'values',
     'not in this file: ': 'not in it',
-    'zero because the calibration does not show them: ': 'not seen',
+    'zero because the calibration does not determine them: ': 'not seen',
 }
 """Beginnings of the further lines of a head, and what they are about."""
 
@@ -103,7 +103,7 @@ def _explain_folder(path: Path) -> Explained:
     changed = [str(f.relative_to(path)) for f in entries if not is_as_listed(f, entries)]
     names = sorted(f.name for f in entries)
     rows = [('by', f'otf {verb}'), ('files', ', '.join(names))]
-    rows += [('CHANGED', f'{name}: is not as it was written') for name in changed]
+    rows += [('CHANGED', f'{name}: has been modified') for name in changed]
     facts: dict[str, object] = {'by': verb, 'files': names, 'changed': changed}
     for file in sorted(f for f in entries if f.parent == path and f.suffix == '.json'):
         kind = next((k for k in JSON_KINDS if k.is_one(file)), None)
@@ -199,7 +199,7 @@ def _explain_gap(data: Data) -> Explained:
     gap = data['gap']
     rows: Rows = [('verdict', f'{data["verdict"]}: {data.get("sentence", "")}')]
     rows.append((
-        'gap', f'{gap["before_um"]:.2f} um, with the causes taken off {gap["after_um"]:.2f} um',
+        'gap', f'{gap["before_um"]:.2f} um, with the causes removed {gap["after_um"]:.2f} um',
     ))  # fmt: skip
     rows += [
         (
@@ -253,7 +253,7 @@ def _explain_noise(data: Data) -> Explained:
 
 def _explain_comparison(data: Data) -> Explained:
     volume = data['volume']
-    within = 'no side states an uncertainty'
+    within = 'neither source states an uncertainty'
     if volume['within'] is not None:
         within = f'{100 * volume["within"]:.0f} % of normalised errors at most 1'
     rows = (
@@ -341,7 +341,7 @@ JSON_KINDS: tuple[Kind, ...] = (
         'otf-noise/1',
         'noise',
         _explain_noise,
-        'what a tracker shows at rest; otf plan --noise reads it',
+        'noise of a tracker at rest; otf plan --noise reads it',
     ),
     _json_kind(
         'otf-comparison/1',
@@ -393,7 +393,7 @@ def _explain_other(path: Path) -> Explained:
 
 
 OTHER = Kind(
-    'other result', 'a file of otf that has no explanation of its own', _is_other, _explain_other
+    'other result', 'a file of otf without a description of its own', _is_other, _explain_other
 )
 
 
@@ -405,7 +405,7 @@ def _explain_residuals(path: Path) -> Explained:
             before = np.linalg.norm(file['deviation'], axis=1)
             runs = int(file['run'].max()) + 1
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError(f'{path}: is no residuals.npz of otf calibrate ({error})') from None
+        raise ConfigError(f'{path}: is not a residuals.npz of otf calibrate ({error})') from None
     rows = (
         ('pieces', f'{len(rest)} of the path, in {runs} run{"s" if runs > 1 else ""}'),
         ('residual', f'{1e6 * rest.mean():.2f} um on average, at most {1e6 * rest.max():.2f} um'),
@@ -441,7 +441,7 @@ def _explain_export(path: Path) -> Explained:
     text = both.decode('utf-8', errors='replace')
     found = EXPORT_HEAD.search(text)
     if found is None:
-        return Explained((('export', 'its head has been changed: format and run are not known'),))
+        return Explained((('export', 'its header has been changed: format and run are unknown'),))
     facts = found.groupdict()
     rows = [
         ('export', f'format {facts["format"]}'),
@@ -492,7 +492,7 @@ def _explain_bag(path: Path) -> Explained:
         rows.append(('path', f'{points} corner points, {path_driven.length:.2f} m'))
         facts |= {'path_points': points, 'path_length': path_driven.length}
     rows += [('INCOMPLETE', text) for text in reading.remarks]
-    rows.append(('usable?', 'otf check says it'))
+    rows.append(('usable?', 'see otf check'))
     return Explained(tuple(rows), facts)
 
 
@@ -617,7 +617,7 @@ def _explain_machine(path: Path) -> Explained:
         ('target', f'offset ({offset}) mm'),
         ('tracker', f'{level[0]:g} um along, {level[1]:g} urad across the beam'),
         ('uncertainty', 'declared' if machine.uncertainty else
-         'nothing declared but the noise of the tracker: u will be too small'),
+         'only the noise of the tracker is declared: u will be too small'),
     ]  # fmt: skip
     return Explained(tuple(rows), machine.to_dict())
 
@@ -683,4 +683,4 @@ def explain(name: str | Path) -> tuple[Kind, Explained]:
         if kind.is_one(path):
             return kind, kind.explain(path)
     known = ', '.join(kind.name for kind in KINDS)
-    raise ConfigError(f'{path}: is nothing that otf writes or reads; known: {known}')
+    raise ConfigError(f'{path}: is not a file that otf writes or reads; known: {known}')

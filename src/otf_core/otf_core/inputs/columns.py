@@ -525,7 +525,7 @@ def _unnamed(table: TextTable) -> Columns | None:
     numbers = [k for k in places if k not in clocks]
     remarks: tuple[str, ...] = ()
     if len(numbers) == 4 and counts_rows(table.column(numbers[0])):
-        remarks = (f'column {numbers[0] + 1} counts the lines and is no time',)
+        remarks = (f'column {numbers[0] + 1} counts the lines and is not a time',)
         numbers = numbers[1:]
     names = [f'column {k + 1}' for k in range(table.width)]
     time: tuple[Column, ...] = ()

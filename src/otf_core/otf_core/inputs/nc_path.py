@@ -123,7 +123,7 @@ class DrivenPath:
         start = dict(self.at)
         end = {**start, **goal}
         if None in (*start.values(), *end.values()):
-            refuse(self.where, line, word, 'begins where the program has not said X, Y and Z yet')
+            refuse(self.where, line, word, 'begins before the program has stated X, Y and Z')
         self._frame(line, word, frame)
         self._add(self._point())
         self.arcs += 1
@@ -147,7 +147,7 @@ class DrivenPath:
         """Program stop: what was driven before the first may have been the approach."""
         if not self._stopped and 0 < self._moves <= APPROACH and self._is_known():
             self.remarks.append(
-                f'{self._moves} moves before the first program stop are taken for the approach'
+                f'{self._moves} moves before the first program stop are treated as the approach'
             )
             self.corners = [self._point()]
         self._stopped = True
@@ -157,12 +157,12 @@ class DrivenPath:
         if self._lost is not None:
             line, word = self._lost
             self.remarks.append(
-                f'what follows from line {line} on ({word}) is taken for a retract'
+                f'what follows from line {line} on ({word}) is treated as a retract'
             )
         missing = [axis for axis, value in self.at.items() if value is None]
         if not self.corners and missing:
             raise ConfigError(
-                f'{self.where}: is an NC program that never says where {", ".join(missing)} '
+                f'{self.where}: is an NC program that never states where {", ".join(missing)} '
                 f'stands; state X, Y and Z of the start of the path in it, or {CURE}'
             )
         if len(self.corners) < 2:
@@ -186,8 +186,8 @@ class DrivenPath:
         if len(offsets) > 1:
             refuse(
                 self.where, line, word,
-                f'moves in {offsets[1]} after moves in {offsets[0]}, and how they lie to each '
-                f'other is not in the program',
+                f'moves in {offsets[1]} after moves in {offsets[0]}, and the program does not '
+                f'state how they are related',
             )  # fmt: skip
 
     def _lose(self, line: int, word: str) -> None:
@@ -200,7 +200,7 @@ class DrivenPath:
             missing = ' and '.join(a for a, value in self.at.items() if value is None)
             refuse(
                 self.where, line, word,
-                f'is move {self._unseen} of the program, and it has not said yet where {missing} '
+                f'is move {self._unseen} of the program, which has not stated yet where {missing} '
                 f'stands',
             )  # fmt: skip
 
@@ -251,7 +251,9 @@ class DrivenPath:
             turn = -2.0 * math.pi if clockwise else 2.0 * math.pi
         length = radius * abs(turn)
         if not length <= LONGEST_ARC:
-            refuse(self.where, line, word, f'is an arc of {length:.3g} m: no machine drives it')
+            refuse(
+                self.where, line, word, f'is an arc of {length:.3g} m, which no machine can drive'
+            )
         if len(self.corners) > MOST_CORNERS:
             refuse(self.where, line, word, f'is an arc after {MOST_CORNERS} chords: too many')
         count = max(math.ceil(length / CHORD), math.ceil(abs(turn) / CHORD_TURN), 3)

@@ -144,7 +144,7 @@ class GCode:
 
     def _unreadable(self, number: int, text: str) -> NoReturn:
         word = text.split()[0]
-        why = 'is no word with a number'
+        why = 'is not a word with a number'
         if re.search(r'[#\[\]]|[A-Z_]*\s*=\s*[A-Z]|^R\d+\s*=|\$', text):
             why = 'holds a variable, an expression or a command'
         elif CALLS.match(text) or FRAMES.match(text):
@@ -248,7 +248,7 @@ class GCode:
             why = {
                 'D': 'takes a tool offset', 'H': 'takes a tool length offset',
                 'L': 'calls a subprogram',
-            }.get(letter, 'is not known here')  # fmt: skip
+            }.get(letter, 'is not supported')  # fmt: skip
             refuse(self._where, number, word, why)
         if block.radius is not None and self._motion not in '23' and not dwells:
             refuse(self._where, number, f'R{block.radius}', 'belongs to no arc')
@@ -445,7 +445,7 @@ class Klartext:
             elif word in ('M2', 'M02', 'M30') or HARMLESS_M.fullmatch(word):
                 found[word] = word
             else:
-                refuse(self._where, number, word, 'is not known here')
+                refuse(self._where, number, word, 'is not supported')
         if words[0] == 'CC':
             self._take_centre(number, text, goal)
         elif goal or words[0] == 'C':
@@ -468,7 +468,7 @@ class Klartext:
         """Centre of the next circles; without coordinates the last position."""
         x, y = (goal.get(axis, None if goal else self._path.at[axis]) for axis in 'XY')
         if 'Z' in goal or x is None or y is None:
-            refuse(self._where, number, text, 'is no centre in the plane of X and Y')
+            refuse(self._where, number, text, 'is not a centre in the plane of X and Y')
         self._centre = {'X': x, 'Y': y}
 
     def _move(
@@ -590,8 +590,8 @@ def _words(form: str, path: DrivenPath) -> str:
     offsets = [name for name in path.frames if name != MACHINE]
     if offsets:
         said.append(
-            f'positions in {offsets[0]} are taken for {MACHINE}: that offset has to be zero'
+            f'positions in {offsets[0]} are treated as {MACHINE}: that offset has to be zero'
         )
     if path.slanted_rapids:
-        said.append(f'{path.slanted_rapids} rapid moves of several axes are taken as straight')
+        said.append(f'{path.slanted_rapids} rapid moves of several axes are treated as straight')
     return '; '.join([*said, *path.remarks])

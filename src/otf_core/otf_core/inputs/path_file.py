@@ -199,8 +199,8 @@ def read_path(name: str | Path) -> tuple[Array, str]:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no plan, holds a line that is no point, or is an NC program
-        that drives otherwise than along lines and arcs of X, Y, Z.
+        If the file cannot be read, is not a plan, holds a line that is not a point, or is an NC
+        program that drives otherwise than along lines and arcs of X, Y, Z.
     InputError
         If the text holds no points.
     """

@@ -18,7 +18,7 @@ from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.machine import TOOL, Machine, load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording, blamed
+from otf_core.pieces.runs import Recording, errors_of
 
 AnyReading = BagReading | TextReading
 
@@ -77,12 +77,12 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
     if is_text(source):
         named = given.topic or given.path_topic
         if named:
-            raise ConfigError(f'--topic: {source} is a text and has no topics')
+            raise ConfigError(f'--topic: {source} is a text table and has no topics')
         reading: AnyReading = TextReading(source, given.columns, given.rate)
     else:
         for option, value in (('--columns', given.columns), ('--rate', given.rate)):
             if value is not None and Path(source).exists():
-                raise ConfigError(f'{option}: {source} is a bag; this is for texts')
+                raise ConfigError(f'{option}: {source} is a bag; this option is for text tables')
         path = None if given.path is not None else called(PATH, given.path_topic)
         reading = BagReading(source, called(POINT, given.topic), path, recover=given.recover)
     reading.publisher = given.publisher
@@ -126,11 +126,13 @@ def read_recording(
     content = read_content(sources, given)
     used = machine if isinstance(machine, Machine) else load_machine(machine)
     if given.signals and (len(sources) > 1 or is_text(sources[0])):
-        raise ConfigError('--signal: only of one bag a run, neither of texts nor with --join')
+        raise ConfigError(
+            '--signal: works only with one bag per run, not with text tables or --join'
+        )
     declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
     signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
-    with blamed(name):
+    with errors_of(name):
         path, parts = _driven(content, used)
     return Recording(
         content.samples,

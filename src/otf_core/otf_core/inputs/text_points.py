@@ -94,7 +94,7 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
     Raises
     ------
     MomentError
-        If one is no time, or they can be read in two ways; says which and how.
+        If one is not a time, or they can be read in two ways; says which and how.
     InputError
         If the unit is none of time.
     """
@@ -106,7 +106,7 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
         return Moments(scaled_ns(texts, LONG_TIMES[unit]), unit or '')
     if unit is not None and unit not in ORDERS:
         raise InputError(
-            f'{unit!r} is no unit of time that is read; possible: s, ms, us, ns, min, h, days'
+            f'{unit!r} is not a unit of time that is read; possible: s, ms, us, ns, min, h, days'
         )
     written = _written_as_one(texts) if alone else None
     if written is not None:
@@ -189,7 +189,7 @@ def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
     Raises
     ------
     MomentError
-        If one is no number, or too large for int64.
+        If one is not a number, or too large for int64.
     """
     shift = power + 9
     try:
@@ -227,9 +227,9 @@ def _numbers(texts: Sequence[str]) -> list[Decimal]:
         try:
             found.append(Decimal(text))
         except InvalidOperation:
-            raise MomentError(f'{shown(text)} is no time', row) from None
+            raise MomentError(f'{shown(text)} is not a time', row) from None
         if not found[-1].is_finite():
-            raise MomentError(f'{shown(text)} is no time', row)
+            raise MomentError(f'{shown(text)} is not a time', row)
     return found
 
 
@@ -270,7 +270,7 @@ SMALLEST_NOISE = 2e-8
 MIN_TRAVEL = 1e-3
 """m; a target that hardly moves says nothing."""
 TRACKER_RANGE = 60.0
-"""Farther from the tracker is no metre: the range of trackers ends there."""
+"""Farther from the tracker is not in metres: the range of trackers ends there."""
 
 
 def is_text(source: str | Path) -> bool:
@@ -312,7 +312,7 @@ class TextReading:
     ConfigError
         If it cannot be read, or what is given does not suit it.
     InputError
-        If it is no table of samples; names the line.
+        If it is not a table of samples; names the line.
     """
 
     def __init__(
@@ -431,7 +431,7 @@ def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None
     if len(faults) > MAX_LEFT_OUT * (len(faults) + kept):
         raise InputError(
             f'{table.where}: {len(faults)} of {len(faults) + kept} lines are no samples: '
-            f'{fault_words(faults)}; give one table a file, and export the samples that were '
+            f'{fault_words(faults)}; give one table per file, and export the samples that were '
             f'measured only'
         )
 
@@ -452,7 +452,8 @@ def _length(where: str, stated: str | None, values: Array) -> tuple[str, str]:
     """Unit of lengths, and the same in words; by their size if none is stated."""
     if stated is not None and stated not in LENGTHS:
         raise InputError(
-            f'{where}: {stated!r} is no unit of length that is read; possible: {known_lengths()}'
+            f'{where}: {stated!r} is not a unit of length that is read; possible: '
+            f'{known_lengths()}'
         )
     unit = stated or ('mm' if np.nanmax(np.abs(values), initial=0.0) > TRACKER_RANGE else 'm')
     return unit, unit if stated else f'{unit} (not stated, by their size)'
@@ -469,7 +470,7 @@ def _from_polar(where: str, values: Array, columns: Columns) -> tuple[Array, str
         if column.unit not in ANGLES:
             what = 'its unit is not stated'
             if column.unit is not None:
-                what = f'{column.unit!r} is no unit of angles that is read'
+                what = f'{column.unit!r} is not a unit of angles that is read'
             raise InputError(
                 f'{where}: {column.name}: {what}; write deg, gon or rad into the head, as in '
                 f'{column.name.split()[0]} [gon]'
@@ -577,7 +578,7 @@ def _stamps_of(
     if column.unit is None and alone and counts_rows(texts):
         raise InputError(
             f'{chosen.where}: {column.name} counts the lines ({texts[0]}, {texts[1]}, {texts[2]}) '
-            f'and is no time; leave it out and state the rate of the tracker: --columns '
+            f'and is not a time; leave it out and state the rate of the tracker: --columns '
             f'{_without_time(chosen, columns)} --rate 1000 (Hz); or state its unit, as in time_ms'
         )
     try:
@@ -585,7 +586,7 @@ def _stamps_of(
     except MomentError as error:
         line = '' if error.row is None else f'line {chosen.lines[error.row]}: '
         ways = [_without_time(chosen, columns, f'time_{order}') for order in error.orders]
-        cure = f'; say which: {" or ".join(f"--columns {way}" for way in ways)}' if ways else ''
+        cure = f'; state which: {" or ".join(f"--columns {way}" for way in ways)}' if ways else ''
         raise InputError(f'{chosen.where}: {line}{column.name}: {error}{cure}') from None
     except InputError as error:
         raise InputError(f'{chosen.where}: {column.name}: {error}') from None

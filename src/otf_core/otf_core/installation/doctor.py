@@ -114,7 +114,7 @@ def check_packages() -> Iterator[State]:
     if broken:
         yield State(
             'binaries', ERROR, '; '.join(broken),
-            'use an environment of its own (python -m venv), so that pip and apt do not mix',
+            'use a separate environment (python -m venv), so that pip and apt do not mix',
         )  # fmt: skip
 
 
@@ -169,7 +169,7 @@ def _memory_size() -> float | None:
 VARIABLES = {
     'PYTHONHOME': 'it points Python at another library; unset it',
     'PYTHONPATH': 'packages there hide those of this environment; unset it outside ROS',
-    'PYTHONOPTIMIZE': 'checks of the program are left out; unset it',
+    'PYTHONOPTIMIZE': 'checks of the program are disabled; unset it',
 }
 
 
@@ -183,14 +183,14 @@ def check_locale_and_variables() -> Iterator[State]:
     else:
         yield State(
             'locale', WARNING, found,
-            'set LANG=C.UTF-8, on Windows PYTHONUTF8=1: names with umlauts come out wrong else',
+            'set LANG=C.UTF-8, on Windows PYTHONUTF8=1: otherwise names with umlauts are garbled',
         )  # fmt: skip
     for name, do in VARIABLES.items():
         if os.environ.get(name) and not _is_set_by_otf_or_ros(name):
             yield State('environment', WARNING, f'{name}={os.environ[name]}', do)
     epoch = os.environ.get('SOURCE_DATE_EPOCH', '')
     if epoch:
-        do = 'unset it unless results have to repeat to the last byte'
+        do = 'unset it unless results must be identical to the last byte'
         yield State('environment', WARNING, f'SOURCE_DATE_EPOCH={epoch}: all dates are this', do)
 
 
@@ -227,8 +227,8 @@ def check_clock() -> Iterator[State]:
     if synchronised is False:
         yield State(
             'clock', WARNING, f'{date}, not kept by NTP',
-            'timedatectl set-ntp true; a clock that is set while recording spoils bags that '
-            'are stamped by this computer',
+            'timedatectl set-ntp true; a clock adjusted during a recording corrupts bags '
+            'stamped by this computer',
         )  # fmt: skip
     else:
         yield State('clock', OK, date + (', kept by NTP' if synchronised else ''))
@@ -291,7 +291,7 @@ def _ros() -> State:
     if distribution and distribution != 'jazzy':
         return State(
             'ros', WARNING, f'ROS_DISTRO={distribution}',
-            'the nodes are made for jazzy: open a new terminal, source /opt/ros/jazzy/setup.bash',
+            'the nodes require jazzy: open a new terminal, source /opt/ros/jazzy/setup.bash',
         )  # fmt: skip
     missing_tools = [names[0] for names in TOOLS if not any(map(shutil.which, names))]
     if find_spec('rclpy') is None and missing_tools:

@@ -231,7 +231,7 @@ def by_line(error: Array, at: OnPath, path: NominalPath) -> tuple[tuple[float, f
 
 
 def volumetric(error: Array, q: Array) -> float:
-    """Mean length of errors (n, 3) at positions (n, 3), best rigid motion taken out, m."""
+    """Mean length of errors (n, 3) at positions (n, 3), best rigid motion removed, m."""
     return mean_length(without_rigid_motion(error, q))
 
 
@@ -268,7 +268,7 @@ class Proof:
     Attributes
     ----------
     before, after : float
-        m; mean volumetric error, true, best rigid motion taken out.
+        m; mean volumetric error, true, best rigid motion removed.
     forecast : float
         m; what the export forecast to remain on these lines, u of the tables in it.
     of_tables, of_export, of_control : float
@@ -495,7 +495,7 @@ def _proof(
 
 
 def _lag(driven: Driven, at: OnPath, held: Field) -> Array:
-    """Length of what external offsets lack of the correction wanted, shape (n,), m."""
+    """Length of what external offsets miss of the correction wanted, shape (n,), m."""
     believed = driven.believed[at.row]
     lacking = (driven.motor - driven.believed)[at.row] + held(believed)
     if not np.any(driven.offset):

@@ -234,8 +234,8 @@ def find_control() -> str:
         )
     if LOCK.exists():
         raise ConfigError(
-            f'{LOCK}: LinuxCNC runs on this computer already, and two would end each other; end '
-            f'it, or remove the file if nothing runs'
+            f'{LOCK}: LinuxCNC runs on this computer already, and two would terminate each '
+            f'other; stop it, or remove the file if none is running'
         )
     return found
 
@@ -345,7 +345,7 @@ def _read_samples(path: Path) -> Driven:
     lines = [line.split() for line in path.read_text().splitlines()]
     table = np.array([words for words in lines if len(words) == COLUMNS + 1], dtype=float)
     if len(table) < 2:
-        raise InputError('LinuxCNC: the sampler gave nothing')
+        raise InputError('LinuxCNC: the sampler returned nothing')
     gaps = np.flatnonzero(np.diff(table[:, 0]) != 1)
     if len(gaps) and gaps[0] <= SAMPLER_DEPTH:
         table = table[gaps[0] + 1 :]  # what stood in the queue since before the program

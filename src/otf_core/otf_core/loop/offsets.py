@@ -90,7 +90,7 @@ def look(
         made['slowest'] = max(made['slowest'], step)
         if step > MAX_DELAY and q != before:
             made['fault'] = True
-            sys.stderr.write(f'otf-volume: a look {step:.3f} s late at {q}: feed held\n')
+            sys.stderr.write(f'otf-volume: position read {step:.3f} s late at {q}: feed held\n')
         if 0 < step < MAX_DELAY:
             ahead = [b + (b - a) * LEAD_TIME / step for a, b in zip(before, q, strict=True)]
     error = error_at(axes, table, ahead)

@@ -16,7 +16,7 @@ from otf_core.model.signals import LAGS, Signal
 
 
 def lag_of(name: str) -> float | None:
-    """Time constant that a name ends with, s; 0 for none, None if it is no number above zero."""
+    """Time constant at the end of a name, s; 0 for none, None if it is not a positive number."""
     _, at, text = name.partition('@')
     try:
         lag = float(text) if at else 0.0

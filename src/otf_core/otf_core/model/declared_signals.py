@@ -89,8 +89,9 @@ def _one(fields: Fields, name: str) -> SignalSpec:
     unit = own.text('unit') if own.has('unit') else ''
     kind = own.text('type') if own.has('type') else '' if field else USUAL
     if kind and kind not in PLAIN:
-        own.fail('type', f"'{kind}' is no message with one number; possible: {', '.join(PLAIN)}; "
-                         f'of any other give the field alone, for bags')  # fmt: skip
+        possible = ', '.join(PLAIN)
+        own.fail('type', f"'{kind}' is not a message with one number; possible: {possible}; "
+                         f'for any other type give the field alone, for bags')  # fmt: skip
     if kind and field not in ('', PLAIN[kind]):
         own.fail('type', f'{kind} has no field {field}; its number is {PLAIN[kind]}')
     acts_on = own.take('acts_on') if own.has('acts_on') else list(DRIVEN)

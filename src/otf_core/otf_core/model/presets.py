@@ -2,10 +2,10 @@
 """Classes of trackers and of workshops: typical standard uncertainties, each with its source.
 
 ``tracker: {preset: NAME}`` and ``uncertainty: {preset: NAME}`` in machine.yaml take them; keys
-that are given beside a preset win. A stated limit +/- a is taken as rectangular, u = a / sqrt(3)
-(GUM 4.3.7). They are no substitute for the certificate of the tracker or for a thermometer.
+given in addition to a preset take precedence. A stated limit +/- a is taken as rectangular, u = a
+/ sqrt(3) (GUM 4.3.7). They do not replace the certificate of the tracker or a thermometer.
 
-Names of presets and what they hold do not change: results that name one stay readable.
+Names and values of presets do not change, so results that refer to one stay reproducible.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ RECORDED = (
     '1.9 urad in calm air, 3.1 urad to 4.2 urad in turbulent air'
 )
 LTD800 = (
-    'LTD800 data sheet, coordinates at rest, 2 sigma: 25 um up to 2.5 m, 10 um/m beyond; taken '
-    'as offset and as angle, so somewhat too much in between'
+    'LTD800 data sheet, coordinates at rest, 2 sigma: 25 um up to 2.5 m, 10 um/m beyond; used '
+    'as offset and as angle, so somewhat too large in between'
 )
-INTERFEROMETER = 'interferometer 0.5 um/m, as makers state it'
+INTERFEROMETER = 'interferometer 0.5 um/m, as stated by manufacturers'
 GRADIENT = (
-    'air over a height may differ by 2 K/m and pass for comfortable (BG ETEM, Messung der '
-    'Lufttemperatur): half a metre beside the thermometer is 1 K, one and a half 3 K'
+    'vertical gradients of 2 K/m still count as comfortable (BG ETEM, Messung der '
+    'Lufttemperatur): 0.5 m from the thermometer is 1 K, 1.5 m is 3 K'
 )
 STEEL = 'steel 11.7e-6 1/K, cast iron 10e-6 to 12e-6 1/K'
 
@@ -57,8 +57,8 @@ class Preset:
 
 TRACKERS: dict[str, Preset] = {
     'absolute-interferometer': Preset(
-        'recent absolute tracker, measuring with its interferometer in calm air, compensated '
-        'and checked in two faces lately',
+        'recent absolute tracker, measuring with its interferometer in calm air, recently '
+        'compensated and two-face checked',
         {
             'u_range': 0.5e-6,
             'u_angle': 1.5e-6,
@@ -67,11 +67,10 @@ TRACKERS: dict[str, Preset] = {
             'tracker_offset': 4.3e-6,
             'tracker_angle': 1.7e-6,
         },
-        (RECORDED, INTERFEROMETER, AT500, 'across the beam half of the limit, R0 all of it'),
+        (RECORDED, INTERFEROMETER, AT500, 'across the beam half of the limit, R0 in full'),
     ),
     'absolute-distance-meter': Preset(
-        'recent absolute tracker, measuring with its absolute distance meter in the air of a '
-        'workshop',
+        'recent absolute tracker, measuring with its absolute distance meter in workshop air',
         {
             'u_range': 1.0e-6,
             'u_angle': 3.5e-6,
@@ -80,7 +79,7 @@ TRACKERS: dict[str, Preset] = {
             'tracker_offset': 8.7e-6,
             'tracker_angle': 3.5e-6,
         },
-        (RECORDED, AT500, 'the whole limits; u_range is assumed: measure it with otf noise'),
+        (RECORDED, AT500, 'limits in full; u_range is assumed: measure it with otf noise'),
     ),
     'ltd-class': Preset(
         'older interferometer tracker of the LTD class, reset at the bird bath',
@@ -98,7 +97,7 @@ TRACKERS: dict[str, Preset] = {
 
 WORKSHOPS: dict[str, Preset] = {
     'laboratory': Preset(
-        'temperature-controlled room, machine soaked, weather read during the run',
+        'temperature-controlled room, machine at thermal equilibrium, weather read during the run',
         {
             'air_temperature': 0.17,
             'air_pressure': 60.0,
@@ -113,7 +112,7 @@ WORKSHOPS: dict[str, Preset] = {
         ),
     ),
     'workshop': Preset(
-        'ordinary workshop: heated, doors shut, weather read once, machine thermometer',
+        'ordinary workshop: heated, doors closed, weather read once, machine thermometer',
         {
             'air_temperature': 0.6,
             'air_pressure': 120.0,
@@ -150,7 +149,7 @@ NOISE = ('u_range', 'u_angle')
 def chosen(presets: Mapping[str, Preset], name: str, where: str) -> Preset:
     """Return a preset by its name; ConfigError lists those that exist."""
     if name not in presets:
-        raise ConfigError(f"{where}: '{name}' is no preset; known here: {', '.join(presets)}")
+        raise ConfigError(f"{where}: '{name}' is not a preset; known here: {', '.join(presets)}")
     return presets[name]
 
 

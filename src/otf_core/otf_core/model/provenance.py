@@ -134,7 +134,7 @@ def _written() -> str:
     try:
         now = _EPOCH + timedelta(seconds=int(given)) if given else datetime.now(timezone.utc)
     except (ValueError, OverflowError):
-        raise ConfigError(f'SOURCE_DATE_EPOCH: {given!r} is no number of seconds') from None
+        raise ConfigError(f'SOURCE_DATE_EPOCH: {given!r} is not a number of seconds') from None
     return now.isoformat(timespec='seconds').replace('+00:00', 'Z')
 
 

@@ -28,9 +28,9 @@ TYPICAL_TIME, SPREAD = 0.3, 10.0
 MAX_ITERATIONS = 5
 """Of the fit; each weighs with the model of the one before."""
 MIN_SLOW_SHARE = 0.02
-"""Share of the variance below which a slow part is not told from none."""
+"""Share of the variance below which a slow part is indistinguishable from none."""
 SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
-"""s; correlation times looked for, further limited by the interval and length of the windows."""
+"""s; correlation times searched for, further limited by the interval and length of the windows."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Arr
 
 
 def longest_time(windows: Sequence[Array], step: float) -> float:
-    """Longest correlation time that windows of values ``step`` seconds apart can tell, s."""
+    """Longest correlation time that windows of values ``step`` seconds apart can show, s."""
     longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
     return max(longest, 2 * step)
 
@@ -109,7 +109,7 @@ def longest_time(windows: Sequence[Array], step: float) -> float:
 def fit_colour(windows: Sequence[Array], step: float) -> tuple[NoiseComponent, ...]:
     """Fit white and slow noise, with one correlation time for all quantities.
 
-    Short windows tell the time too badly to ask each quantity for its own.
+    Short windows determine the time too poorly to fit one for each quantity.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
     if bins < 2 * NEIGHBOURS:
         return ()
     freedom = 2.0 * max(1.0, seen.segments / 1.06)  # half overlap, Hann window
-    # the background is a median over neighbours of which two out of three tell something new
+    # the background is a median over neighbours of which two out of three are independent
     of_background = freedom * (2 * NEIGHBOURS + 1) * (2.0 / 3.0) * MEDIAN_EFFICIENCY
     chance = f_ratio.isf(FALSE_ALARM / (bins * len(seen.density)), freedom, of_background)
     chance *= freedom / chi2.median(freedom)

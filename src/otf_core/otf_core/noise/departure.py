@@ -138,7 +138,7 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
     -------
     Departure or None
         None with less than ``MIN_TOTAL`` of standstill: what is long enough to measure the noise
-        is long enough to judge it, since the jackknife tells how surely. Machines that do not
+        is long enough to judge it, since the jackknife states how surely. Machines that do not
         stop at corners stand still at the two ends of a run alone.
     """
     runs = find_standstills(samples, speed)

@@ -35,7 +35,7 @@ Windows = tuple[Array, Array, Index]
 QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
 TYPICAL_WHITE_SHARE = 0.5
 TYPICAL_CORRELATION_TIME = 0.3
-"""Taken where a run has too little standstill to tell: real trackers show 0.1 s to 0.5 s."""
+"""Taken where a run has too little standstill to show it: real trackers show 0.1 s to 0.5 s."""
 
 
 MODEL_FLOOR = 5e-8

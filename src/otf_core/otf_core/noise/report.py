@@ -49,7 +49,7 @@ MAX_LOST_SHARE = 0.01
 MAX_LEVEL = 20e-6
 """m and rad; no laser tracker at work is louder, so the target itself moves."""
 LONG_TIME_SHARE = 0.95
-"""Share of the longest correlation time looked for, from which on it may be longer."""
+"""Share of the longest correlation time searched for, from which on it may be longer."""
 MIN_INTERVAL = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
 
@@ -140,7 +140,7 @@ def _warnings(
     if duration < MIN_TOTAL_FOR_COLOUR:
         found.append(
             f'only {duration:.1f} s of standstill: levels and colour are rough; '
-            f'{MIN_TOTAL_FOR_COLOUR:g} s or more in stops of a second or more tell them'
+            f'{MIN_TOTAL_FOR_COLOUR:g} s or more in stops of a second or more are needed'
         )
     if measured.left_out > measured.windows:
         found.append(
@@ -150,12 +150,12 @@ def _warnings(
     time = measured.noise.range.correlation_time
     if time > LONG_TIME_SHARE * longest_time(windows, duration / measured.samples):
         found.append(
-            f'the slow part is slower than the standstills tell: its correlation time is '
+            f'the slow part is slower than the standstills can show: its correlation time is '
             f'{time:.1f} s or more, and its level a lower bound'
         )
     if measured.noise.level.max() > MAX_LEVEL:
         found.append(
-            'louder than laser trackers are: the target itself seems to move; fasten it and '
+            'noisier than laser trackers are: the target itself seems to move; fasten it and '
             'record again'
         )
     return tuple(found)

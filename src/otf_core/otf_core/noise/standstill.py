@@ -42,7 +42,7 @@ NORMAL_PERCENTILE = 0.3186
 MIN_BLOCKS, MIN_BLOCKS_FOR_MEDIAN = 3, 8
 """Blocks; shorter standstills are not judged, or not by the deviation from their median."""
 RESOLUTION = 0.2e-6
-"""m and rad; levels below are not told apart."""
+"""m and rad; levels below are indistinguishable."""
 ROUNDING = 0.3
 """Standard deviation of rounding over its step."""
 
@@ -70,7 +70,7 @@ def spherical_deviations(xyz: Array) -> Array:
 
 
 def resolution(deviations: list[Array]) -> Array:
-    """Levels that recordings do not tell apart: they are often rounded to 1 um and 1 urad.
+    """Levels that recordings do not distinguish: they are often rounded to 1 um and 1 urad.
 
     Parameters
     ----------
@@ -195,12 +195,12 @@ def at_rest(samples: Samples, runs: Index) -> Index:
 QUIET_BLOCKS_ASIDE = 3
 """Blocks on either side of a step that have to be quiet."""
 MIN_DRIFT_TIME = 5.0
-"""s; a shorter standstill does not tell drift from slow noise."""
+"""s; a shorter standstill does not distinguish drift from slow noise."""
 
 
 @dataclass(frozen=True)
 class Lost:
-    """Samples that the stamps say are missing.
+    """Samples that are missing according to the stamps.
 
     Attributes
     ----------
@@ -313,7 +313,7 @@ SMOOTHING = 0.1
 MAX_VALUES = 5_000
 """Values that the likelihood is taken over."""
 FREEDOMS = np.geomspace(2.2, 60.0, 30)
-"""Degrees of freedom tried; more are not told from normal."""
+"""Degrees of freedom tried; more are indistinguishable from normal."""
 
 
 @dataclass(frozen=True)
@@ -405,11 +405,11 @@ MIN_DURATION = 0.25
 GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
 INDISTINCT_RATIOS = (0.7, 1.6)
-"""Measured over specified level that stops of a second cannot tell from 1."""
+"""Measured over specified level that stops of a second cannot distinguish from 1."""
 SLOW_TIME = 1.0
 """s; correlation time of slow but usual noise, of which little standstill shows little."""
 MIN_TOTAL = 5.0
-"""s; less standstill in all says too little about the noise."""
+"""s; less standstill in all determines the noise too poorly."""
 WINDOW = 4.0
 """s; longer standstills are cut, so that slow drift does not count as noise."""
 MIN_TIME_OF_DRIFT = 8.0
@@ -610,7 +610,7 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     -------
     NoiseModel
         Levels as specified where the measured ones do not contradict, and never below a third
-        of them: a tracker that stands very still says nothing about its noise in motion.
+        of them: a tracker that stands very still shows nothing of its noise in motion.
     """
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None:

@@ -27,10 +27,10 @@ from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import (
     Recording,
     Run,
-    blamed,
     check_same_machine,
     common_nodes,
     covered_range,
+    errors_of,
     prepare_runs,
 )
 from otf_core.tracking.alignment import Alignment
@@ -40,7 +40,7 @@ from otf_core.tracking.measured_track import Track
 MIN_STOP = 0.05
 """s; shortest part of a stop, settling left out, that is averaged."""
 MIN_STOPS = 4
-"""Fewer stops do not fix the place of the tracker."""
+"""Fewer stops do not determine the tracker pose."""
 SAME_PLACE = 1e-4
 """m; successive stops at one point that lie closer together are one stop."""
 
@@ -221,14 +221,14 @@ def prepare_stops(
     check_same_machine(recordings)
     found, pieces, ranges = [], [], []
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             found.append(align_stops(recording.samples, recording.path, config))
             pieces.append(stop_pieces(recording.samples, *found[-1]))
             ranges.append(covered_range(found[-1][0], recording))
     nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
-        with blamed(recording.name):
+        with errors_of(recording.name):
             samples, spec = recording.samples, recording.machine.tracker
             noise = noise_model(samples, spec, config.standstill_speed)
         runs.append(Run.of(recording, alignment, part, alignment.T_machine_tracker, noise))

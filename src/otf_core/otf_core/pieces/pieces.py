@@ -54,7 +54,7 @@ def over_windows(combine: np.ufunc, values: NDArray[Any], size: int) -> NDArray[
 
 
 MEDIAN_HALF = 5
-"""samples on either side that a sample is compared with to tell an outlier."""
+"""samples on either side that a sample is compared with to detect an outlier."""
 MIN_OUTLIER = 3e-5
 """m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
 as bad samples they average out."""

@@ -53,7 +53,7 @@ class Observed:
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
-        What the residuals say of noise and misfit, see ``joint.fit_noise``.
+        Noise and misfit fitted to the residuals, see ``joint.fit_noise``.
     name : str
         Where it comes from, for messages and reports; empty if it needs none.
     late : float, s
@@ -77,7 +77,7 @@ class Observed:
 
     @property
     def leg_starts(self) -> Array | None:
-        """When every line began from rest, as far as samples tell; see ``tracking.leg_starts``."""
+        """When every line began from rest, as far as known; see ``tracking.leg_starts``."""
         return None
 
     @property
@@ -139,7 +139,7 @@ class Recording:
 
 
 @contextmanager
-def blamed(name: str) -> Iterator[None]:
+def errors_of(name: str) -> Iterator[None]:
     """Put the name of a recording in front of what is wrong with it; nothing if it has none."""
     try:
         yield
@@ -316,7 +316,7 @@ def prepare_runs(
     check_same_machine(recordings)
     alignments, ranges = [], []
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             samples, path = recording.samples, recording.path
             alignments.append(found := align(samples, path, config, recording.seen))
             check_partial(
@@ -330,7 +330,7 @@ def prepare_runs(
     nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
-        with blamed(recording.name):
+        with errors_of(recording.name):
             runs.append(reduced(recording, alignment, nodes, config))
     return runs, nodes
 

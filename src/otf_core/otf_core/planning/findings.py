@@ -154,17 +154,17 @@ def _unseen(result: Forecast, machine: Machine, error: str, others: tuple[str, .
         words = f'{error}: the path does not move {motion.axis}'
         return Unseen(error, (), words, f'lines that move {motion.axis}')
     if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
-        words = f'{error}: rotation about an axis through the target: it moves nothing'
+        words = f'{error}: a rotation about an axis through the target does not move it'
         return Unseen(error, (), words, _second_offset(XYZ[motion.along]))
     if motion and not chain_shows(machine, error):
         about = XYZ[motion.along]
         names = ' and '.join(others) or f'the translations of {motion.axis}'
-        words = f'{error}: cannot be told from {names} {offset_in_words(machine)}'
+        words = f'{error}: cannot be distinguished from {names} {offset_in_words(machine)}'
         return Unseen(error, others, words, _second_offset(about))
     if others:
-        words = f'{error}: this path mixes it up with {" and ".join(others)}'
+        words = f'{error}: this path confounds it with {" and ".join(others)}'
     else:
-        words = f'{error}: it acts along the lines of this path only, or where none is driven'
+        words = f'{error}: it acts only along the lines of this path, or where no line is driven'
     return Unseen(error, others, words, 'face and space diagonals in several planes')
 
 
@@ -215,8 +215,8 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
         if gap > 1e-6 and len(nodes) > 1:
             words = (
                 f'{axis}: driven from {1e3 * nodes[0]:g} mm to {1e3 * nodes[-1]:g} mm; beyond, '
-                f'up to {1e3 * gap:.1f} mm, tables are held constant and this forecast does not '
-                f'count'
+                f'up to {1e3 * gap:.1f} mm, the tables are constant and this forecast does not '
+                f'apply'
             )
             found.append(Unseen(axis, (), words, 'a smaller margin'))
     return found
@@ -337,7 +337,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
             else (f'{name:28} not visible; needs {REGISTRY[name].needs}')
         )
         if others:
-            words += f', not told from {", ".join(others)}'
+            words += f', indistinguishable from {", ".join(others)}'
         entries.append(
             {
                 'effect': name,

@@ -112,8 +112,8 @@ def advice(places: list[TrackerPlace], own: float) -> list[str]:
         f'best of {len(places)} places: {best.words} ({x}, {y}, {z}) mm: '
         f'{best.mean_grid_u / own:.2f} times the mean grid uncertainty of the place assumed here',
         f'worst: {worst.words}: {worst.mean_grid_u / own:.2f} times',
-        'the nearer the better, as far as the range limits and a free beam allow; '
-        'that the beam is free and the target looks at the tracker is not checked',
+        'nearer is better, within the range limits and with a free beam; whether the beam is '
+        'free and the target faces the tracker is not checked',
     ]
 
 
@@ -311,7 +311,9 @@ def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
     folder = Path(folder)
     gap: Mapping[str, Any] = read_json(folder / 'gap.json')
     if not isinstance(gap, Mapping) or 'causes' not in gap:
-        raise ConfigError(f'{folder}/gap.json: no diagnosis; name a folder of otf diagnose')
+        raise ConfigError(
+            f'{folder}/gap.json: not a diagnosis; give a folder written by otf diagnose'
+        )
     rivals = {c['effect']: c['indistinguishable_from'] for c in gap['causes']}
     found = []
     if any(rivals.values()):
@@ -384,7 +386,7 @@ def _seen(rows: Rows, question: Question) -> Answer:
     chosen, stand_in = shapes_of(rows, effect, {})
     sight = best_sight([sight_of(t) for t in tried_shapes(rows, effect, chosen or stand_in)])
     if not sight.visible:
-        words = f'{question.effect} stays invisible; it needs {effect.needs}'
+        words = f'{question.effect} remains invisible; it needs {effect.needs}'
         return Answer(question, 0.0, words)
     words = f'shows {question.effect} from {1e6 * sight.smallest:.2f} um on'
     return Answer(question, min(2.0, 5e-6 / sight.smallest) * NAMED_LOG_ODDS, words)

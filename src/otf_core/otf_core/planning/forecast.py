@@ -488,7 +488,7 @@ def solution_of_pieces(observed: Observed, found: Forecast) -> Planned:
 
 @dataclass(frozen=True)
 class PlannedSystematic:
-    """Mean uncertainty of the grid vector, rigid motion taken out, by what it contains.
+    """Mean uncertainty of the grid vector, rigid motion removed, by what it contains.
 
     Attributes
     ----------

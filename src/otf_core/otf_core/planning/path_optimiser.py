@@ -118,7 +118,7 @@ def _line_matrices(
 
 
 def _target(machine: Machine, points: Array, unknowns: Unknowns, use: Index) -> Array:
-    """Quadratic form of the mean variance on the grid, rigid motion taken out."""
+    """Quadratic form of the mean variance on the grid, rigid motion removed."""
     grid = covered_grid(machine, points, _GRID_POINTS)
     rows = model_rows(machine, unknowns, grid)
     flat = free_rows(rows.reshape(-1, rows.shape[2]), grid)
@@ -478,8 +478,7 @@ class PathOptimiser:
                 )
         raise ConfigError(
             f'time_budget: {budget:g} s is too short, and {LONGEST_PLAN:g} s would be, to show '
-            f'every '
-            f'error motion at every node'
+            f'every error motion at every node'
         )
 
     def for_uncertainty(self, wanted: float) -> OptimisedPlan:
@@ -505,8 +504,7 @@ class PathOptimiser:
                 reached = f'then {1e6 * found.forecast.mean_grid_u:.3g} um' if found else ''
                 raise ConfigError(
                     f'wanted_uncertainty: {1e6 * wanted:g} um needs more than {LONGEST_PLAN:g} '
-                    f's at '
-                    f'this feed; {reached}'
+                    f's at this feed; {reached}'
                 )
             else:
                 short = time

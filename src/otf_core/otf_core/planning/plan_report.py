@@ -138,7 +138,7 @@ class PlanRequest:
             if value is not None
         ]
         if len(wishes) > 1:
-            raise ConfigError(f'{" and ".join(wishes)}: give one of them')
+            raise ConfigError(f'{" and ".join(wishes)}: give only one of them')
         for name in ('time_budget', 'wanted_uncertainty'):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
@@ -152,7 +152,7 @@ def read_place(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise ConfigError(f"tracker_place: '{text}' is not x,y,z in m") from None
     if not np.all(np.isfinite([x, y, z])) or max(abs(x), abs(y), abs(z)) > 200:
-        raise ConfigError(f"tracker_place: '{text}' is no place near a machine; unit is m")
+        raise ConfigError(f"tracker_place: '{text}' is not near a machine; the unit is m")
     return x, y, z
 
 
@@ -171,7 +171,9 @@ def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[
         assert request.wanted_uncertainty is not None
         best = optimiser.for_uncertainty(request.wanted_uncertainty)
         aim = f'mean grid uncertainty of {1e6 * request.wanted_uncertainty:g} um in a short time'
-    passes = 'driven once' if best.passes == 1 else f'{best.passes} passes, every second reverse'
+    passes = (
+        'driven once' if best.passes == 1 else f'{best.passes} passes, every second one reversed'
+    )
     return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
 
 
@@ -191,7 +193,7 @@ def _chosen(
         stays = np.allclose(there.place, before[-1].place)
         place = ', '.join(f'{1e3 * v:.0f}' for v in there.place)
         where = 'stays' if stays else f'moves to ({place}) mm'
-        how += f', diagnosed together with the runs before; the tracker {where}'
+        how += f', evaluated together with the earlier runs; the tracker {where}'
     return plan, how, answers, there
 
 
@@ -205,7 +207,7 @@ def _judged(
 
 
 def _worth(efficiency: float) -> str:
-    return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
+    return f'{100 * efficiency:.0f} % of the information of an ideal allocation of time to lines'
 
 
 def make_plan(

@@ -96,7 +96,7 @@ def prior_from_dict(data: Any, where: str) -> dict[str, MotionPrior]:
     Raises
     ------
     ConfigError
-        Names the motion and the part that is no number from zero on.
+        Names the motion and the part that is not a number from zero on.
     """
     if data is None:
         return {}

@@ -52,7 +52,7 @@ def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
     -------
     dict
         ``mean``, ``p95`` and ``max`` over a regular grid of ``points`` in the whole volume, its
-        best rigid motion taken out.
+        best rigid motion removed.
     """
     grid = lattice(tables.machine)
     error = without_rigid_motion(displacement(tables, grid), grid)

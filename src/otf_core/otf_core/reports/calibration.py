@@ -148,7 +148,7 @@ def _subject(facts: Facts) -> Section:
         ('machine', f'{machine.name}, chain {machine.chain}'),
         ('calibrated volume', f'{ranges} mm'),
         ('target offset', '; '.join(dict.fromkeys(place(run.target_offset) for run in runs))),
-        ('measured', measured(facts.result.origin) or 'the stamps hold no date'),
+        ('measured', measured(facts.result.origin) or 'the stamps contain no date'),
     )
     own = stated.instrument
     instrument = [
@@ -178,15 +178,15 @@ def _subject(facts: Facts) -> Section:
 def _volume(facts: Facts) -> Section:
     first = facts.result.headline
     rows = (
-        ('as the machine stands', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
+        ('as found', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
          with_expanded(1e6 * first.error['max'], 1e6 * first.of_largest)),
         ('expected after compensation with these tables: U, predicted, not measured',
          *(significant(1e6 * first.expanded[s]) for s in ('mean', 'max'))),
     )  # fmt: skip
     head = ('Length of the error vector (um)', 'Mean', 'Largest')
     picture = volume_pictures(facts)
-    still = Picture(picture.parts, 'Error vectors (left) and U of the vector as radius (right) at '
-                    'one scale.', picture.columns, key=picture.key)  # fmt: skip
+    caption = 'Error vectors (left) and U of the vector as radius (right) at the same scale.'
+    still = Picture(picture.parts, caption, picture.columns, key=picture.key)
     return Section('certificate-volume', 'Volume before and after compensation', (),
                    tables=(Table(head, rows, numbers=(1, 2)),), draw=lambda: (still,),
                    script=SCRIPT)  # fmt: skip
@@ -238,16 +238,17 @@ def _statement(facts: Facts) -> Section:
         f'times the coverage factor k = {first.k:.3g}, which covers about 95 %; where 60 or fewer '
         f"degrees of freedom stand behind it, k is Student's t. U holds noise and misfit of the "
         f'measurement and {first.label}.',
-        'A limit is kept if value + U is at most the limit and broken if value - U is above it '
+        'A limit is met if value + U is at most the limit and exceeded if value - U is above it '
         '(ISO 14253-1). Errors are actual minus nominal position of the target relative to the '
         'table, names after ISO 230-1; the volumetric error is that of a regular grid, the best '
-        'rigid motion taken out. Results hold at the time, the target offset and the conditions '
-        'of the measurement and are not reduced to 20 °C.',
+        'rigid motion removed'
+        '. Results apply to the time, the target offset and the conditions of the measurement '
+        'and are not corrected to 20 °C.',
     ]
     words.append(bound_words(facts).strip())
     hidden = facts.result.not_identifiable
     if hidden:
-        words.append(f'Not known: {", ".join(hidden)}: these data do not show them.')
+        words.append(f'Not known: {", ".join(hidden)}: these data do not determine them.')
     runs = about.get('runs', [])
     hashes = [f'{r["name"]} {r["sha256"][:HASH_LETTERS]}'.strip() for r in runs]
     named = ', '.join(hashes[:NAMED_RECORDINGS])

@@ -56,7 +56,7 @@ class BudgetLine:
     ----------
     name : str
         Squareness error, motion, or 'grid': length of the error vector on a regular grid over
-        the driven volume, the best rigid motion taken out.
+        the driven volume, the best rigid motion removed.
     unit : str
         m or rad.
     u : float
@@ -194,7 +194,7 @@ def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) 
             f'{1e6 * line.k * line.u:>10.3f}{1e6 * line.u:>10.3f}{parts}'
         )
     if budget.not_stated:
-        text.append(f'Not declared in machine.yaml, typical values stand for them: '
+        text.append(f'Not declared in machine.yaml, typical values are used: '
                     f'{", ".join(budget.not_stated)}.')  # fmt: skip
     strong = correlations(tables, budget.covariance)
     if strong:
@@ -293,9 +293,10 @@ def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
         for title, rows in (('Conditions', about), ('Instrument', instrument))
         if any(v is not None for _, v in rows)
     ]
-    said = (f'Not stated: {listed(missing)}. machine.yaml has the sections conditions and '
-            f'instrument for it.',) if missing else ()  # fmt: skip
-    return tables, said
+    if not missing:
+        return tables, ()
+    sections = 'State it in the sections conditions and instrument of machine.yaml.'
+    return tables, (f'Not stated: {listed(missing)}. {sections}',)
 
 
 def _specified(tracker: TrackerSpec) -> str:

@@ -59,7 +59,7 @@ AGREEING_SHARE = 0.95
 SCHEMA = 'otf-comparison/1'
 CONVENTION = (
     'positioning and rotations zero at axis position 0, else at the common minimum; straightness '
-    'zero at both ends of the common range; squareness holds what this takes out of them'
+    'zero at both ends of the common range; squareness contains what this removes from them'
 )
 
 
@@ -108,8 +108,8 @@ def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
 
 def _empty_panel(motion: ErrorMotion, unit: str) -> str:
     panel = Panel(Scale(0.1, 0.9, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
-    said = svg_words(190.0, 100.0, 'not known to both', 'middle soft')
-    return panel.draw([said], f'{motion}: not known to both', motion)
+    said = svg_words(190.0, 100.0, 'not determined by both', 'middle soft')
+    return panel.draw([said], f'{motion}: not determined by both', motion)
 
 
 def _along(x: Array, motion: ErrorMotion) -> Scale:
@@ -157,7 +157,7 @@ def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     pictures = [motion_panel(comparison, m) for m in motions]
     pictures += [difference_panel(comparison, m) for m in motions]
     caption = (
-        f'Above: both sources in one convention. Below: b less a; grey: U of the difference. '
+        f'Above: both sources in one convention. Below: b minus a; grey: U of the difference. '
         f'{BANDS}'
     )
     title = 'Error motions of two sources'
@@ -264,7 +264,7 @@ def _comparison_heading(result: Comparison, date: str) -> Heading:
         tiles = [
             (f'a: {a}', f'{micro(volume.squareness[0])} um', 'mean error in the volume'),
             (f'b: {b}', f'{micro(volume.squareness[1])} um', 'mean error in the volume'),
-            ('b - a', f'{mean} um', 'mean length of the difference; rigid motion taken out'),
+            ('b - a', f'{mean} um', 'mean length of the difference; rigid motion removed'),
         ]
     sentence = f'They differ by {mean} um on average in the volume.'
     if found.size:
@@ -288,7 +288,7 @@ def _overview_section(result: Comparison, remarks: Sequence[str]) -> Section:
         step = heat_step(1e6 * np.linalg.norm(difference, axis=1))
         key = heat_key(step, 1e6 * float(np.linalg.norm(difference, axis=1).max()), 'µm')
         arrows = vectors(result.volume.q, difference, step)
-        what = 'Left: difference b less a of the error vectors, squareness left out.'
+        what = 'Left: difference b minus a of the error vectors, squareness left out.'
         if not all_normalised(result).size:
             return [Picture((arrows,), what, key=key)]
         caption = f'{what} Right: largest E_n of each error; stroke: 1, the limit of agreement.'
@@ -357,7 +357,7 @@ def _motion_pictures(result: Comparison) -> Sequence[Picture]:
     return [
         Picture(tuple(motion_panel(result, m) for m in motions), BANDS, 3, key=legend),
         Picture(tuple(difference_panel(result, m) for m in motions),
-                'Line: b less a; grey: U of the difference.', 3, 'Differences'),
+                'Line: b minus a; grey: U of the difference.', 3, 'Differences'),
     ]  # fmt: skip
 
 
@@ -465,7 +465,7 @@ def format_comparison(result: Comparison) -> str:
         f'b {1e6 * mean_length(volume.b):.2f} um, '
         f'b - a {1e6 * mean_length(volume.difference):.2f} um; '
         f'E_n <= 1 for {within} of the components'
-        + (', since no side states an uncertainty' if within == '-' else ''),
+        + (', since neither source states an uncertainty' if within == '-' else ''),
     ]
     if volume.squareness is not None:
         lines.append(
@@ -480,21 +480,22 @@ def remarks_on(result: Comparison) -> list[str]:
     lines, common = [], result.common
     if common.folded:
         lines.append(
-            f'{", ".join(common.folded)}: one side cannot tell them from translations; '
-            f'counted as such'
+            f'{", ".join(common.folded)}: one source cannot distinguish them from translations; '
+            f'treated as such'
         )
     if len(result.without_u) == 1:
-        lines.append(f'{result.without_u[0]} states no uncertainty: E_n takes it as exact')
+        lines.append(f'{result.without_u[0]} states no uncertainty: E_n treats it as exact')
     if common.apart:
         axes = ', '.join(dict.fromkeys(m.axis for m in common.apart))
         lines.append(
-            f'WARNING {", ".join(common.apart)}: neither side tells them from '
-            f'translations, and they measured at different target offsets or places: the '
+            f'WARNING {", ".join(common.apart)}: neither source distinguishes them from '
+            f'translations, and the sources measured at different target offsets or places'
+            f': the '
             f'translations of {axes}, and squareness, differ by these rotations times the '
-            f'difference of the levers, whatever the machine does'
+            f'difference of the levers, regardless of the machine'
         )
     if not result.squareness:
-        lines.append('squareness is not compared: not known to both')
+        lines.append('squareness is not compared: not determined by both')
     own, other = result.offsets
     if result.volume.squareness is not None and not np.array_equal(own, other):
         lines.append(f'both at the target offset of a, {place(own)}; that of b is {place(other)}')

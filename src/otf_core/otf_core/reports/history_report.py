@@ -178,7 +178,7 @@ def _step_words(history: History, step: Step) -> str:
 
 def _unnamed(step: Step) -> str:
     """What is stated where no motion changed significantly."""
-    return 'no single motion, all together did' if step.significant else 'no motion beyond chance'
+    return 'no single motion, but all together' if step.significant else 'no motion significantly'
 
 
 def _last_change(history: History) -> str:
@@ -191,7 +191,7 @@ def _last_change(history: History) -> str:
     when = f'from {_day(runs[step.after - 1].at)} to {_day(runs[step.after].at)}'
     after = f', after {_events(step.events)}' if step.events else ''
     if not step.significant:
-        return f'no change beyond chance {when}{after}'
+        return f'no significant change {when}{after}'
     return f'{", ".join(parts)} {when}{after}'
 
 
@@ -217,17 +217,17 @@ def state_words(history: History) -> str:
     runs, drift = history.series.runs, history.drift
     if history.open_events:
         return (
-            f'Not judged: {_events(history.open_events)}, and no run since; what it changed is '
-            f'not known, and whether the tables hold is not either.'
+            f'Not assessed: {_events(history.open_events)}, and no run since; its influence is '
+            f'unknown, and so is the validity of the tables.'
         )
     if len(runs) < 2:
-        return 'Not judged: there is one run, and none to compare it with.'
+        return 'Not assessed: there is only one run.'
     since = f'since {_day(runs[history.reference].at)}'
     change = _last_change(history)
     if drift is None:
         return (
-            f'{history.standing.value.capitalize()}: {change}. Whether the machine drifts cannot '
-            f'be judged yet: one run since then.'
+            f'{history.standing.value.capitalize()}: {change}. Drift cannot be assessed yet: '
+            f'one run since then.'
         )
     if history.standing is Standing.BENT:
         return (
@@ -242,12 +242,12 @@ def state_words(history: History) -> str:
         )
     if history.standing is Standing.CHANGED:
         words = (
-            'two runs cannot tell a drift from a jump'
+            'two runs cannot distinguish a drift from a jump'
             if drift.runs < 3
-            else f'no drift beyond chance over the {drift.runs} runs {since}'
+            else f'no significant drift over the {drift.runs} runs {since}'
         )
         return f'Changed: last change {change}; {words}.'
-    return f'Steady: no change and no drift beyond chance in the {drift.runs} runs {since}.'
+    return f'Steady: no change and no significant drift in the {drift.runs} runs {since}.'
 
 
 def drift_words(history: History) -> list[str]:
@@ -257,9 +257,9 @@ def drift_words(history: History) -> list[str]:
         return ['Drift: at least two runs since the last event are needed']
     days, name = _period(history)
     if drift.bent:
-        seen = f'not linear: {_most(drift.bent)}; the line alone says'
+        seen = f'not linear: {_most(drift.bent)}; the line alone gives'
     elif drift.runs < 3:
-        seen = 'of two runs, if it goes on evenly:'
+        seen = 'from two runs, if it continues evenly:'
     else:
         seen = 'significant:' if drift.significant else 'not significant:'
     lines = [
@@ -285,10 +285,10 @@ def _due_words(history: History, due: Due) -> str:
         return (
             f'Calibrate again: no date, {due.withheld}; at the pace of the last step or of the '
             f'line, whichever is faster, {limit} not before {earliest} (95 %), and sooner if it '
-            f'goes on speeding up'
+            f'continues to accelerate'
         )
     if due.days is None:
-        return f'Calibrate again: no drift is seen; {limit} not before {earliest} (95 %)'
+        return f'Calibrate again: no significant drift; {limit} not before {earliest} (95 %)'
     latest = None if due.latest is None else _date(history, due.latest)
     return (
         f'Calibrate again: {limit} on {_date(history, due.days)}; 95 %: not before {earliest}, '
@@ -395,14 +395,15 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
 
     def pictures() -> Sequence[Picture]:
         error = (
-            'Mean length of the error vectors in the volume by every run, best rigid motion taken '
-            'out, with its uncertainty by what is declared (area, 95 %). '
+            'Mean length of the error vectors in the volume by every run, best rigid motion '
+            'removed, with its uncertainty by what is declared (area, 95 %). '
         )
         change = (
-            'Change since the first run, root mean square over the axis (line), and twice what is '
-            'expected of the uncertainties of both runs without a change (area). Rings: beyond '
-            'chance (0.27 % for all motions of a run together). A change that is undone falls '
-            'back to zero: that says nothing of the size of the errors. '
+            'Change since the first run, root mean square over the axis (line), and twice the '
+            'value expected from the uncertainties of both runs without a change (area)'
+            '. Rings: significant ('
+            '0.27 % for all motions of a run together). A change that is undone returns to '
+            'zero; this says nothing about the size of the errors. '
         )
         marks = _marks_words(history)
         volume = (
@@ -449,10 +450,10 @@ def _undeclared(history: History) -> list[str]:
         return []
     share = micro_significant(math.sqrt(2.0) * stated[0])
     return [
-        f'Changes are judged by what the runs declare, and they do not declare all systematic '
-        f'contributions (tracker scale, air, temperature ...): of typical size these alone make '
-        f'two runs differ by up to about {share} in the volume, where tracker, place or weather '
-        f'were others'
+        f'Changes are assessed by the contributions that the runs declare, and they do not '
+        f'declare all systematic ones'
+        f' (tracker scale, air, temperature ...): of typical size these alone make '
+        f'two runs differ by up to about {share} in the volume if tracker, place or weather differ'
     ]
 
 

@@ -116,16 +116,16 @@ def _validation_section(data: Mapping[str, Any]) -> Section:
         'validation',
         f'Validation of the compensation ({STANDARD}, 11)',
         (
-            f'{len(rows)} lines drawn anew through the volume, none of them one that was fitted, '
-            f'were driven without and with the compensation. The volumetric error is the length '
-            f'of actual minus nominal position of the target, once a millimetre, best rigid '
-            f'motion taken out; true, since the machine is simulated.',
+            f'{len(rows)} random lines through the volume, none of them used for the fit, were '
+            f'driven without and with the compensation. The volumetric error is the length '
+            f'of actual minus nominal position of the target, every millimetre, best rigid '
+            f'motion removed; it is the true error, since the machine is simulated.',
             f'Mean {data["before_um"]:.2f} um before, {data["after_um"]:.2f} um after; forecast '
             f'{data["forecast_um"]:.2f} um with the standard uncertainty of the tables in it.',
-            f'Of what is left the tables do not know {left["of_tables"]:.2f} um, the format '
-            f'cannot hold {left["of_export"]:.2f} um, and the control does not bring '
-            f'{left["of_control"]:.2f} um to the motors.',
-            f'As a tracker sees it, across the lines, its noise in both: '
+            f'Of the remainder, the errors of the tables account for {left["of_tables"]:.2f} '
+            f'um, the export format for {left["of_export"]:.2f} um and the control for '
+            f'{left["of_control"]:.2f} um.',
+            f'As measured by a tracker across the lines, including its noise: '
             f'{seen["before_um"]:.2f} um before, {seen["after_um"]:.2f} um after.',
         ),
         tables=(Table(head, tuple(rows), (3, 4, 5, 6)),),
@@ -252,19 +252,18 @@ def format_loop(circle: Circle) -> str:
     proof, ways = circle.proof, {VOLUME: 'external offsets', PROGRAM: 'a corrected program'}
     lines = [
         f'compensated: {circle.way} ({ways.get(circle.way, "a .comp file per joint")})',
-        f'volumetric error on lines that were not fitted, best rigid motion taken out: '
+        f'volumetric error on lines that were not fitted, best rigid motion removed: '
         f'{1e6 * proof.before:.2f} um before, {1e6 * proof.after:.2f} um after '
         f'({100 * (1 - proof.after / proof.before):.1f} % less); forecast '
         f'{1e6 * proof.forecast:.2f} um',
-        f'what is left comes of the tables (they do not know {1e6 * proof.of_tables:.2f} um), the '
-        f'export (cannot hold {1e6 * proof.of_export:.2f} um) and the control (does not bring '
-        f'{1e6 * proof.of_control:.2f} um of it to the motors)',
-        f'as the tracker sees it, across the lines: {1e6 * proof.seen_before:.2f} um before, '
-        f'{1e6 * proof.seen_after:.2f} um after, its noise in both',
+        f'contributions to the remainder: tables {1e6 * proof.of_tables:.2f} um, export format'
+        f' {1e6 * proof.of_export:.2f} um, control {1e6 * proof.of_control:.2f} um',
+        f'as measured by the tracker across the lines: {1e6 * proof.seen_before:.2f} um before, '
+        f'{1e6 * proof.seen_after:.2f} um after, both including its noise',
     ]
     if circle.way == VOLUME:
         lines.append(
-            f'external offsets lack {1e6 * proof.lag_mean:.2f} um of the correction in the mean, '
+            f'external offsets miss {1e6 * proof.lag_mean:.2f} um of the correction on average, '
             f'{1e6 * proof.lag_max:.2f} um at most'
         )
     return '\n'.join(lines)

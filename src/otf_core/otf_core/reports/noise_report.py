@@ -21,8 +21,8 @@ from otf_core.reports.page import Heading, Picture, Section, State, Table, page_
 
 NOISE_CAPTION = (
     'Above: root of the variogram, the scatter of the difference of two samples over root 2, '
-    'against the time between them; dots as seen, line as fitted, band U (k = 2) of the fitted '
-    'level. Below: amplitude spectrum; strokes mark peaks.'
+    'against the time between them; dots: measured, line: fitted, band: U (k = 2) of the fitted '
+    'level. Below: amplitude spectrum; marks: peaks.'
 )
 QUANTITY_UNITS = ('m', 'rad', 'rad')
 """Of range, horizontal and vertical angle."""
@@ -119,7 +119,7 @@ def noise_html(
     facts = (
         ('standstills', f'{report.standstills}, of which {report.duration:.1f} s are used'),
         ('samples', f'{measured.samples} at {report.rate:.0f} Hz in {measured.windows} windows, '
-         f'{measured.left_out} louder ones left out'),
+         f'{measured.left_out} noisier ones left out'),
         ('beam', f'{report.distance:.2f} m long on average'),
     )  # fmt: skip
     found = tuple(f'{event[:1].upper()}{event[1:]}.' for event in events)
@@ -258,7 +258,7 @@ def format_noise(report: NoiseReport) -> str:
     lines += [
         f'{report.standstills} standstills; used {report.duration:.1f} s, '
         f'{measured.samples} samples at {report.rate:.0f} Hz in {measured.windows} windows, '
-        f'{measured.left_out} louder ones left out; beam {report.distance:.2f} m',
+        f'{measured.left_out} noisier ones left out; beam {report.distance:.2f} m',
         '',
         'noise (k = 1)     unit    total     +/-    white     +/-   kurtosis  tails',
         *_level_rows(report),

@@ -56,9 +56,9 @@ MILLIONTHS = {'m': 'um', 'rad': 'urad'}
 """Millionths of what errors are in."""
 PLAN_CAPTION = (
     'Above: the path with the tracker and its beams to the corners of the volume; standard '
-    'uncertainty of the error vector, k = 1, the best rigid motion taken out, as colour. Below: '
+    'uncertainty of the error vector, k = 1, the best rigid motion removed, as colour. Below: '
     'standard uncertainty (k = 1) of every error, mean of the nodes of a table; strokes: the '
-    'largest. All of noise alone.'
+    'largest. All from noise alone.'
 )
 UNFOLDED_PLACES = 8
 """Places of the tracker that are not folded away."""
@@ -103,7 +103,7 @@ def draw_error_bars(report: PlanReport, unit: str) -> str:
         if unit_of(name) != unit:
             continue
         if name not in found.solution.accepted:
-            rows.append(Bar(name, (), 'not seen by this path'))
+            rows.append(Bar(name, (), 'not shown by this path'))
             continue
         u = found.u[name]
         mean, most = float(u.mean()), float(u.max())
@@ -181,14 +181,14 @@ def _overview_section(report: PlanReport) -> Section:
             Picture(
                 (draw_path(report, turns=True), draw_grid(report, step, turns=True)),
                 'Left: the path, the tracker and its beams to the corners of the volume. Right: '
-                'standard uncertainty of the error vector (k = 1) of tracker noise alone, best '
-                'rigid motion taken out.',
+                'standard uncertainty of the error vector (k = 1) from tracker noise alone, '
+                'best rigid motion removed.',
                 columns=2,
                 key=heat_key(step, float(size.max()), 'µm'),
             ),
             Picture(
                 (draw_error_bars(report, 'm'), draw_error_bars(report, 'rad')),
-                'Standard uncertainty (k = 1) of tracker noise alone: bar and first number the '
+                'Standard uncertainty (k = 1) from tracker noise alone: bar and first number the '
                 'mean over the nodes of a table, stroke the largest.',
                 columns=2,
                 title='All 21 errors',
@@ -214,7 +214,7 @@ def _path_section(report: PlanReport) -> Section:
         ('unknowns determined', f'{report.forecast.solution.rank} of '
          f'{report.forecast.solution.unknowns}'),
     )  # fmt: skip
-    return Section('path', 'Path and what is assumed', tables=(Table(('', ''), rows),))
+    return Section('path', 'Path and assumptions', tables=(Table(('', ''), rows),))
 
 
 def _tracker_section(report: PlanReport) -> Section:
@@ -233,7 +233,7 @@ def _tracker_section(report: PlanReport) -> Section:
         tables.append(
             Table(head, rows[UNFOLDED_PLACES:], (2, 3), folded='Other places', stacked=True)
         )
-    return Section('tracker', 'Where the tracker stands', words, tables=tuple(tables))
+    return Section('tracker', 'Position of the tracker', words, tables=tuple(tables))
 
 
 def _effects_section(report: PlanReport) -> Section | None:
@@ -340,7 +340,7 @@ def first_lines(report: PlanReport) -> list[str]:
 def plan_summary(report: PlanReport) -> str:
     """Return a dozen lines for a terminal; ``format_report`` holds all numbers."""
     lines = first_lines(report)
-    lines += [f'says to the diagnosis: {a.words}' for a in report.after]
+    lines += [f'for the diagnosis: {a.words}' for a in report.after]
     needs: dict[str, list[str]] = {}
     for finding in report.findings:
         needs.setdefault(finding.needs, []).append(finding.error)
@@ -368,13 +368,13 @@ def format_report(report: PlanReport) -> str:
         f'accelerations of {setup.config.acceleration:g} m/s^2; noise of a sample:',
         *(f'  {part}' for part in str(setup.noise).split('; ')),
         '',
-        f'Of the noise of the tracker alone, standard uncertainties (k = 1), '
+        f'From tracker noise alone, standard uncertainties (k = 1), '
         f'{found.solution.rank} of {found.solution.unknowns} unknowns determined:',
         f'in the gauge of the tables, on the grid: mean {micro_significant(gauge.mean())}, '
         f'largest {micro_significant(gauge.max())}',
         *_error_lines(found),
         '',
-        *(['What it would say to the diagnosis:'] if report.after else []),
+        *(['Expected answers to the diagnosis:'] if report.after else []),
         *(f'  {a.words}' for a in report.after),
         *([''] if report.after else []),
         'What this plan does not show:',
@@ -410,7 +410,7 @@ def program_header(report: PlanReport) -> list[str]:
         f'{len(plan.path.points)} POINTS, {plan.path.length:.2f} M, '
         f'{report.forecast.duration:.0f} S',
         f'{", ".join(spans)} MM',
-        'ERROR COMPENSATION OFF OR AS IT IS TO BE CHECKED',
+        'ERROR COMPENSATION OFF, OR AS IT IS TO BE VERIFIED',
         'TRY IN THE AIR FIRST',
     ]
 

@@ -19,7 +19,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.standstill import noise_model
-from otf_core.pieces.runs import Recording, blamed, check_same_machine
+from otf_core.pieces.runs import Recording, check_same_machine, errors_of
 from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.rotary.reduction import AxisPieces, reduce_to_pieces, reduce_to_stops
@@ -150,7 +150,7 @@ def _calibrated(
     matched: list[Matched] = []
     notes: list[str] = []
     for k, recording in enumerate(recordings):
-        with blamed(recording.name):
+        with errors_of(recording.name):
             known = matched[0] if same_station and matched else None
             found = match(
                 recording.samples,
@@ -170,13 +170,13 @@ def _calibrated(
     free = tuple(n for n, t in machine.targets.items() if n in seen and t.u > 0.0)
     noises = []
     for recording in recordings:
-        with blamed(recording.name):
+        with errors_of(recording.name):
             noises.append(noise_model(recording.samples, machine.tracker, config.standstill_speed))
     progress('solving', 0.0)
     unknowns = layout(machine, bases_of(machine, nodes), max(stations) + 1, free)
 
     def reduced(k: int, one: Matched, tables: ErrorTables | None) -> AxisPieces:
-        with blamed(recordings[k].name):
+        with errors_of(recordings[k].name):
             if method == STANDSTILL:
                 return reduce_to_stops(recordings[k].samples, one, config)
             return reduce_to_pieces(recordings[k].samples, one, nodes, config, tables)

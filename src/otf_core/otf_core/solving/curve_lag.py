@@ -30,22 +30,22 @@ MAX_UNMENTIONED_U = 1e-6
 """m; an uncertainty of it that is worth a remark."""
 
 
-def lags(runs: Sequence[Observed], done: JointSolution) -> list[tuple[float, float]]:
+def lags(runs: Sequence[Observed], joint: JointSolution) -> list[tuple[float, float]]:
     """Square of time by which each run drives inside its curves, and its uncertainty, s^2.
 
     Both are zero for a run without curves. The uncertainty holds what the residuals have beyond
     the assumed noise, and how the curves of the run differ: parts of one share slow noise.
     """
     found = []
-    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+    for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         if not len(run.pieces.bend):
             found.append((0.0, 0.0))
             continue
         columns = [
-            np.zeros((*s.system.deviation.shape, 1)) for s in done.runs
+            np.zeros((*s.system.deviation.shape, 1)) for s in joint.runs
         ]  # of all runs: they share the tables
         columns[number] = across(solved, run.pieces.bend[:, :, None])
-        change = sensitivity(done, columns)
+        change = sensitivity(joint, columns)
         left = columns[number][..., 0] - solved.system.rows.times(change[:, 0])
         weights = solved.whitener.weighted(columns[number])[..., 0]
         own = float(np.sum(weights * left))
@@ -75,7 +75,7 @@ def move_onto_curves(
         Of these runs.
     """
     moved = list(runs)
-    found = lags(solved.runs, solved.done)
+    found = lags(solved.runs, solved.joint)
     for k, (run, (lag, u)) in enumerate(zip(runs, found, strict=True)):
         if _size(run, lag) > MIN_LAG and abs(lag) > MIN_SIGNIFICANCE * u:
             shift = lag * run.pieces.bend
@@ -90,14 +90,14 @@ def _size(run: Observed, lag: float) -> float:
     return abs(lag) * float(np.linalg.norm(bend, axis=1).max()) if len(bend) else 0.0
 
 
-def curve_remarks(runs: Sequence[Observed], done: JointSolution) -> list[str]:
+def curve_remarks(runs: Sequence[Observed], joint: JointSolution) -> list[str]:
     """What the reader of a result should know of the curves of its runs."""
-    said = []
-    for run, (_, u) in zip(runs, lags(runs, done), strict=True):
+    remarks = []
+    for run, (_, u) in zip(runs, lags(runs, joint), strict=True):
         if _size(run, u) > MAX_UNMENTIONED_U:
-            said.append(
+            remarks.append(
                 f'how far inside its curves the machine drives (filters, lag) is uncertain by '
                 f'{1e6 * _size(run, u):.2g} um, which the stated uncertainties do not hold: add '
                 f'straight lines to the path'
             )
-    return said
+    return remarks

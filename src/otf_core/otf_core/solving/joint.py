@@ -52,7 +52,7 @@ from otf_core.noise.noise_model import (
     with_diagonal,
 )
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN, Pieces
-from otf_core.pieces.runs import AnyRun, Observed, blamed
+from otf_core.pieces.runs import AnyRun, Observed, errors_of
 from otf_core.solving.design import Design
 from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
@@ -66,7 +66,7 @@ PRIOR_SIGMAS = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 LOWER_BOUNDS = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
 UPPER_BOUNDS = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
 MAX_LINES, MAX_PIECES_PER_LINE = 48, 100
-"""Lines and pieces of each that are looked at: five numbers need no more."""
+"""Lines and pieces of each that are used: five numbers need no more."""
 MAX_STEPS = 6
 MAX_STEP = 1.5
 FINAL_STEP, FINAL_SHARE_OF_SIGMA = 0.03, 0.3
@@ -186,7 +186,7 @@ def fit_noise(
     ----------
     residual : ndarray, shape (c, p), m
     noise : NoiseModel
-        As standstills or specification say it; the prior.
+        From standstills or specification; the prior.
     covariance : ndarray, shape (full, full)
         Posterior covariance of the estimates.
     start : ndarray, shape (5,), optional
@@ -281,10 +281,10 @@ class Start:
     tables: ErrorTables | None = None
 
     @classmethod
-    def after(cls, machine: Machine, done: JointSolution) -> Start:
+    def after(cls, machine: Machine, joint: JointSolution) -> Start:
         """What a solution found."""
-        tables = tables_of(machine, done.unknowns, done.solution)
-        return cls(done.roughness.logs, done.solution.accepted, tables)
+        tables = tables_of(machine, joint.unknowns, joint.solution)
+        return cls(joint.roughness.logs, joint.solution.accepted, tables)
 
 
 def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
@@ -357,24 +357,24 @@ def solve_robustly(
     Returns
     -------
     runs : list, as given
-        With the pieces that were kept, and noise and misfit as the residuals say them.
+        With the pieces that were kept, and noise and misfit fitted to the residuals.
     solution : JointSolution
     """
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
-        done = solve_jointly(runs, unknowns, config, progress, start)
-        better, settled_now = improved_runs(runs, done, config)
+        joint = solve_jointly(runs, unknowns, config, progress, start)
+        better, settled_now = improved_runs(runs, joint, config)
         if settled_now:
-            return runs, done
-        start, runs = Start.after(runs[0].machine, done), better
-        del done  # as large as the next one
+            return runs, joint
+        start, runs = Start.after(runs[0].machine, joint), better
+        del joint  # as large as the next one
     return runs, solve_jointly(runs, unknowns, config, progress, start)
 
 
 def improved_runs(
-    runs: Sequence[AnyRun], done: JointSolution, config: CalibrationConfig
+    runs: Sequence[AnyRun], joint: JointSolution, config: CalibrationConfig
 ) -> tuple[list[AnyRun], bool]:
-    """Runs less pieces far from their solution, with noise as its residuals say it.
+    """Runs less pieces far from their solution, with noise fitted to its residuals.
 
     Returns
     -------
@@ -383,16 +383,16 @@ def improved_runs(
     settled : bool
         Nothing was left out, and the noise has not changed.
     """
-    pairs, limit = list(zip(runs, done.runs, strict=True)), config.outlier_limit
+    pairs, limit = list(zip(runs, joint.runs, strict=True)), config.outlier_limit
     drop = [_far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
-    fitted = [fitted_noise(r, s, done) for r, s in pairs]
+    fitted = [fitted_noise(r, s, joint) for r, s in pairs]
     same = not any(d.any() for d in drop) and all(
         r.fitted is not None and _same_noise(f, r.fitted)
         for f, r in zip(fitted, runs, strict=True)
     )
     better = [
         replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
-        for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
+        for r, d, f, s in zip(runs, drop, fitted, joint.runs, strict=True)
     ]
     return better, same
 
@@ -403,14 +403,14 @@ def _same_noise(found: FittedNoise, before: Array) -> bool:
     return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
 
 
-def fitted_noise(run: Observed, solved: SolvedRun, done: JointSolution) -> FittedNoise:
-    """What the residuals of one run say of noise and misfit, see ``fit_noise``."""
+def fitted_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
+    """Noise and misfit fitted to the residuals of one run, see ``fit_noise``."""
     return fit_noise(
         solved.system,
         run.pieces,
         solved.residual,
         run.noise,
-        done.solution.covariance,
+        joint.solution.covariance,
         run.fitted,
     )
 
@@ -487,17 +487,17 @@ def solve_jointly(
             break
         if change < config.alignment_stop:
             solved = zip(poses, systems, whiteners, left, strict=True)
-            done = tuple(SolvedRun(*parts) for parts in solved)
-            return JointSolution(unknowns, solution, rough, normal, done, iteration)
+            of_runs = tuple(SolvedRun(*parts) for parts in solved)
+            return JointSolution(unknowns, solution, rough, normal, of_runs, iteration)
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
-        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
 
 
 def settled(
-    done: JointSolution, limit: float, normal: NormalEquations | None = None
+    joint: JointSolution, limit: float, normal: NormalEquations | None = None
 ) -> JointSolution:
     """Take the covariance of all passes at the last positions on the paths.
 
@@ -511,18 +511,18 @@ def settled(
     normal : NormalEquations, optional
         Of all passes, where known.
     """
-    old, of = done.solution, done.unknowns
-    sums = (normal_equations(s.system, of, s.whitener, old.accepted) for s in done.runs)
+    old, of = joint.solution, joint.unknowns
+    sums = (normal_equations(s.system, of, s.whitener, old.accepted) for s in joint.runs)
     normal = normal or reduce(add, sums)
-    last = solve(normal, of, limit, old.accepted, done.roughness.precision)
-    return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
+    last = solve(normal, of, limit, old.accepted, joint.roughness.precision)
+    return replace(joint, normal=normal, solution=replace(old, covariance=last.covariance))
 
 
 def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:
     """Whiteners of all runs for their noise as far as it is known."""
     found = []
     for system, run in zip(systems, runs, strict=True):
-        with blamed(run.name):
+        with errors_of(run.name):
             found.append(Whitener.of(system, run.pieces, *run.noise_and_misfit))
     return found
 

@@ -146,7 +146,7 @@ def _steps_unexplained(solved: SolvedRun) -> bool:
         step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
         found.append(np.stack([step - noise, noise]))
     excess, noise = np.concatenate(found, axis=1)
-    if not excess.size:  # stops: no two pieces of one line that could tell
+    if not excess.size:  # stops: no two pieces of one line to compare
         return True
     excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
     mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
@@ -317,7 +317,7 @@ MIN_GAIN_OVER_SCATTER = 3.0
 RIVAL = ServoMismatch()
 """What is taken for a reversal most easily."""
 MIN_LINES = 16
-"""Fewer lines tell nothing of the scatter: no reversal is modelled then."""
+"""Fewer lines do not determine the scatter: no reversal is modelled then."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class ReversalSolution(Generic[AnyRun]):
-    """Solution with the reversal model that was asked for or chosen.
+    """Solution with the reversal model that was configured or chosen.
 
     Attributes
     ----------
@@ -351,7 +351,7 @@ class ReversalSolution(Generic[AnyRun]):
     """
 
     runs: list[AnyRun]
-    done: JointSolution
+    joint: JointSolution
     choice: Choice
     plain: tuple[list[AnyRun], JointSolution]
 
@@ -385,16 +385,16 @@ def solve_with_reversal(
 
 
 def choose_reversal(
-    runs: Sequence[Observed], done: JointSolution, config: CalibrationConfig
+    runs: Sequence[Observed], joint: JointSolution, config: CalibrationConfig
 ) -> Choice:
     """Choose a reversal model by what it leaves of held-out legs.
 
-    The model may be given by the configuration; whether axes that stand are held is always
+    The model may be given by the configuration; whether axes at rest are held is always
     chosen.
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the same runs, without reversal.
 
     Returns
@@ -408,14 +408,14 @@ def choose_reversal(
     given = config.reversal
     if given == 'none':
         return Choice('none', False, {'decided_by': 'configuration'})
-    fold = _line_folds(done)
+    fold = _line_folds(joint)
     lines = sum(len(f) for f in fold)
     if lines < MIN_LINES and given == 'auto':
         few = f'too few lines: {lines}, {MIN_LINES} needed'
         return Choice('none', False, {'decided_by': few, 'lines': lines})
     found: dict[float, Choice] = {}
     for held in (False, True):
-        left = _held_out_squares(runs, done, fold, config.unidentifiable_above, held)
+        left = _held_out_squares(runs, joint, fold, config.unidentifiable_above, held)
         choice = Choice(given, held, {'decided_by': 'configuration'})
         if given == 'auto':
             choice = _chosen(left, held)
@@ -427,9 +427,9 @@ def choose_reversal(
     return found[min(found)]
 
 
-def _line_folds(done: JointSolution) -> list[Index]:
+def _line_folds(joint: JointSolution) -> list[Index]:
     """Fold of every line of every run: passes over one line are held out together."""
-    count = [len(solved.whitener.once.bounds) for solved in done.runs]
+    count = [len(solved.whitener.once.bounds) for solved in joint.runs]
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
 
 
@@ -458,17 +458,17 @@ def _chosen(left: dict[str, Array], held: bool) -> Choice:
 
 
 def _held_out_squares(
-    runs: Sequence[Observed], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
+    runs: Sequence[Observed], joint: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
     """Squared whitened residual of every leg under every model fitted to the other folds."""
-    unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    unknowns = layout(joint.unknowns.bases, len(runs), max(MODELS.values()), held=held)
+    tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
     lines, rivals = [], []
-    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
         lines.append(weigh_repeated_lines(system, solved.whitener))
         rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
-    seen = done.solution.accepted
+    seen = joint.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]
     sums = [
         sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS, blocks)
@@ -486,8 +486,8 @@ def _held_out_squares(
     }
     width = rivals[0].shape[2]
     columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
-    loose = unknowns.free - done.unknowns.free + width
-    prior = linalg.block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
+    loose = unknowns.free - joint.unknowns.free + width
+    prior = linalg.block_diag(joint.roughness.precision, TRACE / limit**2 * np.eye(loose))
     held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
     for some in (part for folds in held_out for part in folds):
         some.rows.prepare()

@@ -153,10 +153,10 @@ def check_residuals(whitened: Array, leg: Index, rank: int) -> ResidualCheck:
 FOLDS = 8
 
 
-def leg_numbers(done: JointSolution) -> list[Index]:
+def leg_numbers(joint: JointSolution) -> list[Index]:
     """Number of the leg of every piece, shape (p,) for every run; further runs count on."""
     found, start = [], 0
-    for solved in done.runs:
+    for solved in joint.runs:
         size = [high - low for low, high in solved.whitener.bounds]
         found.append(np.repeat(np.arange(start, start + len(size)), size))
         start += len(size)

@@ -42,7 +42,7 @@ class ReversalTable:
     position : ndarray, shape (k,), m
         Nodes of the table of the motion.
     value, u : ndarray, shape (k,), m or rad
-        Forward less backward, and its standard uncertainty (k = 1).
+        Forward minus backward, and its standard uncertainty (k = 1).
     identifiable : bool
         False if the data cannot see it; its values are zero then.
     """
@@ -60,7 +60,7 @@ class Backlash:
     Attributes
     ----------
     value, u : float, m
-        Forward less backward, mean along the middle line of the axis; standard uncertainty.
+        Forward minus backward, mean along the middle line of the axis; standard uncertainty.
     """
 
     value: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How rough the error motions are, as the data themselves say it.
+"""How rough the error motions are, estimated from the data themselves.
 
 Each motion is a draw of a Gaussian process in x, the axis position scaled to [0, 1]:
 
@@ -288,7 +288,7 @@ def _centres(logs: Mapping[str, Array]) -> dict[str, Array]:
 def precision_like_others(
     motion: ErrorMotion, basis: Basis, logs: Mapping[str, Array]
 ) -> Array | None:
-    """Precision of a motion of which the data say next to nothing: as rough as its like.
+    """Precision of a motion that the data hardly determine: as rough as its like.
 
     Parameters
     ----------

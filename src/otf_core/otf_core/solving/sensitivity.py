@@ -33,7 +33,7 @@ PIECES_PER_BLOCK = 2048
 MIN_ACTING_SHARE, MIN_SQUARE = 0.02, 1e-300
 """Share of its largest value, and m^2, above which a column acts."""
 VALUES_PER_BLOCK = 65_536
-"""Values that are looked at together."""
+"""Values that are evaluated together."""
 
 
 def piece_state(
@@ -74,9 +74,9 @@ def across(solved: SolvedRun, columns: Array, pieces: slice = slice(None)) -> Ar
     return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes[:, pieces], columns))
 
 
-def projected(done: JointSolution, columns: Sequence[Columns | Array]) -> Array:
+def projected(joint: JointSolution, columns: Sequence[Columns | Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
-    return np.asarray(sum(_pulled(s, of) for s, of in zip(done.runs, columns, strict=True)))
+    return np.asarray(sum(_pulled(s, of) for s, of in zip(joint.runs, columns, strict=True)))
 
 
 def _pulled(solved: SolvedRun, of: Columns | Array) -> Array:
@@ -101,7 +101,7 @@ def _together(bounds: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
             low = k
 
 
-def sensitivity(done: JointSolution, columns: Sequence[Columns | Array]) -> Array:
+def sensitivity(joint: JointSolution, columns: Sequence[Columns | Array]) -> Array:
     """Change of the estimates per unit of each column, shape (full, k).
 
     Parameters
@@ -109,7 +109,7 @@ def sensitivity(done: JointSolution, columns: Sequence[Columns | Array]) -> Arra
     columns : sequence of callable or ndarray
         One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """
-    return np.asarray(done.solution.covariance @ projected(done, columns))
+    return np.asarray(joint.solution.covariance @ projected(joint, columns))
 
 
 def name_in_run(name: str, run: int) -> str:

@@ -96,7 +96,7 @@ class TableCost:
     motions : mapping of motion to float, m or rad
         Root mean square over the range of function less table.
     grid : float
-        m; mean length of the difference on a grid, rigid motion taken out.
+        m; mean length of the difference on a grid, rigid motion removed.
     """
 
     motions: Mapping[str, float]
@@ -139,15 +139,15 @@ def by_motion(values: NDArray[Any], nodes: Mapping[str, Array]) -> dict[str, NDA
 
 
 def _cost(
-    machine: Machine, done: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
+    machine: Machine, joint: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
 ) -> TableCost:
-    unknowns = done.unknowns
+    unknowns = joint.unknowns
     grid = _inner_places(*_ends(machine, unknowns))
     field = np.zeros_like(grid)
     motions: dict[str, float] = {}
     for name in MOTIONS:
         basis, at = unknowns.bases[name.axis], nodes[name.axis]
-        coefficients = done.solution.value[unknowns.blocks[name]]
+        coefficients = joint.solution.value[unknowns.blocks[name]]
 
         def left(q: Array, name: str = name, at: Array = at, basis: Basis = basis,
                  coefficients: Array = coefficients) -> Array:  # fmt: skip
@@ -160,7 +160,7 @@ def _cost(
     return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
 
 
-def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, float]:
+def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, float]:
     """What rotations that are not seen bend translations between straight nodes, rms, m.
 
     On the table side a rotation acts over the travel of its own axis: as a translation, which is
@@ -168,17 +168,17 @@ def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, flo
     departs by s u (h - u), of which straight lines between the nodes follow a part. Slopes are
     taken to be those of the rotations that are seen.
     """
-    unknowns, seen = done.unknowns, done.solution.accepted
+    unknowns, accepted = joint.unknowns, joint.solution.accepted
     found: dict[ErrorMotion, float] = {}
     if any(basis.degree > 1 for basis in unknowns.bases.values()):
         return found
     steps = {axis: np.diff(knots) for axis, knots in unknowns.knots.items()}
     rotations = [m for m in MOTIONS if not m.is_translation and steps[m.axis].size]
-    values = {m: done.solution.value[unknowns.blocks[m]] for m in rotations if m in seen}
+    values = {m: joint.solution.value[unknowns.blocks[m]] for m in rotations if m in accepted}
     slopes = [np.diff(value) / steps[m.axis] for m, value in values.items()]
     slope = float(np.sqrt(np.mean(np.concatenate(slopes) ** 2))) if slopes else 0.0
     for axis in machine.axis_names:
-        hidden = [m for m in rotations if m.axis == axis and m not in seen]
+        hidden = [m for m in rotations if m.axis == axis and m not in accepted]
         if not hidden or axis not in machine.chain.lever_axes(axis):
             continue
         size = slope * _bend(unknowns.bases[axis])
@@ -210,7 +210,7 @@ def _inner_places(low: Array, high: Array) -> Array:
     return np.asarray(low + share * (high - low))
 
 
-def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float) -> Tabulation:
+def tabulate(machine: Machine, joint: JointSolution, grid_u: float, limit: float) -> Tabulation:
     """Make tables of the functions that were solved for.
 
     Parameters
@@ -220,37 +220,39 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
     limit : float
         m and rad; ``unidentifiable_above``.
     """
-    low, high = _ends(machine, done.unknowns)
+    low, high = _ends(machine, joint.unknowns)
     costs: dict[int, TableCost] = {}
     best = None
     for fraction in FRACTIONS:
         nodes = table_nodes(_finer(machine, fraction), low, high)
         if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MAX_NODES:
             break
-        rows = table_rows(done.unknowns, nodes)
-        value = rows @ done.solution.value
+        rows = table_rows(joint.unknowns, nodes)
+        value = rows @ joint.solution.value
         split = by_motion(value, nodes)
-        costs[fraction] = _cost(machine, done, nodes, split)
+        costs[fraction] = _cost(machine, joint, nodes, split)
         best = (fraction, nodes, rows, value, split)
         if costs[fraction].grid <= MAX_SHARE_OF_U * grid_u:
             break
     assert best is not None
     fraction, nodes, rows, value, split = best
-    seen = done.solution.accepted
-    known = by_motion(determined_by_data(done.normal, done.unknowns, seen, limit, rows), nodes)
+    accepted = joint.solution.accepted
+    known = by_motion(
+        determined_by_data(joint.normal, joint.unknowns, accepted, limit, rows), nodes
+    )
     motions: dict[str, MotionTable] = {
         m: MotionTable(
             nodes[m.axis],
             split[m] + 0.0,
             np.zeros(len(split[m])),
-            m in seen,
-            known[m] if m in seen else np.zeros(len(split[m]), dtype=bool),
+            m in accepted,
+            known[m] if m in accepted else np.zeros(len(split[m]), dtype=bool),
         )
         for m in MOTIONS
     }
     squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}
     kept = {k: costs[k] for k in {1, fraction}}
-    tables, bends = ErrorTables(machine, motions, squareness), unseen_bends(machine, done)
+    tables, bends = ErrorTables(machine, motions, squareness), unseen_bends(machine, joint)
     return Tabulation(tables, rows, fraction, kept, bends)
 
 
@@ -285,7 +287,7 @@ USUAL_ANGLE = 2e-5
 """rad; size of rotations, squareness errors and slopes where none is seen at all."""
 
 
-def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str, MotionPrior]:
+def prior_of(joint: JointSolution, tables: ErrorTables, limit: float) -> dict[str, MotionPrior]:
     """Size of all motions where no data hold them.
 
     Parameters
@@ -301,7 +303,7 @@ def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str
         All motions; of squareness errors those that are not seen.
     """
     found: dict[str, MotionPrior] = {
-        m: _seen(done, tables, m, limit) for m in MOTIONS if m in done.roughness.logs
+        m: _seen(joint, tables, m, limit) for m in MOTIONS if m in joint.roughness.logs
     }
     rotations = [m for m in MOTIONS if m in found and not m.is_translation]
     size = _root_mean_square([v for m in rotations for v in tables.motions[m].value])
@@ -312,9 +314,9 @@ def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str
             found[motion] = MotionPrior(slope=slope, sd=size or USUAL_ANGLE)
         elif motion not in found:
             found[motion] = _alike(translations, motion)
-    tilts = [tables.squareness[n].value for n in SQUARENESS if n in done.solution.accepted]
+    tilts = [tables.squareness[n].value for n in SQUARENESS if n in joint.solution.accepted]
     for name in SQUARENESS:
-        if name not in done.solution.accepted:
+        if name not in joint.solution.accepted:
             found[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL_ANGLE)
     return found
 
@@ -337,10 +339,10 @@ def _root_mean_square(values: list[float]) -> float:
 
 
 def _seen(
-    done: JointSolution, tables: ErrorTables, motion: ErrorMotion, limit: float
+    joint: JointSolution, tables: ErrorTables, motion: ErrorMotion, limit: float
 ) -> MotionPrior:
-    knots, table = done.unknowns.knots[motion.axis], tables.motions[motion]
-    waves = waves_of(done.roughness.logs[motion], knots, limit)
+    knots, table = joint.unknowns.knots[motion.axis], tables.motions[motion]
+    waves = waves_of(joint.roughness.logs[motion], knots, limit)
     slope = 0.0  # that of a straightness lies in squareness, which goes on
     if not motion.is_straightness:
         slope = abs(float(table.value[-1] - table.value[0])) / float(knots[-1] - knots[0])

@@ -57,7 +57,7 @@ def inverse_factor(covariance: Array) -> Array:
 
 @dataclass(frozen=True)
 class Moments:
-    """What is asked of the covariances S of lines besides their inverses.
+    """Quantities of the covariances S of lines besides their inverses.
 
     Attributes
     ----------

@@ -88,7 +88,7 @@ def line_step(
     normal, right = _line_sums(*moments, away, unit, size)
     if np.linalg.eigvalsh(normal)[0] < 1e-7:
         raise InputError(
-            'the driven lines do not fix the place of the tracker (all parallel or too few); '
+            'the driven lines do not determine the tracker pose (all parallel or too few); '
             'record the whole path'
         )
     motion = np.linalg.solve(normal, right)
@@ -142,7 +142,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 MIN_HOPS = 11
-"""Hops of a leg of which roundings can be told."""
+"""Hops of a leg that are needed to detect roundings."""
 MIN_LINE = 0.05
 """m; shorter measured legs may be part of a rounding."""
 MAX_ROUNDING = 0.08
@@ -156,7 +156,7 @@ MAX_BOW_RATIO = 15.0
 MIN_CORNER_DEVIATION, MIN_CORNER_GAP = 5e-4, 3e-3
 """m; a corner was rounded if its end departs from the line by one or stays away by the other."""
 ROUNDING_TAIL = 1.2
-"""A rounding begins before it can be told: it departs with the square of the path length."""
+"""A rounding begins before it can be detected: it departs with the square of the path length."""
 
 
 def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
@@ -213,7 +213,7 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
 def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Array:
     """Length at both ends of measured legs that is rounded, shape (k, 2), m.
 
-    Zero where that is less than ``least`` or the measured leg is too short to tell. A leg is
+    Zero where that is less than ``least`` or the measured leg is too short to decide. A leg is
     rounded where it departs from its own line, or ends far from the corner, and the track goes on.
 
     Parameters
@@ -231,12 +231,12 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
     outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
     beyond, hop = _length(outer - corners), _length(outer - inner)
     off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
-    told = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
+    long_enough = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
     goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
     doubtful = goes_on & (
         (off >= MIN_CORNER_DEVIATION) | (beyond >= np.maximum(MIN_CORNER_GAP, 2 * hop))
     )
-    for k, side in np.argwhere(doubtful & told[:, None]).tolist():
+    for k, side in np.argwhere(doubtful & long_enough[:, None]).tolist():
         way = points[first[k] : last[k] + 1][:: -1 if side else 1]
         found[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
     return found
@@ -448,7 +448,7 @@ def align(
     Raises
     ------
     InputError
-        If samples and path do not belong together, or the pose is not determined; says why.
+        If samples and path do not belong together, or the pose is not determined.
     """
     known = followed(samples, path, config, seen)
     tolerance, driven, pose = config.match_tolerance, known.driven, known.pose

@@ -271,7 +271,7 @@ JACKKNIFE_BLOCKS = 20
 MIN_SAGITTA_REMARK = 2e-6
 """m; what is left of the sagitta is worth a remark."""
 MAX_U_OF_SHARE = 0.2
-"""Uncertainty of the share above which the samples do not tell."""
+"""Uncertainty of the share above which the samples do not decide."""
 MIN_ARC_SHARE = 0.5
 """Share from which on arcs are closer to what was driven than chords."""
 
@@ -285,7 +285,7 @@ class Bulge:
     share : float
         0 for chords, 1 for arcs.
     u : float
-        Its standard uncertainty; infinite if the samples do not tell.
+        Its standard uncertainty; infinite if the samples do not show it.
     sagitta : float
         Of the curves, largest, m.
     """
@@ -306,7 +306,7 @@ class Bulge:
         size = f'sagitta of the published chords: {1e6 * self.sagitta:.2g} um'
         if not self.u < MAX_U_OF_SHARE and self.sagitta > MIN_SAGITTA_REMARK:
             return (
-                f'the samples do not tell whether curves were driven along chords or arcs '
+                f'the samples do not show whether curves were driven along chords or arcs '
                 f'({size}); chords are assumed: publish finer chords'
             )
         if left > MIN_SAGITTA_REMARK and left > 3.0 * self.u * self.sagitta:
@@ -367,8 +367,8 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     bend = curvature(lines)
     size = np.linalg.norm(bend, axis=2).mean(axis=1)
     sagitta = size * lines.length**2 / 8.0
-    seen = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
-    points, chord = points[seen], chord[seen]
+    visible = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
+    points, chord = points[visible], chord[visible]
     if not len(points):
         return None
     largest = float(sagitta[chord].max())

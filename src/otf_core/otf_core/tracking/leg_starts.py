@@ -18,7 +18,7 @@ from otf_core.tracking.curves import Lines
 from otf_core.tracking.matching import OFF_PATH
 
 SHORT, LONG = 2e-5, 5e-3
-"""m; stretch of a leg whose samples tell when it began."""
+"""m; stretch of a leg whose samples show when it began."""
 REST_BEFORE_START = (0.25, 0.05)
 """s before a leg is seen to move, between which the target stands."""
 MAX_SPREAD_AT_REST = 2e-5
@@ -41,29 +41,29 @@ def leg_starts(
     leg : ndarray of int32, shape (n,)
         Of every sample, ``OFF_PATH`` where there is none.
     """
-    found, seen = np.full(len(lines.length), np.nan), lines.seen_from(pose)
+    found, own = np.full(len(lines.length), np.nan), lines.seen_from(pose)
     first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))
     last = np.append(first[1:], len(leg))
     for low, high in zip(first.tolist(), last.tolist(), strict=True):
         number = int(leg[low])
-        corner, unit = seen.corners[number], seen.unit[number]
+        corner, unit = own.corners[number], own.unit[number]
         moves = np.flatnonzero((samples.xyz[low:high] - corner) @ unit > MIN_TRAVEL)
         if len(moves):
             found[number] = _start(samples, corner, unit, low + int(moves[0]))
     return found
 
 
-def _start(samples: Samples, corner: Array, unit: Array, seen: int) -> float:
+def _start(samples: Samples, corner: Array, unit: Array, first: int) -> float:
     """When a leg in the frame of the tracker began, seen to move from a sample on."""
     stamp = samples.stamp_ns
     low, high = (
-        stamp[seen] - round(1e9 * REST_BEFORE_START[0]),
-        stamp[seen] + round(1e9 * MAX_TIME_OF_START),
+        stamp[first] - round(1e9 * REST_BEFORE_START[0]),
+        stamp[first] + round(1e9 * MAX_TIME_OF_START),
     )
     a, b = np.searchsorted(stamp, [low, high]).tolist()
     at = (stamp[a:b] - stamp[0]) * 1e-9
     gone = (samples.xyz[a:b] - corner) @ unit
-    stands = at < at[seen - a] - REST_BEFORE_START[1]
+    stands = at < at[first - a] - REST_BEFORE_START[1]
     if stands.sum() < 2 or np.ptp(gone[stands]) > MAX_SPREAD_AT_REST:
         return np.nan
     way = gone - np.median(gone[stands])
@@ -71,7 +71,7 @@ def _start(samples: Samples, corner: Array, unit: Array, seen: int) -> float:
     use &= np.cumsum(~use & ~stands & (way > LONG)) == 0
     if use.sum() < 2:
         return np.nan
-    time, root = at[use] - at[seen - a], np.sqrt(way[use])
+    time, root = at[use] - at[first - a], np.sqrt(way[use])
     late = time - time.mean()
     slope = float(late @ root) / float(late @ late)
-    return float(at[seen - a] + time.mean() - root.mean() / slope) if slope > 0.0 else np.nan
+    return float(at[first - a] + time.mean() - root.mean() / slope) if slope > 0.0 else np.nan

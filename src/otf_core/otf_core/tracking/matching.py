@@ -136,7 +136,7 @@ MIN_MATCHED_SHARE = 0.3
 MIN_SHARE_UNDOUBTED = 0.5
 """Share of the measured length; if less follows the path, corners may have deceived."""
 MIN_SHARE_FINAL = 0.99
-"""Share of the measured length; no better place of the tracker is looked for on curves."""
+"""Share of the measured length; no better tracker pose is searched for on curves."""
 MIN_SHARE_AS_PLANNED = 0.97
 """Share of the measured length; if so much follows the path as planned, nothing else is tried."""
 
@@ -346,7 +346,7 @@ def find_match(
     cuts : ndarray, shape (c, 3), m, optional
         Those of them that lie on curves, where the track has no corner.
     by_length : bool
-        Try lengths along the path where corners do not tell.
+        Try lengths along the path where corners do not decide.
 
     Returns
     -------

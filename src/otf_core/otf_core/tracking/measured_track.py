@@ -29,7 +29,7 @@ HOPS_OF_DIRECTION = 4
 GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
-"""s; samples are looked at this often."""
+"""s; interval at which samples are evaluated."""
 POINTS_AHEAD = 16
 """Points within which the next hop lies where the machine drives."""
 

@@ -16,9 +16,9 @@ from otf_core.tracking.matching import OFF_PATH, Guide, Match, cut_track, follow
 from otf_core.tracking.measured_track import Track, measured_track
 
 WIDER_TOLERANCES = (2.5, 5.0, 10.0)
-"""Multiples of the tolerance that are tried to say what is wrong."""
+"""Multiples of the tolerance that are tried to find what is wrong."""
 MIN_COVERAGE = 0.8
-"""Coverage below which a reason is looked for."""
+"""Coverage below which a reason is searched for."""
 MIN_SHARE_ON_PATH = 0.8
 """Share of a track that must lie on the path for a reason to hold."""
 MIN_STANDOUT = 2e-4
@@ -50,7 +50,7 @@ MIRRORED_MESSAGE = (
 
 
 def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float) -> str:
-    """Say why nothing fits, as far as the shapes tell."""
+    """State why nothing fits, as far as the shapes show."""
     out, size = standing_out(samples)
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
     if out > MIN_STANDOUT_SHARE:

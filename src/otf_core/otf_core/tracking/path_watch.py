@@ -12,14 +12,14 @@ from otf_core.tracking.alignment import Followed, followed
 from otf_core.tracking.measured_track import HOP
 
 END_STANDSTILL = 1.0
-"""s; a standstill so long is looked at: it ends the run if it is at the end point."""
+"""s; a standstill so long is evaluated: it ends the run if it is at the end point."""
 MIN_TRAVEL = 0.5
-"""Share of the path length before which no end is looked for (gaps shorten the travel)."""
+"""Share of the path length before which no end is expected (gaps shorten the travel)."""
 NEARLY, SOON = 0.98, 0.25
 """After nearly the whole path so short a standstill, s, ends the run, if at the end point."""
 AT_REST = 0.05
 """s; so long into such a standstill the run is over, if the standstill ends it: what comes later
-belongs to none, and the samples until then can be looked at before the standstill is long."""
+belongs to none, and the samples until then can be evaluated before the standstill is long."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
@@ -39,7 +39,7 @@ class PathWatcher:
     travelled : float
         m
     end : int or None
-        Samples of the run if the standstill that is to be looked at ends it; None if there is no
+        Samples of the run if the standstill that is to be evaluated ends it; None if there is no
         such standstill.
     """
 
@@ -101,15 +101,15 @@ class PathWatcher:
 
     @property
     def worth_judging(self) -> bool:
-        """True if the samples should be looked at, which is so until ``judge`` is called."""
+        """True if the samples should be evaluated, which is so until ``judge`` is called."""
         return self.end is not None and not self._looked_at
 
     def judge(self) -> None:
-        """Take note that the samples are looked at; once a standstill is enough."""
+        """Take note that the samples are evaluated; once a standstill is enough."""
         self._looked_at = True
 
     def dismiss(self) -> None:
-        """Take note that the standstill that was looked at is not at the end of the path."""
+        """Take note that the standstill that was evaluated is not at the end of the path."""
         self._next_end(None if self.end == self._here else self._here)
 
     def stays(self) -> None:
@@ -118,7 +118,7 @@ class PathWatcher:
 
     @property
     def stood(self) -> bool:
-        """True if the standstill that is to be looked at is, or was, long enough to end a run."""
+        """True if the standstill that is to be evaluated is, or was, long enough to end a run."""
         here = self.end is not None and self.end == self._here
         return self._stood or (here and self.standstill >= self._long(SOON))
 

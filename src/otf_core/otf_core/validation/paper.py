@@ -255,7 +255,7 @@ class SimulativeRun:
 
 
 def across_path(field: Array, q: Array, axes: Array) -> Array:
-    """Components of a field across the path with the best rigid motion taken out.
+    """Components of a field across the path with the best rigid motion removed.
 
     Parameters
     ----------

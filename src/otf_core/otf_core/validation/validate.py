@@ -316,8 +316,8 @@ def _reference_rows(cells: list[Cell]) -> list[Row]:
     )
     return [
         *rows,
-        Row('2.2', 'on the fly less standstill', '0.5 um', 'um', slow, (-np.inf, 0.5)),
-        Row('2.2', 'fastest less slowest feed', 'not significant', 'um', fast,
+        Row('2.2', 'on the fly minus standstill', '0.5 um', 'um', slow, (-np.inf, 0.5)),
+        Row('2.2', 'fastest minus slowest feed', 'not significant', 'um', fast,
             (-np.inf, MAX_FEED_INFLUENCE)),
         Row('2.2', 'fastest and slowest feed within U, k = 2', '', '%', feeds_agree,
             (MIN_AGREEMENT, 100.0)),

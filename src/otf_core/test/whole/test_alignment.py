@@ -317,7 +317,7 @@ def test_shuttle_on_one_line_alone_does_not_fix_the_tracker():
     machine = some_machine()
     path = corner_path(machine, (0, 0, 0), (1, 1, 1), (0, 0, 0), (1, 1, 1), (0, 0, 0))
     recording = record(machine, plan_for_path(path, PlannerConfig()))
-    with pytest.raises(InputError, match='do not fix the place of the tracker'):
+    with pytest.raises(InputError, match='do not determine the tracker pose'):
         align(recording.measured(), path, CONFIG)
 
 
@@ -325,7 +325,7 @@ def test_lines_that_are_all_parallel_do_not_fix_the_tracker():
     machine = some_machine()
     path = corner_path(machine, (0, 0, 0), (1, 1, 1), (0, 0, 0))
     plan = plan_for_path(path, PlannerConfig())
-    assert 'place of the tracker' in refusal(record(machine, plan).measured(), path)
+    assert 'determine the tracker pose' in refusal(record(machine, plan).measured(), path)
 
 
 @pytest.mark.parametrize('count', [0, 1, 2, 3, 500])

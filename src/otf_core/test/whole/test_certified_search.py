@@ -121,7 +121,7 @@ def changed(roughness, name, place, step):
 
 def test_likelihood_of_the_roughness_is_the_density_of_the_deviations(found, monkeypatch):
     monkeypatch.setattr('otf_core.solving.roughness.MAX_STEPS', 0)
-    done = found.solved.done
+    done = found.solved.joint
 
     def of_core(roughness):
         logs = {m: np.log(v / UNIT) for m, v in roughness.items()}

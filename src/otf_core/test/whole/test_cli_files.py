@@ -78,7 +78,7 @@ def test_prediction_looks_at_its_file_first(place, capsys):
     for out, extra, words in (
         ('.', (), 'is a folder'),
         ('mine.csv', (), 'exists already'),
-        ('mine.csv', ('--overwrite',), 'no result of this command'),
+        ('mine.csv', ('--overwrite',), 'not a result of this command'),
         ('machine.yaml/e.csv', (), 'is a file'),
     ):
         assert run(*arguments, out, *extra) == 2

@@ -106,7 +106,7 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [1], "dwell": [1, 1]}',
          ('--feed', '3000'), '--feed: '),
         ('{"schema', (), 'plan: not valid JSON'),
-        ('G1 X0 Y0', (), 'plan: is an NC program that never says where Z stands'),
+        ('G1 X0 Y0', (), 'plan: is an NC program that never states where Z stands'),
         ('a,b\n1,2', (), 'expected the header x,y,z'),
     ],
 )  # fmt: skip

@@ -192,7 +192,7 @@ def test_a_tracker_that_moved_is_found_in_time(size):
     assert (found.check, found.severity) == ('moved', 'warning')
     seconds = float(found.words.split('moved ')[1].split(' s ')[0])
     assert seconds == pytest.approx(0.5 * a.samples.time[-1], abs=1.0)
-    (plain,) = asked(stepped(a, (0.6 * size, -0.8 * size, 0.0)), mend=False)
+    (plain,) = asked(stepped(a, (0.6 * size, -0.8 * size, 0.0)), repair=False)
     assert 'solved each' not in plain.words
 
 
@@ -354,7 +354,7 @@ def test_steps_without_end_are_no_moves(monkeypatch):
     monkeypatch.setattr(tracker_moves, 'find_step', lambda model, run: step)
     monkeypatch.setattr(tracker_moves, 'split', lambda run, *_: (run, run))
     monkeypatch.setattr(tracker_moves.Model, 'of', lambda runs: SimpleNamespace(runs=tuple(runs)))
-    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), repair=True)
     assert model is whole
     assert [f.check for f in findings] == ['moved']
     assert 'as no single move' in findings[0].words
@@ -376,6 +376,6 @@ def test_several_moves_leave_hardly_anything_or_are_none(monkeypatch, left, cut)
     )
     monkeypatch.setattr(tracker_moves, 'split', lambda run, *_: (run, run))
     monkeypatch.setattr(tracker_moves.Model, 'of', of)
-    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), repair=True)
     assert (len(model.runs), len(findings)) == ((4, 3) if cut else (1, 1))
     assert cut or 'at 3 moments and more, as no single move' in findings[0].words

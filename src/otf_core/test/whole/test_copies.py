@@ -52,7 +52,7 @@ def lost_motion():
     (recorded, 1, 'none'),
     (lambda: stepped(recorded(), (3e-5, 0.0, -2e-5)), 2, 'none'),
     (lost_motion, 1, 'constant'),
-], ids=['as it is', 'mended where the tracker moved', 'with a reversal'])  # fmt: skip
+], ids=['as it is', 'repaired where the tracker moved', 'with a reversal'])  # fmt: skip
 def test_tables_are_those_without_copies_bit_by_bit(make, runs, reversal):
     recording = make()
     here, there = calibrate_runs([recording], CONFIG), alone(recording)

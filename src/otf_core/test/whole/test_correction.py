@@ -205,7 +205,7 @@ def test_drifts_of_two_runs_are_told_apart():
     effect = taken([drift, drift], FILE)
     kept, done = solved(runs, nodes, [effect])
     found, _, _ = estimates(kept, done, [effect])
-    one_after_other = found.taken_off(SimpleNamespace(runs=kept, done=done)).stated[0]
+    one_after_other = found.taken_off(SimpleNamespace(runs=kept, joint=done)).stated[0]
     reached = 1.0 - np.exp(-end / 200.0)
     for name, true in (('D_X', 10e-6), ('D_X (run 2)', -5e-6)):
         value, u = one_after_other.parameters[name], one_after_other.u[name]
@@ -216,7 +216,7 @@ def test_drifts_of_two_runs_are_told_apart():
 def test_waves_that_no_table_holds_are_in_the_uncertainty_of_positioning(runs_and_nodes):
     runs, done = solved(*runs_and_nodes)
     wave = one('cyclic_error', period=0.01, S_X=4e-6, C_X=3e-6)
-    missing = missing_in_tables(SimpleNamespace(runs=runs, done=done), [wave])
+    missing = missing_in_tables(SimpleNamespace(runs=runs, joint=done), [wave])
     q = np.linspace(0.0, 0.3, 301)
     rows = done.unknowns.bases['X'].matrix(q)
     block = done.unknowns.blocks['EXX']
@@ -287,7 +287,7 @@ def test_effects_are_listed_with_value_u_and_unit(runs_and_nodes):
     effect = one('thermal_axis_expansion', FOUND, **GROWTH)
     runs, done = solved(*runs_and_nodes, [effect])
     found, _, _ = estimates(runs, done, [effect])
-    stated = found.taken_off(SimpleNamespace(runs=runs, done=done)).stated
+    stated = found.taken_off(SimpleNamespace(runs=runs, joint=done)).stated
     assert set(stated[0].u) == {'tau', 'S_X', 'S_Y', 'S_X_2'} and stated[0].how == FOUND
     assert stated[0].units['S_X_2'] == 'm/m' and stated[0].units['tau'] == 's'
     text = format_effects(stated)

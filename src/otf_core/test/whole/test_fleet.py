@@ -218,7 +218,7 @@ def test_folders_of_others_and_fleets_of_other_verbs_are_left_alone(plant, capsy
         ('bag,machine\n', 'line 1: expected the header name,bag,machine'),
         ('name,bag,machine\n', 'lists no runs'),
         ('name,bag,machine\na,b\n', 'line 2: expected name,bag,machine'),
-        ('name,bag,machine\n../a,b,m\n', 'no name of a folder'),
+        ('name,bag,machine\n../a,b,m\n', 'not a folder name'),
         ('name,bag,machine\na,b,m\na,c,m\n', 'line 3: the name a appears twice'),
     ],
 )
@@ -358,8 +358,14 @@ def test_cells_of_a_validation_come_together_in_one_table(tmp_path, capsys, monk
     [
         (('calibrate',), 'fleet calibrate: --list is missing'),
         (('blind', '--seed', 1), 'fleet blind: --trials is missing'),
-        (('blind', '--seed', 1, '--trials', 2, '--list', 'a.csv'), '--list: not of fleet blind'),
-        (('diagnose', '--list', 'a.csv', '--leave-one-out'), '--leave-one-out: not of fleet diag'),
+        (
+            ('blind', '--seed', 1, '--trials', 2, '--list', 'a.csv'),
+            '--list: does not apply to fleet blind',
+        ),
+        (
+            ('diagnose', '--list', 'a.csv', '--leave-one-out'),
+            '--leave-one-out: does not apply to fleet diag',
+        ),
         (('blind', '--seed', 1, '--trials', 0), '--trials: 0 is out of range [1, 100000]'),
     ],
 )

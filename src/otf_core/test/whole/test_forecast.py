@@ -322,7 +322,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     page = Page(source)
     assert page.faults == [] and unloading(source) == []
     assert '@top-left' in source and '(m)' not in page.text.replace('Beam (m)', '')
-    assert [row[0] for row in page.rows('Where the tracker stands')]
+    assert [row[0] for row in page.rows('Position of the tracker')]
     assert 'written: path.csv, forecast.txt, plan.svg, report.html, plan.json' in said
     picture = (out / 'plan.svg').read_text(encoding='utf-8')
     for name, entry in data['forecast']['errors'].items():
@@ -331,7 +331,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
         said = (
             f'{mean:.2f}, largest {largest:.2f}\u00a0{unit}'
             if entry['identifiable']
-            else 'not seen by this path'
+            else 'not shown by this path'
         )
         row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', picture)
         assert row[1] == said, name

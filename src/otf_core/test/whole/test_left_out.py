@@ -69,12 +69,12 @@ def recording(spoil, rate=40.0):
 def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners, too_many):
     run, coarse = recording(spoil), {'reversal': 'none', 'piece_length': 0.024}
     solved = solve_recordings([run], CalibrationConfig(**coarse))
-    (left,) = solved.left
+    (left,) = solved.outliers
     assert (left.again, left.at_corners, left.too_many) == (again, at_corners, too_many)
     said = [f.words for f in solved.findings if f.check == 'left out']
     assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
-    assert ('takes them into the gap' in said[0]) == again
-    assert ('all but the farthest into the gap' in said[0]) == (too_many and not again)
+    assert ('includes them in the gap' in said[0]) == again
+    assert ('all but the most distant in the gap' in said[0]) == (too_many and not again)
     if spoil is chip_under_the_slide:
         assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
         assert 'all near X 0.1' in said[0] and 'same places in every pass' in said[0]
@@ -82,7 +82,7 @@ def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners
 
 def test_stray_samples_that_meet_by_chance_are_not_what_the_machine_does():
     run, coarse = recording(stray, rate=200.0), {'reversal': 'none', 'piece_length': 0.024}
-    (left,) = solve_recordings([run], CalibrationConfig(**coarse)).left
+    (left,) = solve_recordings([run], CalibrationConfig(**coarse)).outliers
     assert left.samples > 0.05 * left.of
     assert left.repeated < 0.3 and not left.by_machine
-    assert 'probably something that the machine does' not in left.words()
+    assert 'probably real machine behaviour' not in left.words()

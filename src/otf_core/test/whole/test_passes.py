@@ -46,8 +46,8 @@ def recording(spoil, passes=2, seed=8):
 
 
 def found(spoil, passes=2):
-    solution = solve_recordings([recording(spoil, passes)], COARSE, mend=False).solution
-    return unfollowed(solution.runs, solution.done)
+    solution = solve_recordings([recording(spoil, passes)], COARSE, repair=False).solution
+    return unfollowed(solution.runs, solution.joint)
 
 
 def test_what_repeats_is_measured_and_what_does_not_is_not():
@@ -65,7 +65,7 @@ def test_a_calibration_says_what_it_leaves_in_every_pass():
         for s in (nothing, sag)
     ]
     assert [len(one) for one in said] == [0, 1]
-    assert 'u holds nothing of it' in said[1][0]
+    assert 'u does not include it' in said[1][0]
 
 
 def test_one_pass_tells_nothing():
@@ -74,12 +74,12 @@ def test_one_pass_tells_nothing():
 
 
 def test_curves_alone_tell_nothing():
-    solution = solve_recordings([recording(sag)], COARSE, mend=False).solution
+    solution = solve_recordings([recording(sag)], COARSE, repair=False).solution
     bent = [
         replace(r, pieces=replace(r.pieces, bend=np.ones((len(r.pieces), 3))))
         for r in solution.runs
     ]
-    assert unfollowed(bent, solution.done) is None
+    assert unfollowed(bent, solution.joint) is None
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_only_what_is_sure_and_matters_is_told(change, told):
 def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, machine):
     words = Unfollowed(1e-12, 0.1e-12, 60, between).warning(0.5e-6)
     assert ('waves of a screw' in words) == machine
-    assert 'the tracker errs as it points there' in words
+    assert 'the tracker has an error when pointing there' in words
     assert ('changed between the runs' in words) != machine
     assert ('pass of a run' in words) == (between is not None)
 
@@ -113,8 +113,8 @@ def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, mac
 def test_between_runs_only_what_is_in_all_of_them_comes_again():
     def of(*spoils):
         given = [recording(s, passes=1, seed=k) for k, s in enumerate(spoils)]
-        solution = solve_recordings(given, COARSE, mend=False).solution
-        return unfollowed(solution.runs, solution.done)
+        solution = solve_recordings(given, COARSE, repair=False).solution
+        return unfollowed(solution.runs, solution.joint)
 
     same, turned = of(sag, sag), of(sag, risen)
     assert same.square > 5.0 * same.u

@@ -231,4 +231,4 @@ def test_plan_verb_optimises_and_writes_the_program(tmp_path, best, capsys):
     both = main(['plan', '--machine', str(file), '--out', str(out / 'x'), '--time-budget', '60',
                  '--wanted-uncertainty', '1'])  # fmt: skip
     assert both == 2
-    assert 'give one of them' in capsys.readouterr().err
+    assert 'give only one of them' in capsys.readouterr().err

@@ -103,14 +103,22 @@ def test_the_echo_names_the_presets_and_stands_on_its_own():
         (
             {'preset': 'at960'},
             None,
-            "tracker: preset: 'at960' is no preset; known here: absolute-",
+            "tracker: preset: 'at960' is not a preset; known here: absolute-",
         ),
-        (None, {'preset': 'shed'}, "uncertainty: preset: 'shed' is no preset; known here: labor"),
+        (
+            None,
+            {'preset': 'shed'},
+            "uncertainty: preset: 'shed' is not a preset; known here: labor",
+        ),
         ({'preset': 3}, None, 'tracker: preset: expected a text'),
         ({'preset': 'ltd-class', 'u_rang': 1e-6}, None, 'tracker: u_rang: unknown key'),
         ({'preset': 'ltd-class', 'u_range': 0}, None, 'tracker: u_range: 0 is out of range'),
         ({'u_range': 1e-6}, None, 'tracker: u_angle: missing'),
-        ({'preset': 'workshop'}, None, 'is no preset; known here: absolute-interferometer, abs'),
+        (
+            {'preset': 'workshop'},
+            None,
+            'is not a preset; known here: absolute-interferometer, abs',
+        ),
     ],
 )
 def test_wrong_presets_name_the_key_and_what_is_known(tracker, uncertainty, words):

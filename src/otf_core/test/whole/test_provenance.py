@@ -203,7 +203,7 @@ def test_summary_states_sign_date_and_predicted_volumetric_error(cell):
     assert found == volumetric_error(tables)
     expected = [size.mean(), np.sort(size)[round(0.95 * 342)], size.max()]
     assert [found[k] for k in ('mean', 'p95', 'max')] == pytest.approx(expected, rel=0.02)
-    said = re.search(r'as the machine stands: mean ([\d.]+) um, largest ([\d.]+) ', summary)
+    said = re.search(r'as found: mean ([\d.]+) um, largest ([\d.]+) ', summary)
     assert [float(v) for v in said.groups()] == pytest.approx(
         [1e6 * size.mean(), 1e6 * size.max()], abs=0.5
     )

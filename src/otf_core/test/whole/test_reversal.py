@@ -177,7 +177,7 @@ def test_files_hold_forward_and_backward_with_the_mean_in_the_tables(along_the_a
     )
     text = (tmp_path / 'summary.txt').read_text()
     assert 'Reversal model: tables' in text
-    assert 'forward less backward' in text
+    assert 'forward minus backward' in text
 
 
 def test_reversal_of_a_motion_that_is_not_identifiable_is_zero_and_says_so(chosen):

@@ -46,12 +46,12 @@ class CommonConfig(Parameters):
         '', 'machine description (machine.yaml); backends that simulate the cell require it'
     )
     time_scale: float = parameter(
-        1.0, 'samples known beforehand, simulated or recorded, come this many times as fast as '
-        'they were measured', '', 0.1, 50.0,
+        1.0, 'factor by which simulated or recorded samples are published faster than measured',
+        '', 0.1, 50.0,
     )  # fmt: skip
     max_rate: float = parameter(
-        5000.0, 'most samples published per second; limits time_scale so that subscribers '
-        'keep up', 'Hz', 10.0, 50000.0,
+        5000.0, 'largest number of samples published per second; limits time_scale so that '
+        'subscribers keep up', 'Hz', 10.0, 50000.0,
     )  # fmt: skip
 
 

@@ -36,18 +36,16 @@ class EmsconConfig(Parameters):
     """Where the tracker is, and how it is to measure."""
 
     host: str = parameter(
-        '127.0.0.1', 'address of the tracker; they leave the works as 192.168.0.1'
+        '127.0.0.1', 'address of the tracker; the factory setting is 192.168.0.1'
     )
     port: int = parameter(700, 'TCP port of the tracker', '', 1, 65535)
     interval: float = parameter(
         0.002, 'time from sample to sample, in whole milliseconds', 's', 0.001, 1.0
     )
-    reflector: str = parameter(
-        '', 'reflector, by its name in the tracker; empty: the one set there'
-    )
+    reflector: str = parameter('', 'name of the reflector in the tracker; empty: the current one')
     environment: str = parameter(
-        '', 'temperature (C), pressure (mbar), humidity (%), such as 20.0,1013.2,50; empty: what '
-        'the tracker has, or its weather station measures',
+        '', 'temperature (C), pressure (mbar), humidity (%), such as 20.0,1013.2,50; empty: '
+        'values set in the tracker, or those of its weather station',
     )  # fmt: skip
     find_reflector: bool = parameter(
         True, 'the tracker may search for the reflector when the beam is lost'

@@ -31,7 +31,7 @@ class SimulatedConfig(SimulationConfig):
         '', 'errors of the simulated machine (error_tables.json); empty: drawn from the seed'
     )
     effects: str = parameter(
-        '', 'what else is wrong in the simulated cell (effects.yaml); empty: nothing'
+        '', 'additional effects in the simulated cell (effects.yaml); empty: none'
     )
 
 

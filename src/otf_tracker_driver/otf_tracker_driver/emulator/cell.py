@@ -15,7 +15,7 @@ from otf_core.sim.cell import simulate
 TICK = 1e-3
 """s on the tracker's clock; the shortest time between samples."""
 STANDING = 1000
-"""Ticks at the end of the run that are repeated for as long as the machine stands there."""
+"""Ticks at the end of the run that are repeated for as long as found there."""
 
 
 class Cell:

@@ -56,7 +56,7 @@ def read_faults(spec: str) -> Faults:
         try:
             values[name] = float(text) if given else 1.0
         except ValueError:
-            raise ConfigError(f'--faults: {name}: {text!r} is no number') from None
+            raise ConfigError(f'--faults: {name}: {text!r} is not a number') from None
     try:
         return Faults(**values)
     except ConfigError as error:

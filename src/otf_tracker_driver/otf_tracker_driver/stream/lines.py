@@ -136,7 +136,7 @@ def _number(value: object, place: Place) -> float:
             number = math.nan
         if math.isfinite(number):
             return number
-    raise Unreadable(f'{"column" if isinstance(place, int) else "key"} {place} is no number')
+    raise Unreadable(f'{"column" if isinstance(place, int) else "key"} {place} is not a number')
 
 
 def _stamp(value: object, how: Description) -> int:

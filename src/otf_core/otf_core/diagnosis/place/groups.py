@@ -656,7 +656,7 @@ def _groups(views: Sequence[RunView], bands: Bands, legs: Sequence[LegSums]) -> 
 
 
 def usual_bands(views: Sequence[RunView]) -> list[Bands]:
-    """By frequency along time, and by length of waves along each axis."""
+    """By frequency along time, and by wavelength along each axis."""
     low = (f'{a:g} Hz to {b:g} Hz' for a, b in pairwise(TIME_BANDS))
     labels = [f'0 Hz to {TIME_BANDS[0]:g} Hz', *low, f'{TIME_BANDS[-1]:g} Hz and more']
     mm = [f'{1e3 * w:g} mm' for w in WAVE_BANDS]

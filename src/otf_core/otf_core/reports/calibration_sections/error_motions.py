@@ -60,7 +60,7 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
         'model': reversal.model,
         'evidence': dict(reversal.evidence),
         'held': reversal.held,
-        'sign': 'value = forward less backward; forward: towards larger positions',
+        'sign': 'value = forward minus backward; forward: towards larger positions',
         'axes': {
             axis: {'value': found.value, 'u': found.u} for axis, found in reversal.backlash.items()
         },
@@ -98,8 +98,8 @@ def _why(reversal: Reversal) -> list[str]:
             )
     if 'rival' in evidence:
         lines.append(
-            f'  but {evidence["rival"]} explains these legs better: an error that flips with '
-            f'travel and grows with the feed; see otf diagnose'
+            f'  but {evidence["rival"]} explains these legs better: an error that changes sign '
+            f'with the direction of travel and grows with the feed; see otf diagnose'
         )
     return lines
 
@@ -110,8 +110,8 @@ def backlash_words(reversal: Reversal) -> str:
         return ''
     sizes = [f'{axis} {found.words}' for axis, found in reversal.backlash.items()]
     return (
-        f'backlash at the target (forward less backward, k = 2): {", ".join(sizes)}; on the '
-        f'middle line of the axis, rotations that reverse included'
+        f'backlash at the target (forward minus backward, k = 2): {", ".join(sizes)}; on the '
+        f'middle line of the axis, including the reversal of rotations'
     )
 
 
@@ -122,9 +122,9 @@ def format_reversal(reversal: Reversal) -> str:
         return '\n'.join(lines)
     stays = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
     lines += [
-        f'axes that stand {stays}',
+        f'axes at rest {stays}',
         *filter(None, [backlash_words(reversal)]),
-        'reversal value of every motion alone, forward less backward',
+        'reversal value of every motion alone, forward minus backward',
         'motion  unit       min       max    mean u, k = 1',
     ]
     for name, table in reversal.motions.items():
@@ -264,15 +264,15 @@ def _motion_pictures(facts: Facts) -> Sequence[Picture]:
         else ''
     )
     limits = (
-        'Dashed level lines: a band as high as the limit of the span. '
+        'Dashed horizontal lines: a band of the height of the span limit. '
         if facts.machine.limits
         else ''
     )
     caption = (
-        f'The last letter is the axis that moves; a wide page has its motions one below the '
-        f'other. Line with nodes: mean of both senses of travel; band: U (95 %), pointwise. '
-        f'{both}{limits}'
-        f'Rings: nodes that the data do not determine, continued smoothly.'
+        f'The last letter is the axis that moves; on a wide page its motions stand one below '
+        f'the other'
+        f'. Line with nodes: mean of both directions of travel; band: U (95 %), pointwise. '
+        f'{both}{limits}Rings: nodes that the data do not determine, continued smoothly.'
     )
     return [Picture(panels, caption, columns=3)]
 
@@ -389,10 +389,10 @@ def squareness_section(facts: Facts) -> Section:
         )
     words = (
         *angles,
-        'Two habits of sign are in use. Here and in all files the value is a right-handed '
-        f'rotation: a positive value tilts {"; ".join(f"{n}: {t}" for n, t in TILTS.items())}. In '
-        'the other habit a positive value means an angle larger than 90 degrees; the two differ '
-        'for B0Z alone.',
+        'Two sign conventions are in use. Here and in all files the value is a right-handed '
+        f'rotation: a positive value tilts {"; ".join(f"{n}: {t}" for n, t in TILTS.items())}. '
+        f'In the other convention a positive value means'
+        ' an angle larger than 90 degrees; the two differ only for B0Z.',
     )
     head = ('', 'Value (urad)', 'Larger than 90 deg positive (urad)', 'U (urad)',
             'u in the files, k = 1 (urad)', 'Holds')  # fmt: skip
@@ -406,8 +406,8 @@ def reversal_section(facts: Facts) -> Section:
     text = (format_reversal(reversal), '')
     if not facts.both_ways:
         said = (
-            f'Reversal model: {reversal.model}. The data do not tell forward from backward '
-            f'travel, so no figures after ISO 230-2 can be derived.',
+            f'Reversal model: {reversal.model}. The data do not distinguish forward from '
+            f'backward travel, so no figures after ISO 230-2 can be derived.',
         )
         return Section('reversal', 'Forward and backward', said,
                        {'model': reversal.model}, text=text)  # fmt: skip
@@ -430,7 +430,7 @@ def reversal_section(facts: Facts) -> Section:
     stay = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
     at_target = backlash_words(reversal)
     words = (
-        f'Reversal model: {reversal.model}; axes that stand {stay}. A reversal value is the error '
+        f'Reversal model: {reversal.model}; axes at rest {stay}. A reversal value is the error '
         f'in forward travel (towards larger positions) less that in backward travel.',
         *([f'{at_target[:1].upper()}{at_target[1:]}.'] if at_target else []),
         DERIVED,
@@ -455,7 +455,7 @@ def _reversal_table(facts: Facts) -> Table:
             rows.append((name, 'not known', '', ''))
     head = ('Motion', 'Smallest', 'Largest', 'Mean u, k = 1')
     return Table(head, tuple(rows), numbers=(1, 2, 3), folded='Reversal values of all motions',
-                 title='Forward less backward (um, urad)')  # fmt: skip
+                 title='Forward minus backward (um, urad)')  # fmt: skip
 
 
 def nodes_section(facts: Facts) -> Section:

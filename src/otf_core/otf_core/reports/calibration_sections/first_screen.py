@@ -136,9 +136,9 @@ def error_bars(facts: Facts) -> Picture:
         f'<span class="{kind}-key"><span class="key"></span>{text(said)}</span> '
         for kind, said in keys
     )
-    stroke = ' Upright stroke: the limit.' if limited else ''
+    stroke = ' Vertical mark: the limit.' if limited else ''
     caption = (
-        f'Span (largest less smallest value) of an error motion, size of a squareness error; '
+        f'Span (largest minus smallest value) of an error motion, size of a squareness error; '
         f'line at the end of a bar: U (95 %).{stroke}{bound_words(facts)}'
     )
     legend = f'<p class="soft keys">{key}</p>' if limited else ''
@@ -177,9 +177,9 @@ def volume_pictures(facts: Facts) -> Picture:
     stated = '' if limit is None else f', limit {1e6 * limit:g} um'
     return Picture(
         (_arrows(facts, step, shown), _spheres(facts, shown)),
-        f'Left, before: error vectors as the machine stands{stated}. Right, after: what is to be '
-        f'expected with these tables loaded, U (95 %) of the vector as radius; predicted, not '
-        f'measured. Both at one scale.',
+        f'Left, before: error vectors as found{stated}. Right, after: expected with these '
+        f'tables loaded, U (95 %) of the vector as radius; predicted, not '
+        f'measured. Both at the same scale.',
         columns=2,
         hint=TURNED,
         key=heat_key(step, 1e6 * longest, 'µm'),
@@ -251,7 +251,7 @@ def overview_section(facts: Facts) -> Section:
     words = [
         f'Worst: the longest error vector of the grid, '
         f'{micro_figure(now["max"], result.headline.of_largest)}, lies at '
-        f'{place(at)}. Most is due to '
+        f'{place(at)}. It is mainly due to '
         + listed(f'{name} ({micro_figure(size, mean)})' for name, size in worst)
         + ', each alone, root mean square over the volume.',
         *_unknown_words(facts),
@@ -286,7 +286,7 @@ def _overview_lines(facts: Facts) -> tuple[str, ...]:
         f'mean distance from the path {micro(fit.path_mae_before)} um, compensated '
         f'{micro(fit.path_mae_after)} um; residual rms {micro(fit.residual_rms)} um',
         f'the volumetric error is that of {result.headline.points} points of a regular grid over '
-        f'the whole volume, best rigid motion taken out',
+        f'the whole volume, best rigid motion removed',
     )
 
 
@@ -335,13 +335,13 @@ def _unknown_words(facts: Facts) -> list[str]:
     result, found = facts.result, []
     if result.not_identifiable:
         found.append(
-            f'Not known: {listed(result.not_identifiable)} cannot be determined from these data; '
-            f'they stand as zero in the tables.'
+            f'Not known: {listed(result.not_identifiable)} cannot be determined from these '
+            f'data; they are zero in the tables.'
         )
     if facts.typical:
         found.append(
-            f'Not declared in machine.yaml: {listed(facts.typical.missing)}; U holds typical '
-            f'values of them.'
+            f'Not declared in machine.yaml: {listed(facts.typical.missing)}; U includes typical '
+            f'values for them.'
         )
     return found or ['Not known: all motions were determined and all contributions declared.']
 
@@ -350,7 +350,7 @@ def _tiles(facts: Facts) -> tuple[tuple[str, str, str], ...]:
     first, fit = facts.result.headline, facts.result.fit
     return (
         (
-            'Volumetric error, as the machine stands',
+            'Volumetric error, as found',
             micro_with_expanded(first.error['max'], first.of_largest),
             f'largest; mean {micro_figure(first.error["mean"], first.expanded["mean"])}',
         ),
@@ -363,7 +363,8 @@ def _tiles(facts: Facts) -> tuple[tuple[str, str, str], ...]:
         (
             'Distance from the path, measured',
             f'{micro(fit.path_mae_before)} → {micro(fit.path_mae_after)} um',
-            'mean, before and after compensation, on the run the tables come from',
+            'mean, before and after compensation, on the run from which the tables were '
+            'determined',
         ),
     )
 
@@ -372,8 +373,9 @@ def limits_section(facts: Facts) -> Section:
     """Verdict by the limits of machine.yaml, limit by limit."""
     verdict, typical = facts.result.machine_verdict, facts.typical
     rule = (
-        'Decision rule (ISO 14253-1): a limit is kept if value + U is at most the limit, broken '
-        'if value - U is above it; in between neither is proven, which does not pass.'
+        'Decision rule (ISO 14253-1): a limit is met if value + U is at most the limit, '
+        'exceeded if value - U is above it; in between, neither is proven and the check is not '
+        'passed.'
     )
     if verdict is None:
         lead = 'No verdict: machine.yaml states no limits (section limits).'
@@ -381,7 +383,7 @@ def limits_section(facts: Facts) -> Section:
     words = [f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}.', rule]
     if typical:
         words.append(
-            f'U holds typical values for what machine.yaml does not declare: '
+            f'U includes typical values for what machine.yaml does not declare: '
             f'{listed(typical.missing)}.'
         )
     rows = tuple(_limit_row(one) for one in verdict.judged)
@@ -412,7 +414,7 @@ def calibration_summary(facts: Facts) -> str:
         f'{_distance_figure(fit.path_mae_after, fit)} after compensation, on the run itself',
     ]
     if result.not_identifiable:
-        lines.append(f'not seen, zero in the tables: {", ".join(result.not_identifiable)}')
+        lines.append(f'not determined, zero in the tables: {", ".join(result.not_identifiable)}')
     if result.effects_sentence:
         lines.append(result.effects_sentence)
     lines += _warning_lines(facts)

@@ -51,7 +51,7 @@ DRAWN_RUNS = 3
 """Runs that are drawn."""
 DRAWN_STRETCHES = 900
 """Parts of a path that are drawn in space."""
-NO_DATE = 'the stamps tell no date: they count from some other start'
+NO_DATE = 'the stamps contain no date: they count from another origin'
 DRIFT_PARTS, LEGS_PER_PART = 8, 6
 """Parts of a run; legs of a part from which it is used."""
 INFORMATION_SHARE = 1e-3
@@ -84,8 +84,8 @@ def path_section(facts: Facts) -> Section:
     fit = facts.result.fit
     words = (
         f'Mean distance of the measured track from the path: {micro(fit.path_mae_before)} um '
-        f'after aligning it, {micro(fit.path_mae_after)} um after compensation; root mean square '
-        f'of what is left {micro(fit.residual_rms)} um. These are the data the tables were '
+        f'after aligning it, {micro(fit.path_mae_after)} um after compensation; root mean '
+        f'square residual {micro(fit.residual_rms)} um. These are the data the tables were '
         f'fitted to.',
     )
     data = {'mae_before': fit.path_mae_before, 'mae_after': fit.path_mae_after,
@@ -107,7 +107,7 @@ def _path_pictures(facts: Facts) -> Sequence[Picture]:
         )
         time = Picture(
             _residual_over_time(run),
-            f'{name}One dot a leg of the path: root mean square distance from the path, aligned '
+            f'{name}One dot per leg of the path: root mean square distance from the path, aligned '
             f'(left) and compensated (right).',
             columns=2,
             title='Over time' if number == 1 else '',
@@ -212,7 +212,7 @@ def _reading_remarks(facts: Facts) -> tuple[str, ...]:
     """What was repaired or left out while recordings were read."""
     said = [f'While reading {run.name or "the run"}: {remark}.'
             for run in facts.result.runs for remark in run.remarks]  # fmt: skip
-    return tuple(said) or ('While reading nothing was repaired or left out.',)
+    return tuple(said) or ('Nothing was repaired or left out while reading.',)
 
 
 def drift(run: RunResult) -> tuple[Array, Array, Array]:
@@ -268,8 +268,8 @@ def drift_section(facts: Facts) -> Section:
         said,
         _moved_words(facts),
         'Change of the mean residual from the first to the last part of the run (closure of start '
-        'and end), with U (k = 2). It also holds what the model lacks at the places driven then; '
-        'a steady drift shows as a slope in the picture.',
+        'and end), with U (k = 2). It also contains model errors at the places driven then; a '
+        'steady drift shows as a slope in the figure.',
     )
     head = ('Run', 'Along X (um)', 'Along Y (um)', 'Along Z (um)', 'Over (s)')
     table = Table(head, tuple(rows), numbers=(1, 2, 3, 4))
@@ -282,8 +282,8 @@ def _moved_words(facts: Facts) -> str:
     result = facts.result
     said = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
     return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in said) or (
-        'Not moved: no step of tracker or target was found during a run. Steps below about 5 um, '
-        'and right at start and end, would not be seen.'
+        'No movement: no step of tracker or target was found during a run. Steps below about 5 '
+        'um, or at the very start or end, would not be detected.'
     )
 
 
@@ -319,12 +319,15 @@ def fit_section(facts: Facts) -> Section:
         ('samples used', f'{fit.used}, in {fit.pieces} path pieces'),
         ('outliers', f'{fit.outliers} ({100 * fit.outliers / fit.samples:.2f} %)'),
         ('effective degrees of freedom of the noise level (N_eff - rank)', dof_words(dof)),
-        ('unknowns, the gauge being fixed', f'{fit.unknowns}'),
+        ('unknowns after fixing the gauge', f'{fit.unknowns}'),
         ('rank', f'{fit.rank}'),
         ('condition number of the covariance (scaled)', f'{condition:.3g}'),
-        ('s0, residuals over the noise assumed', f'{math.sqrt(fit.variance_ratio):.3f}'),
-        ('chi-square p (chance of larger residuals by noise alone)', f'{chance:.3f}'),
-        ('factor on the covariance for what remains', f'{fit.inflation:.3f}'),
+        (
+            's0, ratio of the residuals to the assumed noise',
+            f'{math.sqrt(fit.variance_ratio):.3f}',
+        ),
+        ('chi-square p (probability of larger residuals from noise alone)', f'{chance:.3f}'),
+        ('factor on the covariance for the remaining misfit', f'{fit.inflation:.3f}'),
         ('residual rms', f'{micro(fit.residual_rms)} um'),
         ('residual rms in the plane of the beam (a2), across it (a3)', f'{two} um, {three} um'),
         ('correlation time of the noise', _time_range(times)),
@@ -362,8 +365,8 @@ FILES = (
     'squareness'
 )
 PLACE_OF_B = (
-    'place of b in the chain as stated, not verifiable: it decides what is called squareness, '
-    'straightness and positioning, and no data show it'
+    'position of b in the chain as stated: it defines what is called squareness, straightness '
+    'and positioning, and no data can verify it'
 )
 
 
@@ -383,8 +386,8 @@ def effects_section(facts: Facts) -> Section | None:
             rows.append((one.effect.replace('_', ' '), how, name, f'{value:.5g}', known, unit))
     words = (
         *said,
-        'These effects were taken off the runs first, so the tables do not hold them. Without '
-        'them the tables are in the folder plain beside this report.',
+        'These effects were removed from the runs first, so the tables do not contain them. The '
+        'tables without this correction are in the folder plain beside this report.',
     )
     head = ('Effect', 'How', 'Parameter', 'Value', 'u, k = 1', 'Unit (SI)')
     table = Table(head, tuple(rows), numbers=(3, 4))
@@ -403,13 +406,14 @@ def reference_words(result: CalibrationResult) -> str:
     )
     bound = result.offset_bound.sentence
     holds = (
-        f'{bound[:1].upper()}{bound[1:]}; all other values hold at any target offset'
+        f'{bound[:1].upper()}{bound[1:]}; all other values apply to any target offset'
         if bound
-        else 'All values that were determined hold at any target offset'
+        else 'All values that were determined apply to any target offset'
     )
     return (
-        f'Reference point of straightness, positioning and squareness, about which rotations act, '
-        f'is the machine zero that the axes carry along; {where} (all axes at zero). {holds}.'
+        f'The reference point of straightness, positioning and squareness, about which '
+        f'rotations act, is the machine zero carried along by the axes'
+        f'; {where} (all axes at zero). {holds}.'
     )
 
 
@@ -434,12 +438,12 @@ def conventions_section(facts: Facts) -> Section:
         f'Gauge: {GAUGE}. At these reference positions U is zero by definition: U is that of a '
         f'difference to the reference.',
         'The volumetric error is stated without the best-fitting rigid motion of the whole '
-        'volume, which belongs to the choice of the machine frame.',
-        'Results hold at the temperature of the measurement; they are not reduced to 20 °C.',
+        'volume, which depends on the choice of the machine frame.',
+        'Results apply to the temperature of the measurement; they are not corrected to 20 °C.',
         f'U is the expanded uncertainty for a coverage of about 95 %, U = k u by JCGM 100 (GUM); '
         f'k = {k:.3g} (effective degrees of freedom {dof_words(dof)}; with 60 or fewer k is '
         f"Student's t); bands are pointwise. "
-        f'The full covariance stands in error_tables.json (JCGM 102).',
+        f'The full covariance is in error_tables.json (JCGM 102).',
     )
     date = f'measured {measured(origin)}, ' if measured(origin) else ''
     text = (

@@ -62,8 +62,8 @@ def budget_section(facts: Facts) -> Section:
     ]
     if budget.not_stated:
         words.append(
-            f'Not declared in machine.yaml: {listed(budget.not_stated)}; typical values stand for '
-            f'them as one source (presets {listed(TYPICAL)}).'
+            f'Not declared in machine.yaml: {listed(budget.not_stated)}; typical values are '
+            f'used for them as one source (presets {listed(TYPICAL)}).'
         )
     grid = facts.by_name[GRID]
     most = max(grid.parts, key=lambda name: grid.parts[name])
@@ -174,8 +174,8 @@ def correlations_section(facts: Facts) -> Section:
     share, members = worst_combination(facts)
     listed_members = listed(f'{name} ({100 * part:.0f} %)' for name, part in members)
     said = (
-        f'The combination that is known worst: {listed_members}; it holds {100 * share:.0f} % of '
-        f'the whole variance of the tables (um and urad counted alike).',
+        f'The least certain combination: {listed_members}; it accounts for {100 * share:.0f} % '
+        f'of the total variance of the tables (um and urad weighted equally).',
         f'{len(strong)} pairs of tables are correlated by at least {LISTED_CORRELATION}, '
         f'{len(strongest)} by '
         f'more than {VERY_STRONG}; of two tables the pair of nodes with the strongest correlation '
@@ -243,5 +243,5 @@ def _correlation_pictures(facts: Facts) -> Sequence[Picture]:
     key = f'<p class="soft keys">{keys}</p>'
     caption = 'Largest correlation in size between the nodes of every two tables.'
     if unknown:
-        caption += ' No colour: a motion that the data do not show.'
+        caption += ' No colour: a motion that the data do not determine.'
     return [Picture((picture + key,), caption)]

@@ -34,7 +34,7 @@ def volume_section(facts: Facts) -> Section:
     wide = first.expanded
     rows = [
         (
-            'as the machine stands, predicted by the tables',
+            'as found, predicted by the tables',
             *(figure(1e6 * v, 1e6 * wide[n]) for n, v in first.error.items()),
         ),
         (
@@ -42,7 +42,7 @@ def volume_section(facts: Facts) -> Section:
             *(significant(1e6 * v) for v in wide.values()),
         ),
         (
-            'of it noise and misfit of this run alone: U',
+            'of which noise and misfit of this run: U',
             *(significant(1e6 * v) for v in first.observed.values()),
         ),
         ('measured after compensation', 'not measured', '', ''),
@@ -50,8 +50,8 @@ def volume_section(facts: Facts) -> Section:
     words = (
         f'Length of the error vector on {first.points} points of a regular grid over the '
         f'whole volume. After compensation with these tables their uncertainty remains, and '
-        f'beyond what was driven that of what they cannot know; a validation run after loading '
-        f'them would measure it.',
+        f'outside the driven range that of extrapolation; a validation run after loading them '
+        f'would measure it.',
         f'The largest error, {micro_figure(first.error["max"], first.of_largest)}, has U = '
         f'{micro_significant(first.of_largest)}.',
     )
@@ -70,8 +70,8 @@ def _volume_pictures(facts: Facts) -> Sequence[Picture]:
             *(_component_histogram(facts, k) for k in range(3)),
             *(_expected_distribution(facts, k) for k in range(3)),
         ),
-        'Share of the grid points by the component of the error along X, Y and Z. Above: as the '
-        'machine stands; below: distribution expected after compensation, from u.',
+        'Share of the grid points by the component of the error along X, Y and Z. Above: as found;'
+        ' below: distribution expected after compensation, from u.',
         columns=3,
         title='By direction',
     )
@@ -79,8 +79,8 @@ def _volume_pictures(facts: Facts) -> Sequence[Picture]:
     rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in found]
     adds = Picture(
         (bars(rows, 'contribution of each motion'),),
-        'Root mean square over the volume of the error vector that one motion or squareness error '
-        'makes alone; the largest ones. They partly cancel, so they do not add up.',
+        'Root mean square over the volume of the error vector caused by one motion or '
+        'squareness error alone; the largest ones. They partly cancel, so they do not add up.',
         title='By motion',
     )
     return [adds, spread]
@@ -198,7 +198,7 @@ def coverage_section(facts: Facts) -> Section:
                      f'{share:.0f}'))  # fmt: skip
         data[axis] = {'travel': [own.min, own.max], 'tables': [float(low[k]), float(high[k])]}
     words = (
-        'Tables are constant beyond what was driven; what is predicted there is extrapolated.',
+        'Outside the driven range the tables are constant; predictions there are extrapolated.',
         f'Nodes of the tables: {node_spacing(facts)}.',
     )
     head = ('Axis', 'Travel (mm)', 'Covered by tables (mm)', 'Share (%)')

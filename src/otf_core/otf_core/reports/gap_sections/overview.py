@@ -53,7 +53,7 @@ def causes_section(diagnosis: Diagnosis) -> Section:
     text = (*lines, *held, '') if lines else ()
     if not diagnosis.causes:
         reason = {
-            'none': 'None: the run shows no more than its simulation.',
+            'none': 'None: the run shows nothing beyond its simulation.',
             'unknown': 'None named: no effect of the catalogue explains the gap.'
             + ('' if diagnosis.unnamed else f' Its structure: {diagnosis.unexplained_where}.'),
         }.get(diagnosis.verdict, 'None found.')
@@ -61,8 +61,8 @@ def causes_section(diagnosis: Diagnosis) -> Section:
     words: tuple[str, ...] = ()
     if diagnosis.table_change_um > 0:
         words = (
-            f'With the causes in the calibration the error tables change the predicted volumetric '
-            f'error by {diagnosis.table_change_um:.2f} um on average over the volume.',
+            f'Including the causes in the calibration changes the predicted volumetric error by'
+            f' {diagnosis.table_change_um:.2f} um on average over the volume.',
         )
     words = (*words, *held)
     rows = tuple(_cause_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
@@ -78,7 +78,7 @@ def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
         return ''
     held = in_reversal_tables(diagnosis.calibration.plain.reversal, cause.axes)
     name = effect_name(cause.effect)
-    return f'The reversal tables of the calibration hold {name} as well{held}.' if held else ''
+    return f'The reversal tables of the calibration contain {name} as well{held}.' if held else ''
 
 
 def _meaning_tables(diagnosis: Diagnosis) -> tuple[Table, ...]:
@@ -97,10 +97,9 @@ def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
     low, high = unnamed.shrink_interval_percent
     return (
         f'It {unnamed.words}.',
-        f'An empirical effect of these inputs takes the gap from {unnamed.before_um:.2f} um to '
-        f'{unnamed.after_um:.2f} um on legs that it was not fitted to (95 % interval of the '
-        f'shrink: {low:.0f} % to {high:.0f} %). It stands in effects.yaml for simulate and '
-        f'calibrate.',
+        f'An empirical effect of these inputs reduces the gap from {unnamed.before_um:.2f} um to '
+        f'{unnamed.after_um:.2f} um on legs not used for its fit (95 % interval of the reduction: '
+        f'{low:.0f} % to {high:.0f} %). It is in effects.yaml for simulate and calibrate.',
     )
 
 
@@ -234,8 +233,8 @@ def functions_section(diagnosis: Diagnosis) -> Section:
 
 def _curve_picture(name: str, curves: Sequence[Curve]) -> Picture:
     caption = (
-        f'{name}: the function that the data show; the band is that of k = 2, without what tables '
-        f'and the place of the tracker hold as well.'
+        f'{name}: the function determined by the data; band: k = 2, without the part that '
+        f'tables and tracker pose share.'
     )
     return Picture(
         tuple(_curve_panel(c) for c in curves[:DRAWN_CURVES]), caption, columns=2, title=name
@@ -316,7 +315,7 @@ def next_measurements(diagnosis: Diagnosis) -> list[str]:
             (
                 'the same path once more, also backwards and at a second feed, and from a second '
                 'tracker place',
-                'to see whether what stays unexplained belongs to time, travel or tracker',
+                'to see whether the unexplained part depends on time, travel or tracker',
             )
         )
     for effect, needs in diagnosis.not_visible:
@@ -438,12 +437,13 @@ def looked_at(diagnosis: Diagnosis) -> list[str]:
     least, most = order[0], order[-1]
     sizes = [f'{seen[name]:.2f} um ({effect_name(name)})' for name in (least, most)]
     words = [
-        f'Looked for: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
-        f'found from a root mean square displacement of {sizes[0]} to {sizes[1]} on.'
+        f'Considered: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
+        f'detected from a root mean square displacement of'
+        f' {sizes[0]} to {sizes[1]} on.'
     ]
     if hidden:
         words.append(
-            f'Not seen in these data, whatever their size: {listed(map(effect_name, hidden))}.'
+            f'Not visible in these data, whatever their size: {listed(map(effect_name, hidden))}.'
         )
     return words
 
@@ -496,14 +496,14 @@ def where_section(diagnosis: Diagnosis) -> Section:
         low, high = gap.shrink_interval_percent
         words.append(
             f'With the causes added to the simulation the gap shrinks by {gap.shrink_percent:.0f} '
-            f'% (95 % interval {low:.0f} % to {high:.0f} %), judged on legs that the causes were '
-            f'not fitted to.'
+            f'% (95 % interval {low:.0f} % to {high:.0f} %), evaluated on legs that were not '
+            f'used to fit the causes.'
         )
     if where.view:
         words.append(
             'The picture above shows the view that separates the gap most: the share of its '
-            'variance between groups of pieces, less what as many groups have by chance (adjusted '
-            'R squared), is largest there.'
+            'variance between groups of pieces, minus what as many groups have by chance '
+            '(adjusted R squared), is largest there.'
         )
     rows = tuple(
         (_view_name(s['view'], s['grouping']), f'{s["share_percent"]:.0f} %')
@@ -560,7 +560,7 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
     for one in diagnosis.origin:
         name = one.name or 'the run'
         dates = moment(one.first_ns), moment(one.last_ns)
-        when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps tell no date'
+        when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
     tables, said = stated(plain.tables.machine)
     tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]

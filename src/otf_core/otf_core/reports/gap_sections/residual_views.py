@@ -50,8 +50,8 @@ SHORTEST_AXIS = 0.05
 """m; shorter axes show no waves."""
 FREQUENCY_CAPTION = (
     'Within legs: along time, and along the position of each axis on the legs that move it. The '
-    'point at the slow end holds all that is slower, means of legs included; means over path '
-    'pieces hide what is shorter than two pieces.'
+    'point at the slow end includes everything slower, also the means of legs; waves shorter '
+    'than two path pieces are averaged out.'
 )
 
 
@@ -110,7 +110,7 @@ def groups_side_by_side(diagnosis: Diagnosis, grouping: Grouping) -> Picture:
         for state, own in zip(residual_states(diagnosis), rows, strict=True)
     )  # fmt: skip
     kind = 'the axes that move' if grouping.kind == 'lines' else grouping.kind
-    caption = f'Root mean square of the residual by {kind}; stroke: what noise leaves.'
+    caption = f'Root mean square of the residual by {kind}; mark: contribution of noise.'
     return Picture(parts, caption, columns=2, key=state_key(diagnosis, stroke=True))
 
 
@@ -155,7 +155,7 @@ def _time_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     for view in views:
         run = f' Run {view.name}.' if len(views) > 1 else ''
         caption = (
-            'One dot a leg: root mean square of the residual, and its mean along the machine '
+            'One dot per leg: root mean square of the residual, and its mean along the machine '
             f'axes, of legs across that axis.{run}'
         )
         parts = (_size_panel(view, causes, top), *(_mean_panel(view, causes, k) for k in range(3)))
@@ -183,7 +183,7 @@ def size_pictures(diagnosis: Diagnosis) -> Picture:
             ]
             title = f'where it lies: residual of run {view.name} against time, {labels[kind]}'
             parts.append(panel.draw(marks, title, f'{run}{labels[kind]}'))
-    caption = 'One dot a leg: root mean square of its residual; line: what noise leaves.'
+    caption = 'One dot per leg: root mean square of its residual; line: contribution of noise.'
     return Picture(tuple(parts), caption, columns=2, key=state_key(diagnosis))
 
 
@@ -381,7 +381,7 @@ def _beam_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
 
 
 def frequency_section(diagnosis: Diagnosis) -> Section:
-    """Residual by frequency in time and by length of waves along each axis."""
+    """Residual by frequency in time and by wavelength along each axis."""
     return Section('frequency', 'By frequency', draw=lambda: _frequency_pictures(diagnosis))
 
 
@@ -411,7 +411,7 @@ def _wave_bands(axis: int | None, low: float, high: float) -> Bands:
 def _spectrum_panel(view: RunView, bands: Bands, found: Mapping[str, Sequence[Group]]) -> str:
     """Root mean square by band, per half octave, of every kind of state."""
     own = '' if bands.axis is None else view.axis_names[bands.axis]
-    name = f'length of waves along {own} (mm)' if own else 'frequency (Hz)'
+    name = f'wavelength along {own} (mm)' if own else 'frequency (Hz)'
     heading = f'along {own}' if own else 'in time'
     edges = bands.edges
     ratio = float(np.sqrt(edges[1] / edges[0]))

@@ -1,28 +1,72 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that the calibrator reads, as its intake takes them; the journal that it keeps."""
+"""What the calibrator reads: paths, status and gaps of the driver, signals; and its journal."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from typing import Any
 
+from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from otf_calibrator.beside import Beside
-from otf_calibrator.intake import Intake, Status, journal_place
+from otf_calibrator.collector import PathTaken
+from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.session import Session
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import GAP, STATUS
 from otf_core.bags.signals import topic_of
+from otf_core.contradictions.recording_checks import check_path
+from otf_core.errors import OtfError
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerGap, TrackerStatus
-from otf_ros import qos
+from otf_ros import convert, qos
 from otf_ros.convert import ns_from_time
 from otf_ros.definitions import message_text
+from otf_ros.topic_watch import senders
+
+
+class PathReceiver:
+    """Hands every path that fits the machine to the session, and states what became of it.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    files : callable
+        The files that the parameters name now.
+    """
+
+    def __init__(
+        self, node: Node, topic: str, session: Session, files: Callable[[], CalibratorConfig]
+    ) -> None:
+        self._node, self._topic, self._session, self._files = node, topic, session, files
+        self.machine = load_machine(files().machine_file)
+        """As described when the last path arrived."""
+        node.create_subscription(Path, topic, self._receive, qos.PATH)
+
+    def _receive(self, message: Path) -> None:
+        sender, log = senders(self._node, self._topic), self._node.get_logger()
+        try:
+            path = convert.path_from_message(message)
+            self.machine = load_machine(self._files().machine_file)
+            check_path(path, self.machine)
+        except OtfError as error:
+            log.error(f'{self._topic} of {sender} ignored: {error}')
+            return
+        data = serialize_message(convert.path_for_journal(message))
+        taken = self._session.intake.path(path, data)
+        collector, points = self._session.collector, len(message.poses)
+        if taken == PathTaken.USED:
+            log.info(f'new path of {points} points, for {len(collector.buffer)} samples so far')
+        elif taken == PathTaken.WAITS:
+            text = f'another path, of {points} points, was published in mid-run by {sender}'
+            collector.remarks.append(text)
+            log.warning(f'{text}; {taken.value}')
 
 
 def status_of(message: TrackerStatus) -> Status:
@@ -50,7 +94,7 @@ def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
         If the journal cannot be kept where the parameters say.
     """
     specs = [s for s in load_machine(files.machine_file).signals if s.type]
-    intake.beside = Beside(specs)
+    intake.signals = SignalBuffer(specs)
     for spec in specs:
         module, _, kind = spec.type.replace('/msg/', '.msg/').partition('/')
         message = getattr(import_module(module), kind)
@@ -80,7 +124,7 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
         STATUS.type: message_text('otf_msgs', 'TrackerStatus'),
         GAP.type: message_text('otf_msgs', 'TrackerGap'),
     }
-    intake.journal = Journal(place, texts, [topic_of(s) for s in intake.beside.specs])
+    intake.journal = Journal(place, texts, [topic_of(s) for s in intake.signals.specs])
     said = intake.take_up(
         lambda data: status_of(deserialize_message(data, TrackerStatus)),
         lambda data: stream_before(deserialize_message(data, TrackerGap)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rooms of the package: every file has one, and imports lead to lower floors only."""
+"""Layers of otf_core: every module is in a package, and imports lead to lower layers only."""
 
 import ast
 import runpy
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from source_trees import ROOT, parsed
 
-FACES = (
+ROOT_MODULES = (
     '__init__',
     'ahead',
     'arrays',
@@ -19,8 +19,8 @@ FACES = (
     'threads',
     'version',
 )
-"""All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
-FLOORS = (
+"""Modules outside the packages: used everywhere, and the public names, loaded lazily."""
+LAYERS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
     ('blind', 'checking', 'history', 'loop', 'validation'),
@@ -34,14 +34,14 @@ FLOORS = (
     ('model',),
     ('files',),
 )
-"""From the top floor down."""
-INSIDE = {
+"""From the top down."""
+SUBPACKAGES = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
     'reports': (('reports',), ('reports.drawing',)),
 }
-"""Floors of rooms that have rooms inside."""
-NEVER = [
+"""Layers inside packages that have subpackages."""
+FORBIDDEN = [
     ('diagnosis', 'sim'),
     ('planning', 'sim'),
     ('reports', 'sim'),
@@ -54,7 +54,7 @@ NEVER = [
     ('diagnosis.engine', 'diagnosis.place'),
     ('diagnosis.place', 'diagnosis.engine'),
 ]
-FLOOR_OF = {room: k for k, floor in enumerate(FLOORS) for room in floor}
+LAYER_OF = {package: k for k, layer in enumerate(LAYERS) for package in layer}
 
 
 def module_of(file):
@@ -85,60 +85,62 @@ def imported():
     return {module: list(imports_of(module)) for module in MODULES}
 
 
-def room_of(module):
-    """Room of a module: its outermost folder."""
+def package_of(module):
+    """Outermost package of a module."""
     return module.partition('.')[0]
 
 
-def inner_room_of(module):
-    """Room of a module with the rooms inside rooms told apart."""
+def subpackage_of(module):
+    """Package of a module, or its subpackage where that has a layer of its own."""
     parts = module.split('.')
     nested = '.'.join(parts[:2])
-    return nested if any(nested in floor for f in INSIDE.values() for floor in f) else parts[0]
+    return (
+        nested if any(nested in layer for f in SUBPACKAGES.values() for layer in f) else parts[0]
+    )
 
 
-def test_every_room_stands_on_a_floor_and_every_floor_has_its_rooms():
-    rooms = {room_of(m) for m in MODULES if '.' in m}
-    assert rooms == set(FLOOR_OF)
-    assert {m for m in MODULES if '.' not in m} == set(FACES)
-    assert len(FLOORS) <= 12
+def test_every_package_has_a_layer():
+    packages = {package_of(m) for m in MODULES if '.' in m}
+    assert packages == set(LAYER_OF)
+    assert {m for m in MODULES if '.' not in m} == set(ROOT_MODULES)
+    assert len(LAYERS) <= 12
 
 
 def test_imports_lead_down():
     up = []
     for module, names in imported().items():
-        room = room_of(module)
+        package = package_of(module)
         for other in names:
-            target = room_of(other)
-            if target != room and not {room, target, other} & {*FACES, ''}:
-                up += [f'{module} imports {other}'] * (FLOOR_OF[target] <= FLOOR_OF[room])
+            target = package_of(other)
+            if target != package and not {package, target, other} & {*ROOT_MODULES, ''}:
+                up += [f'{module} imports {other}'] * (LAYER_OF[target] <= LAYER_OF[package])
     assert not up
 
 
-def test_imports_lead_down_inside_a_room():
+def test_imports_lead_down_inside_a_package():
     up = []
     for module, names in imported().items():
-        floors = INSIDE.get(room_of(module), ())
-        level = {room: k for k, floor in enumerate(floors) for room in floor}
-        own = inner_room_of(module)
+        layers = SUBPACKAGES.get(package_of(module), ())
+        level = {package: k for k, layer in enumerate(layers) for package in layer}
+        own = subpackage_of(module)
         for other in names:
-            target = inner_room_of(other)
+            target = subpackage_of(other)
             if target != own and target in level:
                 up += [f'{module} imports {other}'] * (level[target] <= level[own])
     assert not up
 
 
-def test_rooms_that_never_meet():
+def test_packages_that_never_import_each_other():
     assert not [
         f'{module} imports {other}'
-        for a, b in NEVER
+        for a, b in FORBIDDEN
         for module, names in imported().items()
         for other in names
         if f'{module}.'.startswith(f'{a}.') and f'{other}.'.startswith(f'{b}.')
     ]
 
 
-def test_picture_of_the_house_is_that_of_the_imports():
+def test_figure_of_the_packages_is_that_of_the_imports():
     root = Path(__file__).parents[3]
     drawn = runpy.run_path(str(root / 'tools/house.py'))['picture']()
     assert (root / 'docs/images/house.svg').read_text(encoding='utf-8') == drawn

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a child of the calibrator does: it calibrates for the node, or diagnoses one run.
+
+Here and nowhere else the calibrator meets a simulation: a diagnosis, and the search for effects,
+compare a run with its twin, which is handed to them here.
+"""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import shutil
+import sys
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+from otf_calibrator.children import CalibrationTask, DiagnosisTask, Failure, Solved
+from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.diagnosis.diagnose import NONE, calibrate_with_effects, diagnose
+from otf_core.errors import OtfError
+from otf_core.live.stages import DIAGNOSE, Progress, of_whole
+from otf_core.memory import give_back, seldom_look_for_cycles
+from otf_core.pieces.methods import PREPARATIONS
+from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
+from otf_core.sim.twin import twin_recording
+
+
+def _calibrate(task: CalibrationTask, progress: Progress) -> Solved:
+    """Calibrate a run; OtfError if that is not possible."""
+    runs = [task.recording]
+    if task.effects != NONE:
+        return calibrate_with_effects(
+            runs, task.effects, twin_recording, task.config, progress, task.method
+        )
+    return calibrate_runs(runs, task.config, progress, PREPARATIONS[task.method])
+
+
+def _diagnose(task: DiagnosisTask, progress: Progress) -> dict[str, Any]:
+    """Diagnose a run as ``./otf diagnose`` does, write its files, return what gap.json holds.
+
+    Raises
+    ------
+    OtfError
+        If the run cannot be diagnosed or a file cannot be written.
+    """
+    stages = of_whole(DIAGNOSE, progress)
+    recording = replace(task.recording, name=task.name)
+    diagnosis = diagnose([recording], twin_recording, (), task.config, stages)
+    stages('writing', 0.0)
+    write_diagnosis(diagnosis, task.folder, BESIDE_TABLES)
+    return diagnosis_to_dict(diagnosis)
+
+
+def _serve_calibrations(node: Connection) -> int:
+    """Perform tasks until the node is gone."""
+    answer: Solved | OtfError
+    try:
+        while True:
+            task: CalibrationTask = node.recv()
+            try:
+                answer = _calibrate(task, lambda stage, share: node.send((stage, share)))
+            except OtfError as error:
+                answer = error
+            node.send(answer)
+            del task, answer  # the next one may be hours away
+            gc.collect()
+            give_back()
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return 0
+
+
+def _perform_diagnosis(node: Connection) -> int:
+    """Diagnose the run on standard input."""
+    task: DiagnosisTask = pickle.load(sys.stdin.buffer)
+    try:
+        try:
+            node.send(_diagnose(task, lambda stage, share: node.send((stage, share))))
+        except OtfError as error:
+            node.send(Failure(error.exit_code, str(error)))
+    except BrokenPipeError:  # the node is gone, which would remove it
+        shutil.rmtree(task.folder, ignore_errors=True)
+        return 1
+    return 0
+
+
+def main() -> int:
+    """Run a child: ``calibrate`` or ``diagnose``, and the descriptor of its end of the pipe."""
+    seldom_look_for_cycles()
+    work, end = sys.argv[1], int(sys.argv[2])
+    if work == 'diagnose':
+        return _perform_diagnosis(Connection(end, readable=False))
+    return _serve_calibrations(Connection(end))
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
