@@ -9,7 +9,9 @@ from graph import offline, without_date
 
 from otf_core.bags.bag import read_bag
 
-BAGS = sorted(path.parent for path in Path(__file__).parents[1].glob('bags/*/machine.yaml'))
+MACHINES = sorted(Path(__file__).parents[1].glob('bags/*/machine.yaml'))
+BAGS = [file.parent for file in MACHINES if 'rotary' not in file.read_text(encoding='utf-8')]
+"""The live nodes take machines with three linear axes."""
 
 
 @pytest.mark.parametrize('folder', BAGS, ids=lambda folder: folder.name)
@@ -34,6 +36,6 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
 
 
 def test_the_bags_of_all_chains_are_small():
-    assert len(BAGS) == 3
-    files = [file for folder in BAGS for file in folder.rglob('*') if file.is_file()]
+    assert (len(BAGS), len(MACHINES)) == (3, 4)
+    files = [f for machine in MACHINES for f in machine.parent.rglob('*') if f.is_file()]
     assert sum(file.stat().st_size for file in files) < 10e6

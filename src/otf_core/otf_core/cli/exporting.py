@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import AddVerb, add_out, output_folder
+from otf_core.cli.options import AddVerb, add_out, output_folder, refuse_rotary
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
@@ -64,6 +64,7 @@ def run_export(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'--points: {arguments.points}; at least 2')
     source, out = tables_file(arguments.dir), Path(arguments.out)
     content = load_tables(source)
+    refuse_rotary(content.tables.machine, 'export')
     chosen = export_format(arguments.format)
     request = Request(content, out.name, arguments.sign, arguments.points)
     made = chosen.export(request)
@@ -116,6 +117,7 @@ def run_import(arguments: argparse.Namespace) -> int:
 
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
+    refuse_rotary(machine, 'import')
     found = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
     sizes = {'size_rms_um': 1e6 * found.size_rms, 'left_rms_um': 1e6 * found.left_rms}
     block = provenance(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import given_of, output_folder, parameters
+from otf_core.cli.options import given_of, output_folder, parameters, refuse_rotary
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
@@ -172,6 +172,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
     )
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
+        refuse_rotary(recordings[0].machine, 'calibrate --effects')
         done = calibrate_with_effects(
             recordings, arguments.effects, twin_recording, config, progress, arguments.method
         )
@@ -209,6 +210,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
+        refuse_rotary(recordings[0].machine, 'diagnose')
         causes = arguments.own_causes
         own = read_own_causes(causes, recordings[0].machine) if causes else ()
         diagnosis = diagnose(
@@ -326,6 +328,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
 
     machine = load_machine(arguments.machine) if arguments.machine else None
+    if machine is not None:
+        refuse_rotary(machine, 'check')
     path = arguments.path[-1] if arguments.path else None
     with progress_of(arguments, 'checking'):
         report = check(arguments.bag, machine, config, given_of(arguments, path))

@@ -11,7 +11,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import AddVerb, add_out, add_parameters, output_folder, parameters
+from otf_core.cli.options import (
+    AddVerb,
+    add_out,
+    add_parameters,
+    output_folder,
+    parameters,
+    refuse_rotary,
+)
 from otf_core.cli.output import (
     LIMIT_NOT_PROVEN,
     QUALITY_GATE_FAILED,
@@ -22,7 +29,7 @@ from otf_core.cli.output import (
     progress_of,
 )
 from otf_core.config import ForecastConfig, LoopConfig, PlannerConfig, SimulationConfig
-from otf_core.errors import ConfigError, OtfError
+from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import PLAN, SIMULATE
 
 if TYPE_CHECKING:
@@ -93,6 +100,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     inputs = [name for name in read.values() if name]
     out = SimulatedBag(arguments.out, overwrite=arguments.overwrite, inputs=inputs)
     machine = load_machine(arguments.machine)
+    if machine.rotary_names:
+        return _simulate_axes(arguments, config, machine)
     effects = read_effects(arguments.effects, machine) if arguments.effects else ()
     tables = load_tables(arguments.tables).tables if arguments.tables else None
     if tables is not None:
@@ -107,6 +116,55 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     words = (
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
         f'tracker at ({place}) mm'
+    )
+    data = {
+        'samples': len(run.samples),
+        'duration_s': float(run.samples.time[-1]),
+        'tracker_place': run.place.tolist(),
+        'seed': config.seed,
+        'out': arguments.out,
+    }
+    answer(arguments, words, data)
+    return 0
+
+
+def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, machine: Any) -> int:
+    """Bag of a simulated run of a machine with rotary axes, and its truth."""
+    from otf_core.files.output_folder import OutputFolder
+    from otf_core.inputs.path_file import read_axis_paths
+    from otf_core.model.tables import load_tables
+    from otf_core.sim.axis_cell import simulate_parts, usual_parts
+    from otf_core.sim.axis_truth import write_axis_run
+
+    if arguments.effects:
+        raise ConfigError('--effects: not available for machines with rotary axes')
+    if str(arguments.out).endswith('.mcap'):
+        raise ConfigError(f'--out: {arguments.out}: give a folder for machines with rotary axes')
+    given = [arguments.machine, arguments.tables, arguments.path]
+    out = OutputFolder(
+        arguments.out,
+        overwrite=arguments.overwrite,
+        inputs=[name for name in given if name],
+        occupied='exists already',
+    )
+    tables = load_tables(arguments.tables).tables.on(machine) if arguments.tables else None
+    parts = usual_parts(machine)
+    if arguments.path:
+        parts = tuple(read_axis_paths(arguments.path, machine.axis_names))
+    with progress_of(arguments, 'simulating', SIMULATE) as progress:
+        options = {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
+        if arguments.corner_dwell is not None:
+            options['dwell'] = arguments.corner_dwell
+        try:
+            run = simulate_parts(machine, parts, config, tables, **options)
+        except InputError as error:
+            raise ConfigError(f'{arguments.path or arguments.machine}: {error}') from None
+        progress('writing', 0.0)
+        with out.filled('simulate') as folder:
+            write_axis_run(run, config, folder, Path(arguments.out).name)
+    words = (
+        f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}: '
+        f'{len(run.parts)} parts ({", ".join(p.target for p in run.parts)})'
     )
     data = {
         'samples': len(run.samples),
@@ -134,6 +192,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine)
+    refuse_rotary(machine, 'plan')
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
     after = arguments.after
     request = PlanRequest(
@@ -228,6 +287,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
     from otf_core.reports.loop import failed_gates, format_loop, write_loop
 
     machine = load_machine(arguments.machine)
+    refuse_rotary(machine, 'loop')
     find_control()
     plan = plan_path(machine, planning)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_len
 from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
 from otf_core.inputs.nc_program import is_program, read_program
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 
@@ -124,6 +126,41 @@ def read_points(name: str | Path) -> tuple[Array, str]:
         raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
 
 
+def read_axis_paths(name: str | Path, axes: tuple[str, ...]) -> list[AxisPath]:
+    """Parts of a run of a machine with rotary axes, of a CSV with the letters of the axes.
+
+    A column ``target`` names the reflector in view; where it changes, another part begins.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, has another header, or a line is no position.
+    """
+    lines = _lines_of(name)
+    head = [word.strip().lower() for word in lines[0].split(',')]
+    if 'target' not in head:
+        return [AxisPath(axes, read_positions(name, axes))]
+    column = head.index('target')
+    targets, rows = [], []
+    for line in lines:
+        cells = line.split(',')
+        if len(cells) > column:
+            targets.append(cells.pop(column).strip())
+        rows.append(','.join(cells))
+    positions = _positions_of(name, rows, axes)
+    targets = [t for t, line in zip(targets[1:], lines[1:], strict=False) if line.strip()]
+    ends = [0, *(k for k in range(1, len(targets)) if targets[k] != targets[k - 1]), len(targets)]
+    return [AxisPath(axes, positions[a:b], targets[a]) for a, b in pairwise(ends)]
+
+
+def _lines_of(name: str | Path) -> list[str]:
+    try:
+        lines = Path(name).read_text(encoding='utf-8-sig').splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{name}: cannot be read ({error})') from None
+    return lines or ['']
+
+
 def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
     """Axis positions (n, k), m and rad, of a CSV with the letters of the axes as its header.
 
@@ -132,12 +169,12 @@ def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
     ConfigError
         If the file cannot be read, has another header, or a line is no position.
     """
+    return _positions_of(name, _lines_of(name), axes)
+
+
+def _positions_of(name: str | Path, lines: list[str], axes: tuple[str, ...]) -> Array:
     header = ','.join(axes).lower()
-    try:
-        lines = Path(name).read_text(encoding='utf-8-sig').splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f'{name}: cannot be read ({error})') from None
-    head = lines[0].replace(' ', '').lower() if lines else ''
+    head = lines[0].replace(' ', '').lower()
     if sorted(head.split(',')) != sorted(header.split(',')):
         raise ConfigError(f'{name}: has the header {head[:60]!r}; expected {header}, in m and rad')
     order = [head.split(',').index(a.lower()) for a in axes]

@@ -27,7 +27,7 @@ from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.nodes import hat_matrix, table_nodes
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.rotary.solution import AxisSolution
-from otf_core.solving.solution import TIE_BREAK, Positive, free_columns, smoothness
+from otf_core.solving.solution import Positive, free_columns, smoothness
 from otf_core.solving.tabulate import projection
 from otf_core.solving.unknowns import linear, reference_position
 
@@ -35,6 +35,9 @@ FRACTIONS = (1, 2, 3, 4, 6, 8)
 MOST_NODES = 1600
 WORTH = 0.3
 """Share of the mean uncertainty of the grid that straight lines between nodes may cost."""
+BENDS = 0.1
+"""Weight of smoothness where it is judged what the data show, in units of 1 / limit^2: what they
+show is then known to less than the limit, what they do not to several times it."""
 PLACES = 300
 """Axis positions at which errors are judged."""
 
@@ -217,7 +220,7 @@ def determined(done: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool
     unknowns = done.unknowns
     use = free_columns(unknowns, done.solution.accepted)
     place = np.ix_(use, use)
-    weight = done.normal.matrix[place] * limit**2 + TIE_BREAK * smoothness(unknowns)[place]
+    weight = done.normal.matrix[place] * limit**2 + BENDS * smoothness(unknowns)[place]
     own = (rows @ unknowns.gauge)[:, use]
     variance = np.einsum('ij,ji->i', own, Positive(weight).solve(own.T))
     return np.asarray(variance <= 1.0)

@@ -97,8 +97,8 @@ def place_tracker(machine: Machine, rng: np.random.Generator) -> tuple[Array, Ar
     place : ndarray, shape (3,), m
         Beam origin in the machine frame.
     """
-    size = machine.upper - machine.lower
-    centre = 0.5 * (machine.lower + machine.upper)
+    size = (machine.upper - machine.lower)[:3]
+    centre = 0.5 * (machine.lower + machine.upper)[:3]
     side = rng.uniform(0, 2 * np.pi)
     radius = 0.5 * np.hypot(size[0], size[1]) + rng.uniform(0.15, 0.35)
     place = centre + np.array([radius * np.cos(side), radius * np.sin(side), 0.0])

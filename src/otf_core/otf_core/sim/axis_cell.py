@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated run of a machine with rotary axes: parts driven in joint space, a target in each.
+
+Between corners all axes move linearly in their positions; on a smooth chain of corners the drive
+does not stop. Between parts the reflector is moved by hand and the beam is broken. Every axis may
+lag behind its programmed position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.config import SimulationConfig
+from otf_core.errors import ConfigError
+from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.joints import Sight, exact_position
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.tables import ErrorTables
+from otf_core.sim.cell import EPOCH_NS, MOST_SAMPLES, random_tables
+from otf_core.sim.tracker import measure, place_tracker, specified_noise
+
+BROKEN_BEAM = 4.0
+"""s; for which the beam is broken between two parts."""
+LEVER = 0.2
+"""m; a rotation counts as travel on this radius for feed and smoothness."""
+SMOOTH = 0.2
+"""Change of the unit direction in the axes below which a corner is driven through."""
+
+
+@dataclass(frozen=True)
+class SimulatedParts:
+    """Samples of a run and the truth behind them.
+
+    Attributes
+    ----------
+    samples : Samples
+    truth : ErrorTables
+    rotation, place : ndarray, shape (3, 3) and (3,), m
+        Tracker point = rotation @ (point of its link - place).
+    parts : tuple of AxisPath
+    places : mapping of target to ndarray, shape (3,), m
+        Where the reflectors really were.
+    """
+
+    samples: Samples
+    truth: ErrorTables
+    rotation: Array
+    place: Array
+    parts: tuple[AxisPath, ...]
+    places: Mapping[str, Array]
+
+
+class JointDrive:
+    """Programmed motion along one part: trapezoidal speed on every smooth stretch.
+
+    Parameters
+    ----------
+    machine : Machine
+    positions : ndarray, shape (n, k), m and rad
+    feed, acceleration : float
+        m/s and m/s^2, of the axes together; a rotation counts as travel on the radius ``LEVER``.
+    dwell : float
+        s, at the ends of every stretch.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        positions: Array,
+        feed: float,
+        acceleration: float,
+        dwell: float,
+    ) -> None:
+        scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+        legs = np.diff(positions, axis=0) * scale
+        length = np.linalg.norm(legs, axis=1)
+        unit = legs / length[:, None]
+        turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
+        self._positions = positions
+        self._reach = np.append(0.0, np.cumsum(length))
+        ends = self._reach[np.concatenate([[0], np.flatnonzero(turned) + 1, [len(legs)]])]
+        self._low, self._size = ends[:-1], np.diff(ends)
+        self._acceleration = acceleration
+        self._peak = np.minimum(feed, np.sqrt(self._size * acceleration))
+        self._moving = self._size / self._peak + self._peak / acceleration
+        self._start = dwell + np.append(0.0, np.cumsum(self._moving + dwell)[:-1])
+        self.duration = float(self._start[-1] + self._moving[-1] + dwell)
+
+    def at(self, time: Array) -> Array:
+        """Programmed positions (n, k) at times (n,), s."""
+        k = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
+        elapsed = np.clip(time - self._start[k], 0.0, self._moving[k])
+        peak, left = self._peak[k], self._moving[k] - elapsed
+        ramp = peak / self._acceleration
+        done = np.select(
+            [elapsed < ramp, left < ramp],
+            [
+                0.5 * self._acceleration * elapsed**2,
+                self._size[k] - 0.5 * self._acceleration * left**2,
+            ],
+            peak * (elapsed - 0.5 * ramp),
+        )
+        corners = np.arange(len(self._reach), dtype=float)
+        return position_at(self._positions, np.interp(self._low[k] + done, self._reach, corners))
+
+
+def simulate_parts(
+    machine: Machine,
+    parts: Sequence[AxisPath],
+    config: SimulationConfig,
+    tables: ErrorTables | None = None,
+    *,
+    feed: float = 0.05,
+    dwell: float = 0.5,
+    lag: Mapping[str, float] | None = None,
+    tracker_place: Array | None = None,
+) -> SimulatedParts:
+    """Simulate a run.
+
+    Parameters
+    ----------
+    machine : Machine
+    parts : sequence of AxisPath
+    config : SimulationConfig
+    tables : ErrorTables, optional
+        Errors of the truth machine; drawn from the seed if not given.
+    feed : float, m/s
+    dwell : float, s
+        At every corner that is not driven through.
+    lag : mapping of axis to float, s, optional
+        By which an axis is late.
+    tracker_place : ndarray, shape (3,), m, optional
+        Beam origin in the frame of the tracker's link; drawn from the seed if not given.
+
+    Returns
+    -------
+    SimulatedParts
+        Places of targets with u > 0 are drawn about the stated ones.
+
+    Raises
+    ------
+    ConfigError
+        If the run is too long to be simulated.
+    """
+    rngs = [np.random.default_rng([config.seed, part]) for part in range(6)]
+    truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
+    rotation, place = place_tracker(machine, rngs[1])
+    if tracker_place is not None:
+        place = tracker_place
+    places = {
+        name: np.array(t.place) + t.u * rngs[5].standard_normal(3)
+        for name, t in machine.targets.items()
+    }
+    own = [part.of(machine) for part in parts]
+    drives = [
+        JointDrive(machine, p.positions, feed, config.acceleration, max(dwell, 1e-3)) for p in own
+    ]
+    if sum(d.duration for d in drives) * config.rate >= MOST_SAMPLES:
+        raise ConfigError(f'the run is too long to simulate, {MOST_SAMPLES} samples at most')
+    stamps, points, start = [], [], 0.0
+    for part, drive in zip(own, drives, strict=True):
+        time = np.arange(int(drive.duration * config.rate) + 1) / config.rate
+        q = drive.at(time)
+        for axis, late in (lag or {}).items():
+            column = machine.column(axis)
+            q[:, column] = drive.at(time - late)[:, column]
+        target = machine.targets[part.target]
+        sight = Sight(machine, machine.tracker.link, target.link, places[part.target])
+        points.append((exact_position(truth, sight, q) - place) @ rotation.T)
+        clock = (start + time) * (1 + config.clock_drift)
+        stamps.append(EPOCH_NS + np.rint(clock * 1e9).astype(np.int64))
+        start += drive.duration + BROKEN_BEAM
+    xyz = measure(np.concatenate(points), specified_noise(machine, config), config.rate, rngs[2])
+    return SimulatedParts(
+        Samples(np.concatenate(stamps), xyz), truth, rotation, place, tuple(own), places
+    )
+
+
+def usual_parts(machine: Machine) -> tuple[AxisPath, ...]:
+    """Parts that show the errors of a machine, where no path is given.
+
+    Lines through the volume with the tool; with every target on the table circles and arcs of each
+    rotary axis and both together, seen from the bed; else rotary axes together with linear ones.
+    """
+    low, high = machine.lower, machine.upper
+    middle = np.clip(0.0, low, high)
+    names, parts = machine.axis_names, []
+    corners = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 1, 1], [0, 1, 0], [1, 0, 1],
+                        [1, 1, 0], [0, 0, 1], [0.5, 0, 0], [0.5, 1, 1], [0, 0.5, 0],
+                        [1, 0.5, 1],
+                        [0, 0, 0.5], [1, 1, 0.5], [0, 1, 0.5], [1, 0, 0.5],
+                        [0, 0, 0]])  # fmt: skip
+    lines = np.tile(middle, (len(corners), 1))
+    lines[:, :3] = low[:3] + corners * (high - low)[:3]
+    tools = [n for n, t in machine.targets.items() if t.link == 't']
+    parts += [AxisPath(names, lines, name) for name in tools]
+    turning = [machine.column(a) for a in machine.rotary_names]
+    nests = [n for n, t in machine.targets.items() if t.link == 'w']
+    if machine.tracker.link == 'b' and nests:
+        q = _turns(middle, low, high, turning)
+        return (*parts, *(AxisPath(names, q, name) for name in nests))
+    for name in tools:
+        parts.append(AxisPath(names, _with_lines(middle, low, high, turning), name))
+    return tuple(parts)
+
+
+def _turns(middle: Array, low: Array, high: Array, turning: Sequence[int]) -> Array:
+    rows = [middle.copy()]
+
+    def go(**to: float) -> None:
+        rows.append(rows[-1].copy())
+        for column, value in to.items():
+            rows[-1][int(column[1:])] = value
+
+    for k in turning:
+        for end in (low[k], high[k], low[k], middle[k]):
+            go(**{f'c{k}': end})
+    if len(turning) > 1:
+        a, c = turning
+        for x, y in ((low, low), (high, high), (low, low), (low, high), (high, low), (low, high)):
+            go(**{f'c{a}': x[a], f'c{c}': y[c]})
+    return np.array(rows)
+
+
+def _with_lines(middle: Array, low: Array, high: Array, turning: Sequence[int]) -> Array:
+    rows = [middle.copy()]
+    for k in turning:
+        for linear in range(3):
+            for share in (0.2, 0.8):
+                place = middle.copy()
+                other = (linear + 1) % 3
+                place[other] = low[other] + share * (high - low)[other]
+                ends = []
+                for end in (low, high):
+                    row = place.copy()
+                    row[k], row[linear] = end[k], end[linear]
+                    ends.append(row)
+                rows += [ends[0], ends[1], ends[0]]
+    return np.array(rows)
