@@ -153,8 +153,8 @@ def draw_plan(machine: Machine, rng: Rng, *, large: bool = False) -> Plan:
         lap = machine.lower + chord_lap(rng) * (machine.upper - machine.lower)
         dwell = np.full(len(lap), 0.4)
         dwell[[0, -1]] = 3.0
-        feeds = rng.uniform(0.4, 0.8) * rng.choice([0.7, 1.0], len(lap) - 1)
-        return Plan(NominalPath(lap), feeds, dwell)
+        ratios = rng.choice([0.7, 1.0], len(lap) - 1)
+        return Plan(NominalPath(lap), rng.uniform(0.4, 0.8) * ratios, dwell)
     laps = 1 if rng.random() < 0.25 else 2
     feed = float(rng.uniform(0.12, 0.25))
     ratio = float(rng.choice([1.5, 1.5, 0.67, 1.25, 1.0]))
