@@ -156,7 +156,7 @@ def test_published_tables_are_the_rows_of_the_score(tmp_path):
     measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
     text = fragment(measured, criteria(cells), 'Sizes: none.')
     assert './otf blind --trials 3 --seed 7 --out blind\n' in text
-    assert '| nothing: none blamed | 3 of 3 (100 %) | 29 % to 100 % |' in text
+    assert '| nothing: no cause reported | 3 of 3 (100 %) | 29 % to 100 % |' in text
     assert '`0123456789abcdef...`' in text
     assert 'took 12 s' in text and text.endswith('Sizes: none.\n')
     rows = summary(
