@@ -197,13 +197,8 @@ def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery
         told = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
         rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', told))
     head = ('taken out', 'left in the residual', 'verdict', 'causes (confidence)', 'inputs',
-<<<<<<< HEAD
-            'told apart at best by (standard deviations)')  # fmt: skip
-    first = ('what is hidden', 'cells or causes')
-=======
             'best separation (standard deviations)')  # fmt: skip
-    first = ('effects that leave a trace, each taken out of the catalogue', 'cells')
->>>>>>> 86909cad (Words of diagnosis, trials and states; capacity of a fleet measured again)
+    first = ('what is hidden', 'cells or causes')
     return [of_rows(first, score.leave_one_out(outcomes, recovered)), Table(head, rows)]
 
 

@@ -146,22 +146,12 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
     as_is = [o for o in outcomes if o.kind == 'as_is' and o.visible[0]]
     return [
         _results('command failed', outcomes, 'failed'),
-<<<<<<< HEAD
-        _results('nothing: none blamed', of('none'), 'quiet'),
+        _results('nothing: no cause reported', of('none'), 'quiet'),
         _results('small causes alone: no other claimed', every['small'], 'quiet'),
         named('one effect', 'one'),
         named('a faint one', 'faint'),
         named('a very large one', 'large'),
         named('a known cause in another form', 'departed'),
-=======
-        _results('nothing: no cause reported', of('none'), 'quiet'),
-        Row(f'noise as specified: {", ".join(NOISE)} named',
-            sum(bool(NOISE & set(o.extra)) for o in quiet), len(quiet)),
-        *_named('one effect', of('one')),
-        _right('a faint one: named rightly', of('faint')),
-        _results(', another named first', of('faint'), 'wrong', 'second'),
-        *_named('a known cause in another form', of('departed')),
->>>>>>> 86909cad (Words of diagnosis, trials and states; capacity of a fleet measured again)
         _left(', less than a third of the gap left', of('departed'), THIRD),
         named('a table that tilts', 'tilt'),
         named('one on a machine of 2 m to 6 m', 'long'),
@@ -190,14 +180,10 @@ def further(outcomes: Sequence[Outcome]) -> list[Row]:
         Row('one cause named rightly: a needless one besides',
             sum(bool(o.extra) for o in right), len(right)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
-<<<<<<< HEAD
-        _results(', blamed on another', hidden, 'wrong', 'second'),
+        _results(', attributed to another', hidden, 'wrong', 'second'),
         _results('no catalogue: given a name', unknown, 'forced'),
         _results(', nothing said', unknown, 'unseen'),
         *_inputs(unknown),
-=======
-        _results(', attributed to another', hidden, 'wrong', 'second'),
->>>>>>> 86909cad (Words of diagnosis, trials and states; capacity of a fleet measured again)
     ]  # fmt: skip
 
 
@@ -272,21 +258,12 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     sure = [o for o in seen if any(c >= CONFIDENT for c in o.confidence)]
     apart = sum(told_apart(o, recovered) > TOLD_APART for o in sure)
     return [
-<<<<<<< HEAD
         _results('an effect taken out of the catalogue: called unknown', seen, 'unknown'),
-        Row(', blamed with confidence on another that can be told apart', apart, len(seen)),
-=======
-        _results('called unknown', seen, 'unknown'),
-        *_inputs(seen),
-        _left(', less than half of the gap left', seen, HALF),
         Row(
-            'attributed with confidence to another effect that is distinguishable',
+            ', attributed with confidence to another effect that is distinguishable',
             apart,
             len(seen),
         ),
-        Row(', on one of the same trace', len(sure) - apart, len(seen)),
-        _results('nothing said', seen, 'unseen'),
->>>>>>> 86909cad (Words of diagnosis, trials and states; capacity of a fleet measured again)
     ]
 
 
