@@ -26,7 +26,7 @@ MACHINE = {
 }
 SHORT = {'passes': 1, 'levels': 2}
 """Parameters of the planner for a short path."""
-FAST = {'simulated.rate': 200.0, 'time_scale': 20.0}
+FAST = {'simulated.rate': 100.0, 'time_scale': 40.0}
 """Parameters of the driver for a fast run: 4000 samples per second."""
 
 

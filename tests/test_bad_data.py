@@ -15,8 +15,8 @@ import pytest
 from otf_calibrator.collector import SILENT
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import recording_of
-from otf_calibrator.losses import SequenceWatch
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.publishers import SequenceWatch
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag, read_parts
 from otf_core.bags.cdr import encode_path

@@ -74,7 +74,7 @@ def test_killed_calibrator_goes_on_with_its_run_and_the_next_run_needs_no_reset(
     section = f'signals:\n  {TOPIC}: {{unit: K}}\n'
     machine_file.write_text((CELL / 'machine.yaml').read_text() + section)
     given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
-    given |= {'finish_at_standstill': False, 'idle_timeout': 3.0}
+    given |= {'finish_at_standstill': False, 'idle_timeout': 2.0}
     path = graph.ear().create_publisher(PathMessage, 'planner/path', qos.PATH)
     path.publish(convert.path_to_message(whole.path, graph.ear().get_clock().now().to_msg()))
     tracker = PlainTracker(graph)
@@ -92,7 +92,7 @@ def test_killed_calibrator_goes_on_with_its_run_and_the_next_run_needs_no_reset(
     graph.wait(lambda: len(read_bag(folder).samples) == part, 'the journal')
     before = thermometer.said.copy()
     graph.wait(lambda: signal_in(folder, machine_file) == before, 'the temperatures')
-    time.sleep(4.0)  # longer than idle_timeout
+    time.sleep(2.5)  # longer than idle_timeout
 
     node.interrupt(signal.SIGKILL)
     node.wait()

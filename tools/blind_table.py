@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a blind trial in docs/blind-trial.md and docs/diagnosis.md, as commands wrote them.
+"""The table of a blind trial in docs/blind-trial.md, as commands wrote it.
 
 ``python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT`` takes the folders of ``./otf blind`` with and
-without ``--leave-one-out`` and puts their tables between the marks, and the reliability diagram
-of the first into docs/images.
+without ``--leave-one-out``, puts their rows between the marks as one table, and the reliability
+diagram of the first into docs/images.
 """
 
 from __future__ import annotations
@@ -13,40 +13,35 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCS = ROOT / 'docs'
-PAGES = {DOCS / 'blind-trial.md': 'table.md', DOCS / 'diagnosis.md': 'particulars.md'}
-DIAGRAM, IMAGES = 'reliability.svg', DOCS / 'images'
-MARKS = ('blind trial', 'leave one out')
+PAGE, TABLE = ROOT / 'docs/blind-trial.md', 'table.md'
+DIAGRAM, IMAGES = 'reliability.svg', ROOT / 'docs/images'
+BEGIN = '<!-- blind trial: put here by python3 tools/blind_table.py -->'
+END = '<!-- end of blind trial -->'
 
 
-def begin(name: str) -> str:
-    """Mark before a table."""
-    return f'<!-- {name}: put here by python3 tools/blind_table.py -->'
-
-
-def end(name: str) -> str:
-    """Mark after it."""
-    return f'<!-- end of {name} -->'
-
-
-def with_table(text: str, name: str, table: str) -> str:
-    """Return a text with a table between its marks."""
-    head, _, rest = text.partition(begin(name))
-    _, found, tail = rest.partition(end(name))
+def with_table(text: str, table: str) -> str:
+    """Return a text with a table between the marks."""
+    head, _, rest = text.partition(BEGIN)
+    _, found, tail = rest.partition(END)
     if not found:
-        raise SystemExit(f'the marks {begin(name)} and {end(name)} are missing')
-    return f'{head}{begin(name)}\n\n{table.strip()}\n\n{end(name)}{tail}'
+        raise SystemExit(f'the marks {BEGIN} and {END} are missing')
+    return f'{head}{BEGIN}\n\n{table.strip()}\n\n{END}{tail}'
+
+
+def joined(trial: str, without: str) -> str:
+    """One table of two: command, conditions, rows, and what follows the first."""
+    first, second = (text.strip().split('\n\n') for text in (trial, without))
+    rows = second[2].split('\n', 2)[2]
+    return '\n\n'.join([*first[:2], *second[:2], f'{first[2]}\n{rows}', *first[3:]])
 
 
 def main(folders: list[str]) -> None:
-    """Write both pages."""
-    if len(folders) != len(MARKS):
+    """Write the page."""
+    if len(folders) != 2:
         raise SystemExit('usage: python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT')
-    for page, file in PAGES.items():
-        text = page.read_text(encoding='utf-8')
-        for name, folder in zip(MARKS, folders, strict=True):
-            text = with_table(text, name, (Path(folder) / file).read_text(encoding='utf-8'))
-        page.write_text(text, encoding='utf-8')
+    tables = [(Path(f) / TABLE).read_text(encoding='utf-8') for f in folders]
+    text = with_table(PAGE.read_text(encoding='utf-8'), joined(*tables))
+    PAGE.write_text(text, encoding='utf-8')
     shutil.copyfile(Path(folders[0]) / DIAGRAM, IMAGES / DIAGRAM)
 
 

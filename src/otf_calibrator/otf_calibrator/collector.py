@@ -102,7 +102,9 @@ class PathTaken(Enum):
 
     KNOWN = 'it is known already'
     USED = 'the samples are compared with it from now on'
-    WAITS = 'the run goes on along the path before unless the target turns out to follow this one'
+    WAITS = (
+        'the run continues along the previous path unless the target turns out to follow this one'
+    )
 
 
 class Collector:

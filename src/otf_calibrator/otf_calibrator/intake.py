@@ -330,7 +330,7 @@ class Intake:
         try:
             recorded, left = self.journal.take_up(TAKEN_UP)
         except InputError as error:
-            return f'an unfinished run cannot be taken up: {error}'
+            return f'an unfinished run cannot be resumed: {error}'
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in left]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
@@ -357,7 +357,7 @@ class Intake:
             for spec, signal in self._signals_in(recorded.run.folder).items():
                 for stamp, value in zip(signal.stamp_ns, signal.value, strict=True):
                     self.signals.add(spec, int(stamp), float(value))
-            said.append(f'{recorded.run.folder}: goes on with {count} samples of it')
+            said.append(f'{recorded.run.folder}: continues with {count} samples of it')
         return '; '.join(said)
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:

@@ -32,7 +32,7 @@ from otf_core.tracking.path_watch import PathWatcher
 
 Ahead = CalibrationResult | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
-INTERIM = 'interim result: the run goes on, and its samples are still taken'
+INTERIM = 'interim result: the run continues, and its samples are still collected'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 LOOK_EVERY = 30.0
 """s of driving between two looks."""

@@ -157,7 +157,7 @@ class StatePublisher:
             return CalibratorState.BUFFERING, _driven(collector), text
         text += 'calibrates at standstill at the end point, or call calibrator/calibrate'
         if silence > SILENCE:
-            text += f'; no sample for {silence:.0f} s, the run goes on with the next'
+            text += f'; no sample for {silence:.0f} s, the run continues with the next'
         return CalibratorState.BUFFERING, _driven(collector), text
 
 

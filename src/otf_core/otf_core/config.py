@@ -208,9 +208,7 @@ class SimulationConfig(Parameters):
 class LoopConfig(Parameters):
     """The loop on a real control: its motion, and the simulated machine and tracker."""
 
-    seed: int = parameter(
-        1, 'seed of machine, tracker and lines that are judged', '', 0, 2**31 - 1
-    )
+    seed: int = parameter(1, 'seed of machine, tracker and verification lines', '', 0, 2**31 - 1)
     feed: float = parameter(0.4, 'feed of all programs', 'm/s', 1e-3, 5.0)
     acceleration: float = parameter(5.0, 'acceleration of the axes', 'm/s^2', 0.01, 100)
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
@@ -235,7 +233,7 @@ class ForecastConfig(Parameters):
         2e-5, 'mean volumetric error expected, of motions that are taken as smooth', 'm',
         1e-7, 1e-1,
     )  # fmt: skip
-    grid: int = parameter(7, 'points per axis of the grid that is judged', '', 2, 15)
+    grid: int = parameter(7, 'points per axis of the evaluation grid', '', 2, 15)
     min_range: float = parameter(
         0.15, 'shortest beam: places of the tracker nearer to the path are left out', 'm', 0.01, 10
     )

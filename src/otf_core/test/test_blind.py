@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from otf_core.blind import forms
-from otf_core.blind.cases import KINDS, TAKE_TURNS, kinds_of
+from otf_core.blind.cases import KINDS, TAKE_TURNS, TILTS, draw_names, kinds_of, names_of
 from otf_core.blind.depends import WITHOUT, kin_of
 from otf_core.blind.draw import draw_effect, draw_trial, nodal, scaled
 from otf_core.blind.forms import SENSOR, since_reversal
@@ -26,7 +26,7 @@ from otf_core.sim.cell import simulate
 
 @pytest.fixture(scope='module')
 def trial():
-    return draw_trial('000', np.random.default_rng(5), signals=True)
+    return draw_trial('000', np.random.default_rng(7), signals=True)
 
 
 @pytest.fixture(scope='module')
@@ -40,7 +40,7 @@ def ruler(trial):
 
 
 def test_same_seed_draws_the_same_cell(trial):
-    again = draw_trial('000', np.random.default_rng(5), signals=True)
+    again = draw_trial('000', np.random.default_rng(7), signals=True)
     assert again.machine.to_dict() == trial.machine.to_dict()
     assert np.array_equal(again.plan.path.points, trial.plan.path.points)
 
@@ -50,6 +50,22 @@ def test_drawn_paths_stay_inside_the_ranges(seed):
     drawn = draw_trial('000', np.random.default_rng(seed))
     check_inside(drawn.plan.path, drawn.machine)
     assert len(drawn.plan.feed) == len(drawn.plan.path.points) - 1
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_large_machines_are_driven_on_chords_inside_their_ranges(seed):
+    drawn = draw_trial('000', np.random.default_rng(seed), large=True)
+    check_inside(drawn.plan.path, drawn.machine)
+    assert 2.0 <= (drawn.machine.upper - drawn.machine.lower)[0] <= 6.0
+    assert drawn.configs[0].rate == 500.0 and drawn.plan.duration < 900.0
+
+
+def test_causes_of_a_mixture_have_no_name_in_common():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        names = [names_of(n) for n in draw_names('mixture', seed, rng)]
+        assert len(names) == 2 + seed % 2
+        assert len(frozenset().union(*names)) == sum(map(len, names))
 
 
 def test_kinds_come_in_their_shares():
@@ -83,6 +99,7 @@ def test_forms_of_nature_are_not_in_the_registry():
     assert len(DEPARTED) >= 15
     assert all(e.stands_for <= set(REGISTRY) for e in OUTSIDE.values())
     assert {n for names in TAKE_TURNS.values() for n in names} == {*OUTSIDE, *REGISTRY}
+    assert len(TILTS) == 3
 
 
 def test_forms_share_no_code_with_catalogue_or_free_forms():

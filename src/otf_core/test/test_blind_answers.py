@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from otf_core.blind.cases import KINDS
 from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.outcome import outcome
 from otf_core.blind.publish import Measured, criteria, fragment
@@ -13,6 +14,8 @@ from otf_core.blind.recovery import parameter_deviations
 from otf_core.blind.score import (
     binomial_interval,
     expected_calibration_error,
+    further,
+    leave_one_out,
     reliability,
     sizes,
     stated,
@@ -99,21 +102,47 @@ def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells()
     said = answer(('backlash', ()), ('tracker_noise', ()))
     false = outcome(entry(part('backlash')), said)
     heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
-    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='two'), said)
+    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='mixture'), said)
     assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
-    row = next(r for r in summary([false, heavy, there]) if r.name.startswith('noise as spec'))
+    row = next(r for r in further([false, heavy, there]) if r.name.startswith('noise as spec'))
     assert (row.hits, row.of) == (1, 1)
 
 
-def test_unknown_effects_are_counted_apart_by_whether_a_decoy_exists():
-    hidden = ['unknown_machine_step'] * 2 + ['unknown_axis_brake'] * 3
-    said = [answer(verdict='unknown')] * 3 + [answer(('backlash', ())), answer(verdict='none')]
-    cells = [outcome(entry(part(h), kind='unknown'), a) for h, a in zip(hidden, said, strict=True)]
-    cells.append(outcome(entry(part('unknown_stick_slip', 0.0, 0.0), kind='unknown'), said[3]))
-    rows = {r.name: r for r in summary(cells)}
-    assert rows['no catalogue, a decoy exists: called unknown'][1:] == (2, 2)
-    assert rows['no catalogue, no decoy: called unknown'][1:] == (1, 3)
-    assert rows['no catalogue, no trace: given a name'][1:] == (1, 1)
+def test_causes_of_no_catalogue_are_counted_where_they_leave_a_trace():
+    said = [answer(verdict='unknown'), answer(('backlash', ())), answer(verdict='none')]
+    cells = [outcome(entry(part('unknown_axis_brake'), kind='unknown'), a) for a in said]
+    cells.append(outcome(entry(part('unknown_stick_slip', 0.0, 0.0), kind='unknown'), said[1]))
+    rows = {r.name: r for r in (*summary(cells), *further(cells))}
+    assert rows['no catalogue: called unknown'][1:] == (1, 3)
+    assert rows['no catalogue: given a name'][1:] == (1, 3)
+
+
+def sure(*causes):
+    said = answer(*((effect, ()) for effect, _ in causes))
+    for cause, (_, confidence) in zip(said['causes'], causes, strict=True):
+        cause['confidence'] = confidence
+    return said
+
+
+def test_a_cause_amid_small_ones_is_judged_by_itself_and_by_what_is_claimed_besides():
+    hidden = entry(part('backlash'), part('vibration', 0.3), kind='as_is')
+    cells = [
+        outcome(hidden, sure(('backlash', 1.0), ('servo_mismatch', 0.95))),
+        outcome(hidden, sure(('backlash', 1.0), ('servo_mismatch', 0.5), ('cyclic_error', 0.6))),
+        outcome(hidden, sure(('vibration', 1.0))),
+    ]
+    assert [o.result for o in cells] == ['right', 'right', 'wrong']
+    rows = {r.name: r.hits for r in summary(cells) if r.of == 3}
+    assert rows['one cause amid small ones: named first'] == 2
+    assert rows[', at most one needless cause'] == 2
+    assert rows[', none claimed'] == 2
+
+
+def test_small_causes_alone_are_right_unless_another_is_claimed():
+    hidden = entry(part('backlash', 0.3), part('vibration', 0.2), kind='small')
+    said = [answer(verdict='none'), sure(('servo_mismatch', 0.5)), sure(('backlash', 1.0))]
+    assert {outcome(hidden, a).result for a in said} == {'quiet'}
+    assert outcome(hidden, sure(('servo_mismatch', 0.95))).result == 'false_alarm'
 
 
 def test_published_tables_are_the_rows_of_the_score(tmp_path):
@@ -125,11 +154,15 @@ def test_published_tables_are_the_rows_of_the_score(tmp_path):
     state = json.dumps({'inputs': '', 'outcome': ended})
     (tmp_path / '.fleet' / 'answers-000.json').write_text(state)
     measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
-    text = fragment(measured, criteria(cells, []))
+    text = fragment(measured, criteria(cells), 'Sizes: none.')
     assert './otf blind --trials 3 --seed 7 --out blind\n' in text
-    assert '| nothing: none blamed | 3 of 3 (100 %) | 29 % to 100 % |' in text
+    assert '| nothing: no cause reported | 3 of 3 (100 %) | 29 % to 100 % |' in text
     assert '`0123456789abcdef...`' in text
-    assert 'took 12 s' in text
+    assert 'took 12 s' in text and text.endswith('Sizes: none.\n')
+    rows = summary(
+        [replace(c, kind=k, visible=(True,), found=(True,)) for k in KINDS for c in cells]
+    )
+    assert len(rows) + len(leave_one_out(cells, {})) <= 20
 
 
 def test_parameters_are_compared_where_shapes_agree():
@@ -155,7 +188,7 @@ def test_stated_confidence_is_compared_with_what_is_there():
         'not_visible': [],
         'causes': [{'effect': e, 'confidence': c, 'indistinguishable_from': []} for e, c in named],
     }
-    scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
+    scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='mixture'), given)
     assert scored.confidence == (0.995, 0.95, 0.999)
     classes = reliability(stated([scored]))
     assert [c.row.share for c in classes] == ['1 of 1 (100 %)', '1 of 2 (50 %)']

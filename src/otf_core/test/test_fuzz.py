@@ -20,7 +20,7 @@ from otf_core.bags.mcap_messages import MAGIC
 from otf_core.errors import InputError
 from otf_core.model.machine import load_machine
 
-COUNTS = {'machine.yaml': 20, 'effects.yaml': 20}
+COUNTS = {'machine.yaml': 20, 'effects.yaml': 20, 'program.nc': 40, 'points.csv': 40}
 COUNT = 200
 KINDS = (
     'machine.yaml', 'effects.yaml', 'points.csv', 'error_tables.json', 'noise.json', 'plan.json',

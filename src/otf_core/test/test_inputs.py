@@ -281,7 +281,7 @@ def test_points_are_read_as_people_have_them(tmp_path, text):
         ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
         ('X;Y;Z\n1;10:11:12;3\n', r'Y is not a number \(line 2\)'),
         ('G1 X0 Y0\n', 'expected the header x,y,z'),
-        ('a,b,c\n1,2,3\n', r'names no x, y, z \(it says: a,b,c\); write there what they are'),
+        ('a,b,c\n1,2,3\n', r'names no x, y, z \(it contains: a,b,c\); write there what they are'),
     ],
 )
 def test_points_that_are_none_are_refused_with_their_line(tmp_path, text, what):

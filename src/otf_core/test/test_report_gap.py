@@ -270,12 +270,12 @@ PLAY = Curve(
 
 def test_free_form_shows_how_it_departs_and_its_function(view):
     first = replace(
-        causes()[0], form='free', departs='the play changes while the run lasts', curves=(PLAY,)
+        causes()[0], form='free', departs='the backlash changes during the run', curves=(PLAY,)
     )
     page = report_html(diagnosis(view, found=(first, *causes()[1:])))
     reader = Page(page)
     assert reader.faults == [] and unloading(page) == []
-    assert 'Departs from the formula: the play changes while the run lasts' in reader.text
+    assert 'Departs from the formula: the backlash changes during the run' in reader.text
     assert 'B_X against time' in page and 'Functions found' in reader.text
     assert 'Functions found' not in Page(report_html(diagnosis(view, found=causes()))).text
 

@@ -13,7 +13,7 @@ class ViewerConfig(Parameters):
     """What the markers show."""
 
     scale: float = parameter(
-        0.0, 'deviations are drawn so many times as large; 0: so that they are seen', '', 0, 1e7
+        0.0, 'factor by which deviations are enlarged; 0: chosen automatically', '', 0, 1e7
     )
 
 

@@ -143,6 +143,23 @@ def _write_files(
     (folder / 'metadata.yaml').write_text(metadata_text(metadata), encoding='utf-8')
 
 
+def write_axis_paths(file: Path, axis_paths: Sequence[AxisPath]) -> None:
+    """Write the parts of a path alone as an MCAP file, one message each; no stamps."""
+    from mcap.writer import CompressionType, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with file.open('wb') as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        writer.start(profile='ros2', library=CREATOR)
+        text, _ = store.generate_msgdef(AXES.type, ros_version=2)
+        schema = writer.register_schema(AXES.type, 'ros2msg', text.encode())
+        channel = writer.register_channel(AXES.name, 'cdr', schema, channel_metadata(AXES))
+        for _, message in _driven(None, axis_paths, 0):
+            writer.add_message(channel, 0, message, 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
 def _driven(
     path: NominalPath | None, axis_paths: Sequence[AxisPath], stamp_ns: int
 ) -> list[tuple[Topic, bytes]]:

@@ -205,7 +205,7 @@ def _from_metadata(folder: Path) -> BagSource:
     if not isinstance(info, dict) or not isinstance(names, list) or not names:
         raise InputError(
             f'{file}: lists no files under rosbag2_bagfile_information/relative_file_paths; '
-            f"'ros2 bag reindex' writes it anew"
+            f"'ros2 bag reindex' rewrites it"
         )
     files = tuple(folder / PurePath(str(name)).name for name in names)
     missing = [p for p in files if not p.is_file()]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a cell hides, and how large it is.
 
-Nothing; one, two or three effects of the catalogue; known causes in forms of nature; causes of no
-catalogue. The size of an effect is the root mean square of what it leaves in the residual once
-tables and poses have followed it (``trace``); effects that leave next to nothing get a typical
-size instead.
+Nothing; one effect of the catalogue; a known cause in a form of nature; two or three of either;
+one amid small ones; a cause of no catalogue. The size of an effect is the root mean square of what
+it leaves in the residual once tables and poses have followed it (``observer``); effects that leave
+next to nothing get a typical size instead.
 """
 
 from __future__ import annotations
@@ -38,29 +38,46 @@ class Kind:
     displaced : bool
         True if that is the size of the displacement itself where it acts, not of what is left in
         the residual.
+    seen : bool
+        True if effects are drawn anew until they leave that much in the residual.
+    small : bool
+        True if small causes act besides.
     """
 
     share: float
     smallest: float = 0.3e-6
     largest: float = 10e-6
     displaced: bool = False
+    seen: bool = False
+    small: bool = False
 
 
 KINDS = {
-    'none': Kind(0.10),
-    'one': Kind(0.18, 0.7e-6),
-    'faint': Kind(0.07, 0.3e-6, 0.7e-6),
-    'departed': Kind(0.22, 1e-6, 6e-6),
-    'large': Kind(0.08, 20e-6, 30e-6, displaced=True),
-    'two': Kind(0.03),
-    'three': Kind(0.06, 0.7e-6, 6e-6),
-    'unknown': Kind(0.14, 1e-6, 6e-6),
-    'signal': Kind(0.05, 1e-6, 6e-6),
-    'places': Kind(0.07),
+    'none': Kind(0.06),
+    'one': Kind(0.12, 0.7e-6),
+    'faint': Kind(0.06, 0.3e-6, 0.7e-6),
+    'departed': Kind(0.13, 1e-6, 6e-6),
+    'tilt': Kind(0.10, 1e-6, 6e-6, seen=True),
+    'large': Kind(0.06, 20e-6, 30e-6, displaced=True),
+    'mixture': Kind(0.12, 0.7e-6, 6e-6, seen=True),
+    'as_is': Kind(0.10, 2e-6, 6e-6, seen=True, small=True),
+    'small': Kind(0.04, small=True),
+    'unknown': Kind(0.10, 1e-6, 6e-6),
+    'signal': Kind(0.03, 1e-6, 6e-6),
+    'places': Kind(0.04),
+    'long': Kind(0.04, 2e-6, 10e-6, seen=True),
 }
-"""Families: nothing; one of the catalogue; a faint one; a known cause in another form; a very
-large one, of either; two and three of the catalogue; a cause of no catalogue; a known one that
-follows a signal recorded beside the samples; one of the catalogue seen from two tracker places."""
+"""Families: nothing; one of the catalogue; a faint one; a known cause in another form; a table
+that tilts; a very large one, of either; two or three of either; one of either amid small ones;
+small ones alone; a cause of no catalogue; a known one that follows a signal recorded beside the
+samples; one of the catalogue seen from two tracker places; one of either on a machine of 2 m to
+6 m."""
+SMALL = (0.1e-6, 0.5e-6)
+"""m; sizes of small causes."""
+SMALL_COUNT = (4, 6)
+"""How many there are at least and at most."""
+DRAWS = 20
+"""Draws of an effect until it leaves what it should."""
 PLACE_EFFECTS = tuple(
     sorted(
         (n for n, e in REGISTRY.items() if e.trial.second_place),
@@ -72,14 +89,20 @@ CLEAR = tuple(
     if not e.trial.hard_to_see and e.belongs_to is not BelongsTo.NOISE
 )  # fmt: skip
 """Effects that leave a trace from one tracker place."""
-SIGNAL = 'signal'
-"""Family whose cells record a signal."""
+KNOWN = (*CLEAR, *DEPARTED)
+"""These, and known causes in other forms."""
+TILTS = tuple(n for n, e in DEPARTED.items() if 'table_tilt' in e.stands_for)
+SIGNAL, LONG, MIXTURE = 'signal', 'long', 'mixture'
+"""Families whose cells record a signal, are large machines, hide two or three causes."""
 ACTS = 0.02
 """Share of the largest displacement from which an effect counts as acting."""
 MOST = 25e-6
-"""m; root mean square of a displacement itself is not drawn larger, but where it is the size."""
+"""m; root mean square of a displacement itself is not drawn larger, but where it is the size. On
+machines longer than ``USUAL`` in proportion."""
 PEAK = 25e-6
 """m; nor does it displace any sample by more: dents and tolerances of corners are not larger."""
+USUAL = 1.2
+"""m; diagonal of the volume."""
 
 
 @dataclass(frozen=True)
@@ -156,22 +179,43 @@ def weigh(ruler: Ruler, applied: AppliedEffect) -> Part:
     return Part(applied, ruler.size(moved), ruler.raw(moved), ruler.snr(moved), depends)
 
 
-def sized(ruler: Ruler, applied: AppliedEffect, kind: Kind, rng: Rng) -> Part:
+def sized(
+    ruler: Ruler, applied: AppliedEffect, kind: Kind, rng: Rng, sizes: tuple[float, float]
+) -> Part:
     """Give an effect a random size."""
     effect = applied.effect
     part = weigh(ruler, applied)
     if effect.belongs_to is BelongsTo.NOISE or part.raw == 0.0:
         return part
-    wanted = float(np.exp(rng.uniform(np.log(kind.smallest), np.log(kind.largest))))
+    wanted = float(np.exp(rng.uniform(*np.log(sizes))))
     if kind.displaced:
         return weigh(ruler, scaled(applied, wanted / _where_it_acts(ruler, applied)))
     have = part.size
     # where means over pieces wash an effect out, its size is that of the samples
     blurred = effect.wave is not None and part.size < 0.3 * part.raw
-    if effect.trial.hard_to_see or blurred:
+    if (effect.trial.hard_to_see and not kind.seen) or blurred:
         wanted, have = 1.5 * wanted, part.raw
-    factor = min(wanted / max(have, 1e-12), MOST / part.raw, PEAK / _lengths(ruler, applied).max())
-    return weigh(ruler, scaled(applied, factor))
+    machine = ruler.trial.machine
+    longer = max(1.0, float(np.linalg.norm(machine.upper - machine.lower)) / USUAL)
+    most = min(MOST / part.raw, PEAK / _lengths(ruler, applied).max())
+    return weigh(ruler, scaled(applied, min(wanted / max(have, 1e-12), longer * most)))
+
+
+def draw_part(ruler: Ruler, name: str, kind: Kind, rng: Rng, sizes: tuple[float, float]) -> Part:
+    """Draw an effect with its size, anew where it has to be seen and leaves too little."""
+    trial = ruler.trial
+    for _ in range(DRAWS):
+        applied = draw_effect(name, trial.machine, trial.plan.duration, rng)
+        part = sized(ruler, applied, kind, rng, sizes)
+        if not kind.seen or max(part.size, _blurred(part)) > 0.9 * sizes[0]:
+            break
+    return part
+
+
+def _blurred(part: Part) -> float:
+    """Size of a wave that means over pieces wash out, of the samples, m."""
+    waves = [REGISTRY[n].wave for n in part.names]
+    return part.raw if any(w is not None for w in waves) else 0.0
 
 
 def _lengths(ruler: Ruler, applied: AppliedEffect) -> Array:
@@ -185,30 +229,50 @@ def _where_it_acts(ruler: Ruler, applied: AppliedEffect) -> float:
     return float(np.sqrt(np.mean(length[length > ACTS * length.max()] ** 2)))
 
 
-def places_of(kind: str) -> int:
-    """Tracker places from which cells of a family are measured."""
-    return 2 if kind == 'places' else 1
+def trial_of(kind: str, name: str, rng: Rng) -> Trial:
+    """Draw a cell of a family, without effects; one is measured from two tracker places."""
+    places = 2 if kind == 'places' else 1
+    return draw_trial(name, rng, places, signals=kind == SIGNAL, large=kind == LONG)
 
 
 TAKE_TURNS = {
-    'none': (),
     'one': tuple(REGISTRY),
     'faint': CLEAR,
-    'departed': tuple(DEPARTED),
+    'departed': tuple(n for n in DEPARTED if n not in TILTS),
+    'tilt': TILTS,
     'large': tuple(n for pair in zip(CLEAR, DEPARTED, strict=False) for n in pair),
     'unknown': tuple(UNKNOWN_EFFECTS),
     'signal': tuple(FOLLOWING),
     'places': PLACE_EFFECTS,
 }
-"""What the cells of a family hide in turn."""
+"""What the cells of a family hide in turn; of the others, any of ``KNOWN``."""
 
 
-def _names(kind: str, turn: int, rng: Rng) -> list[str]:
-    if kind in ('two', 'three'):
-        count = 2 if kind == 'two' else 3
-        return [str(n) for n in rng.choice(CLEAR, count, replace=False)]
-    known = TAKE_TURNS[kind]
-    return [known[turn % len(known)]] if known else []
+def names_of(effect: str) -> frozenset[str]:
+    """Names of the catalogue that are right for an effect."""
+    return OUTSIDE[effect].stands_for if effect in OUTSIDE else frozenset({effect})
+
+
+def _apart(count: int, rng: Rng, besides: Sequence[str] = ()) -> list[str]:
+    """Draw causes no two of which have a name in common."""
+    found = list(besides)
+    for name in map(str, rng.permutation(KNOWN)):
+        if len(found) < count + len(besides) and not any(
+            names_of(name) & names_of(other) for other in found
+        ):
+            found.append(name)
+    return found[len(besides) :]
+
+
+def draw_names(kind: str, turn: int, rng: Rng) -> list[str]:
+    """Draw what a cell hides, but for small causes; ``turn``: how many of its kind came before."""
+    if known := TAKE_TURNS.get(kind):
+        return [known[turn % len(known)]]
+    if kind == MIXTURE:
+        return _apart(2 + turn % 2, rng)
+    if kind == LONG and turn % 2:
+        return [TILTS[int(rng.integers(len(TILTS)))]]
+    return _apart(int(kind in ('as_is', LONG)), rng)
 
 
 def kinds_of(count: int, seed: int) -> list[tuple[str, int]]:
@@ -240,12 +304,16 @@ def draw_case(seed: int, number: int, kind: str, turn: int, names: Sequence[str]
         Effects to hide instead.
     """
     rng = np.random.default_rng([seed, number + 1])
-    trial = draw_trial(f'{number:03d}', rng, places_of(kind), signals=kind == SIGNAL)
+    family = KINDS[kind]
+    trial = trial_of(kind, f'{number:03d}', rng)
     ruler = make_ruler(trial)
-    parts = []
-    for name in names or _names(kind, turn, rng):
-        applied = draw_effect(name, trial.machine, trial.plan.duration, rng)
-        parts.append(sized(ruler, applied, KINDS[kind], rng))
+    names = names or draw_names(kind, turn, rng)
+    sizes = family.smallest, family.largest
+    parts = [draw_part(ruler, name, family, rng, sizes) for name in names]
+    if family.small:
+        count = int(rng.integers(SMALL_COUNT[0], SMALL_COUNT[1] + 1))
+        besides = _apart(count, rng, names)
+        parts += [draw_part(ruler, name, family, rng, SMALL) for name in besides]
     measured = ruler.residual(ruler.displacement([p.applied for p in parts]))
     bends = ruler.size([
         displacement(trial.tables, s.q) - displacement(nodal(trial.tables), s.q)

@@ -53,6 +53,14 @@ Parameters = dict[str, float]
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 OTHER_CHAINS = ('w-X-b-Y-Z-t', 'w-Z-b-X-Y-t', 'w-b-Y-X-Z-t', 'w-Y-X-b-Z-t', 'w-X-b-Z-Y-t')
 SIGNS = (-1.0, 1.0)
+RECORDED = ((0.19e-6, 0.83e-6), (0.21e-6, 1.40e-6), (0.05e-6, 1.15e-6), (0.23e-6, 1.11e-6))
+"""m and rad; medians of the standard deviations at rest of a real tracker along and across its
+beam, by session (MarvinGravert, Vive-Accuracy-Experiment, MIT licence)."""
+RECORDED_COLOUR = (0.8, 0.12)
+"""Share of the variance that is correlated, and for how long, s: of a standstill of a real tracker
+(THL Smart Factory Lab, look-where-you-work, UDP_dyn2, MIT licence)."""
+LARGE_RATE = 500.0
+"""Hz; large machines are measured so."""
 SPINDLE = SignalSpec(SENSOR.removeprefix(HEAD), '', 'degC', USUAL, DRIVEN)
 _PLANE = ((0, 0), (1, 1), (1, 0), (0, 1), (0, 0), (0.5, 0), (0.5, 1), (1, 1), (1, 0.5),
           (0, 0.5), (0, 0))  # fmt: skip
@@ -87,19 +95,24 @@ class Trial:
         return [simulate(self.machine, self.plan, c, self.tables, every) for c in self.configs]
 
 
-def draw_machine(rng: Rng) -> Machine:
-    """Draw chain, ranges, node spacing, target offset and tracker."""
+def draw_machine(rng: Rng, *, large: bool = False) -> Machine:
+    """Draw chain, ranges, node spacing, target offset and tracker; ``large``: of 2 m to 6 m."""
     chain = Chain.parse(str(rng.choice(CHAINS if rng.random() < 0.75 else OTHER_CHAINS)))
     size = np.array([0.6, 0.5, 0.4])
-    if rng.random() < 0.4:
+    if large:
+        size = np.round(rng.uniform([2.0, 1.2, 0.8], [6.0, 2.5, 1.2]), 1)
+    elif rng.random() < 0.4:
         size = np.round(rng.uniform([0.45, 0.4, 0.3], [0.9, 0.7, 0.5]), 2)
     low = np.array([0.0, 0.0, -size[2]])
     pitch = 0.03 if rng.random() < 0.7 else 0.05
+    pitch = 0.1 if large else pitch
     names = enumerate(chain.axis_names)
     axes = {a: Axis(float(low[k]), float(low[k] + size[k]), pitch) for k, a in names}
     offset = np.round(rng.normal((0.0, 0.0, -0.15), (0.02, 0.02, 0.02)), 4)
-    spec = TrackerSpec(0.5e-6, float(rng.uniform(1.0e-6, 2.2e-6)))
-    return Machine('cell', chain, axes, offset, spec)
+    levels = RECORDED[int(rng.integers(len(RECORDED)))]
+    if rng.random() < 0.6:
+        levels = 0.5e-6, float(rng.uniform(1.0e-6, 2.2e-6))
+    return Machine('cell', chain, axes, offset, TrackerSpec(*levels))
 
 
 def unit_lap(rng: Rng) -> Array:
@@ -119,8 +132,29 @@ def unit_lap(rng: Rng) -> Array:
     return np.asarray(lap[moved])
 
 
-def draw_plan(machine: Machine, rng: Rng) -> Plan:
-    """Draw a path of one or two laps: figures in the faces, or that of the planner."""
+def chord_lap(rng: Rng) -> Array:
+    """Corner points in the unit cube: lines along the axes, then chords; all there and back."""
+    points: list[Array] = []
+    for axis in (*range(3), *range(3), *range(3), *rng.integers(3, size=14)):
+        ends = rng.uniform(0.0, 1.0, (2, 3))
+        if len(points) < 27:
+            ends[1] = ends[0]
+        ends[:, axis] = 0.0, 1.0
+        points.extend(ends[[0, 1, 0]])
+    return np.array(points)
+
+
+def draw_plan(machine: Machine, rng: Rng, *, large: bool = False) -> Plan:
+    """Draw a path of one or two laps: figures in the faces, or that of the planner.
+
+    ``large``: one lap of chords, fast.
+    """
+    if large:
+        lap = machine.lower + chord_lap(rng) * (machine.upper - machine.lower)
+        dwell = np.full(len(lap), 0.4)
+        dwell[[0, -1]] = 3.0
+        ratios = rng.choice([0.7, 1.0], len(lap) - 1)
+        return Plan(NominalPath(lap), rng.uniform(0.4, 0.8) * ratios, dwell)
     laps = 1 if rng.random() < 0.25 else 2
     feed = float(rng.uniform(0.12, 0.25))
     ratio = float(rng.choice([1.5, 1.5, 0.67, 1.25, 1.0]))
@@ -165,7 +199,9 @@ def nodal(tables: ErrorTables) -> ErrorTables:
     return replace(tables, motions=motions)
 
 
-def draw_trial(name: str, rng: Rng, places: int = 1, *, signals: bool = False) -> Trial:
+def draw_trial(
+    name: str, rng: Rng, places: int = 1, *, signals: bool = False, large: bool = False
+) -> Trial:
     """Draw a cell without effects.
 
     Parameters
@@ -175,17 +211,21 @@ def draw_trial(name: str, rng: Rng, places: int = 1, *, signals: bool = False) -
         Tracker places it is measured from.
     signals : bool
         Whether the temperature of the spindle is recorded.
+    large : bool
+        Whether the machine is of 2 m to 6 m, its path fast chords, its tracker at ``LARGE_RATE``.
     """
-    machine = draw_machine(rng)
+    machine = draw_machine(rng, large=large)
     if signals:
         machine = replace(machine, signals=(SPINDLE,))
-    plan = draw_plan(machine, rng)
+    plan = draw_plan(machine, rng, large=large)
     tables = draw_tables(machine, rng)
     share, time = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.1, 0.5))
+    if rng.random() < 0.25:
+        share, time = RECORDED_COLOUR
     configs = tuple(
         SimulationConfig(
             seed=int(rng.integers(2**31 - 1)),
-            rate=100.0,
+            rate=LARGE_RATE if large else 100.0,
             correlated_share=share,
             correlation_time=time,
             clock_drift=float(rng.normal(0, 1e-5)),

@@ -199,16 +199,25 @@ def corner_fast(v: View) -> Array:
     return _both_ends(v, course(v.start), course(v.end))
 
 
+def _turned(v: View, angle: Array) -> Array:
+    """By an angle (n,) about any axis."""
+    return angle[:, None] * np.cross(v.unit(), v.beam)
+
+
+def tilt_askew(v: View) -> Array:
+    """The table tilts with a position, about no axis of the machine."""
+    return _turned(v, v.u[:, v.axis()])
+
+
 def tilt_square(v: View) -> Array:
     """The table tilts with the square of a position."""
     u = v.u[:, v.axis()]
-    return (u**2 + 0.5 * u)[:, None] * np.cross(_UNIT[v.axis(2)], v.beam)
+    return _turned(v, u**2 + 0.5 * u)
 
 
 def tilt_kink(v: View) -> Array:
     """The table tilts once the load has passed a support."""
-    angle = np.clip(v.u[:, v.axis()] - v.between(-0.3, 0.3), 0.0, None)
-    return angle[:, None] * np.cross(_UNIT[v.axis(2)], v.beam)
+    return _turned(v, np.clip(v.u[:, v.axis()] - v.between(-0.3, 0.3), 0.0, None))
 
 
 def _two_screws(v: View) -> Array:
@@ -338,6 +347,7 @@ DEPARTED_FORMS = {
     corner_cosine: _ROUNDING,
     corner_parabola: _ROUNDING,
     corner_fast: _ROUNDING,
+    tilt_askew: frozenset({'table_tilt'}),
     tilt_square: frozenset({'table_tilt'}),
     tilt_kink: frozenset({'table_tilt'}),
     backlash_warm: _PLAY,

@@ -36,6 +36,9 @@ from otf_core.sim.effects import displaced, run_state
 from otf_core.sim.signals import signal_courses
 from otf_core.threads import in_one_thread
 
+OBSERVED_RATE = 100.0
+"""Hz; samples that come faster are averaged, so that the covariance of a line stays small."""
+
 
 @dataclass(frozen=True)
 class Sight:
@@ -44,7 +47,8 @@ class Sight:
     Attributes
     ----------
     state : State
-        Of all samples of the run.
+        Of the samples of the run, or of one in ``block`` where these come faster than
+        ``OBSERVED_RATE``: the mean of a block then stands for a sample.
     config : SimulationConfig
         Rate and colour of the noise.
     use : ndarray of int64, shape (u,)
@@ -55,6 +59,7 @@ class Sight:
 
     state: State
     config: SimulationConfig
+    block: int
     use: Index
     line: Index
     piece: Index
@@ -66,7 +71,9 @@ class Sight:
 
     def seen(self, moved: Array) -> Array:
         """Part of a displacement of all samples (n, 3) that lies across the path, (u, 2), m."""
-        return np.asarray(np.einsum('uij,uj->ui', self.across, moved[self.use]))
+        whole = moved[: len(self.state) * self.block]
+        means = whole.reshape(-1, self.block, 3).mean(axis=1)
+        return np.asarray(np.einsum('uij,uj->ui', self.across, means[self.use]))
 
     @cached_property
     def first(self) -> Index:
@@ -93,9 +100,9 @@ class Sight:
     @cached_property
     def colour(self) -> Array:
         """Lower Cholesky factor of the correlation of samples in a row on the longest line."""
-        lag = np.arange(np.bincount(self.line).max()) / self.config.rate
+        lag = np.arange(np.bincount(self.line).max()) * self.block / self.config.rate
         slow = self.config.correlated_share * np.exp(-lag / self.config.correlation_time)
-        slow[0] = 1.0
+        slow[0] += (1.0 - self.config.correlated_share) / self.block
         return np.linalg.cholesky(toeplitz(slow))
 
     def white_samples(self, values: Array) -> Array:
@@ -136,7 +143,8 @@ def stretches(line: Index) -> list[slice]:
 
 def see(state: State, config: SimulationConfig) -> Sight:
     """Cut a run into pieces as long as those of a calibration, without corners and standstill."""
-    wanted = CalibrationConfig()
+    wanted, block = CalibrationConfig(), max(1, round(config.rate / OBSERVED_RATE))
+    state = state.part(slice(block // 2, len(state) // block * block, block))
     end = np.minimum(state.from_corner, state.to_corner)
     use = np.flatnonzero((end > wanted.corner_exclusion) & (state.speed > wanted.standstill_speed))
     turned = np.any(np.diff(state.direction, axis=0, prepend=state.direction[:1]) != 0, axis=1)
@@ -146,7 +154,7 @@ def see(state: State, config: SimulationConfig) -> Sight:
     number = np.floor(state.from_corner[use] / length * parts)
     fresh = (np.diff(line, prepend=-1) != 0) | (np.diff(number, prepend=-1.0) != 0)
     line = np.unique(line, return_inverse=True)[1]
-    return Sight(state, config, use, line, np.cumsum(fresh) - 1)
+    return Sight(state, config, block, use, line, np.cumsum(fresh) - 1)
 
 
 WIDE = 1e-3

@@ -30,6 +30,8 @@ VISIBLE_UM = 0.25
 BENDS_UM = 0.1
 """um; where smooth tables leave more between the nodes, naming that is no error."""
 CONFIDENT = 0.5
+SURE = 0.9
+"""Confidence from which a cause that is not there counts as claimed."""
 
 RIGHT = ('right', 'listed', 'quiet', 'not_visible', 'unknown')
 """Outcomes that count as right."""
@@ -56,6 +58,8 @@ class Outcome:
         Which parts are named anywhere.
     extra : tuple of str
         Named, but neither hidden nor indistinguishable from what is.
+    sure_extra : tuple of str
+        Those of them that are claimed, with a confidence of ``SURE`` or more.
     confidence : tuple of float
         Of the causes in ``named``.
     has_decoy : bool
@@ -87,6 +91,7 @@ class Outcome:
     result: str
     found: tuple[bool, ...]
     extra: tuple[str, ...]
+    sure_extra: tuple[str, ...] = ()
     confidence: tuple[float, ...] = ()
     has_decoy: bool = False
     noise_as_specified: bool = True
@@ -145,8 +150,13 @@ def _result(
     causes: Causes,
     answer: Mapping[str, Any],
     exclude: Sequence[str],
-    bends_um: float,
+    entry: Mapping[str, Any],
 ) -> str:
+    bends_um = entry['bends_um']
+    if entry['kind'] == 'small':
+        return 'false_alarm' if _sure(_foreign(causes, parts)) else 'quiet'
+    if entry['kind'] == 'as_is':
+        return _one(set(parts[0]['names']), causes, answer)
     if not parts:
         alarm = causes or (answer['verdict'] == 'unknown' and bends_um <= BENDS_UM)
         return 'false_alarm' if alarm else 'quiet'
@@ -164,6 +174,16 @@ def _result(
     if not is_visible(parts[0]):
         return _invisible(right[0], causes, answer)
     return _one(right[0], causes, answer)
+
+
+def _foreign(causes: Causes, parts: Sequence[Mapping[str, Any]]) -> Causes:
+    """Causes that are neither hidden nor indistinguishable from what is."""
+    allowed = {n for p in parts for n in p['names']}
+    return [c for c in causes if not allowed & set(known_names(c))]
+
+
+def _sure(causes: Causes) -> Causes:
+    return [c for c in causes if c.get('confidence', 0.0) >= SURE]
 
 
 def _gap_left(answer: Mapping[str, Any]) -> float | None:
@@ -237,9 +257,8 @@ def outcome(
         besides |= BENDS
     causes = [c for c in answer.get('causes', ()) if c['effect'] not in besides - set(truth)]
     right = [set(p['names']) for p in parts]
-    allowed = set().union(*right)
     everything = {n for c in causes for n in known_names(c)}
-    extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
+    extra = _foreign(causes, parts)
     failed = 'failed' in answer
     return Outcome(
         cell=entry['cell'],
@@ -249,9 +268,10 @@ def outcome(
         visible=tuple(is_visible(p) for p in parts),
         named=tuple(c['effect'] for c in causes),
         verdict='failed' if failed else answer['verdict'],
-        result='failed' if failed else _result(parts, causes, answer, exclude, entry['bends_um']),
+        result='failed' if failed else _result(parts, causes, answer, exclude, entry),
         found=tuple(bool(r & everything) for r in right),
-        extra=() if failed else extra,
+        extra=tuple(c['effect'] for c in extra),
+        sure_extra=tuple(c['effect'] for c in _sure(extra)),
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
         has_decoy=any(t in OUTSIDE and OUTSIDE[t].has_decoy for t in truth),
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),

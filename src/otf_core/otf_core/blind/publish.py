@@ -131,28 +131,26 @@ def _indented(cell: str) -> str:
     return f'  {cell[2:]}' if cell.startswith(', ') else cell
 
 
-def criteria(
+def criteria(outcomes: Sequence[Outcome]) -> Table:
+    """What a trial comes to, as it is published."""
+    return of_rows(('what is hidden', 'cells or causes'), score.summary(outcomes))
+
+
+def particulars(
     outcomes: Sequence[Outcome], recovered: Sequence[Recovery], alone: Sequence[Outcome] = ()
 ) -> list[Table]:
-    """What a trial comes to: names, sizes, what one of two tracker places says."""
+    """Sizes, what one of two tracker places says, every hidden effect, confidences."""
+    confusion = [(row.name, row.share, words) for row, words in score.confusion(outcomes)]
     tables = [
-        of_rows(('what is hidden', 'cells or causes'), score.summary(outcomes)),
+        of_rows(('besides', 'cells'), score.further(outcomes)),
         of_rows(('sizes', ''), score.sizes(recovered, outcomes)),
+        Table(('hidden', 'answered rightly', 'answers'), confusion),
+        confidences(outcomes),
     ]
     if alone:
         head = ('two tracker places, the first alone', 'cells')
         tables.append(of_rows(head, score.first_place(alone)))
     return tables
-
-
-def particulars(outcomes: Sequence[Outcome]) -> list[Table]:
-    """Names by size in the residual, by hidden effect, by the confidence stated."""
-    confusion = [(row.name, row.share, words) for row, words in score.confusion(outcomes)]
-    return [
-        of_rows(('left in the residual by one effect', 'named rightly'), score.by_size(outcomes)),
-        Table(('hidden', 'answered rightly', 'answers'), confusion),
-        confidences(outcomes),
-    ]
 
 
 def confidences(outcomes: Sequence[Outcome]) -> Table:
@@ -189,7 +187,7 @@ def shrink_words(recovered: Sequence[Recovery]) -> str:
 
 
 def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]) -> list[Table]:
-    """Leave one out: the criteria, and every cell."""
+    """Leave one out: the criteria as they are published, and every cell."""
     rows = []
     for o in outcomes:
         pairs = zip(o.named, o.confidence, strict=True)
@@ -199,12 +197,12 @@ def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery
         told = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
         rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', told))
     head = ('taken out', 'left in the residual', 'verdict', 'causes (confidence)', 'inputs',
-            'told apart at best by (standard deviations)')  # fmt: skip
-    first = ('effects that leave a trace, each taken out of the catalogue', 'cells')
+            'best separation (standard deviations)')  # fmt: skip
+    first = ('what is hidden', 'cells or causes')
     return [of_rows(first, score.leave_one_out(outcomes, recovered)), Table(head, rows)]
 
 
-TABLE, PARTICULARS, DIAGRAM = 'table.md', 'particulars.md', 'reliability.svg'
+TABLE, DIAGRAM = 'table.md', 'reliability.svg'
 
 
 @dataclass(frozen=True)
@@ -242,11 +240,18 @@ class Measured:
         return f'./otf blind{option} --trials {self.cells} --seed {self.seed} --out {name}'
 
 
-def fragment(measured: Measured, tables: Sequence[Table]) -> str:
-    """Command, conditions and tables."""
+def sizes_words(recovered: Sequence[Recovery], outcomes: Sequence[Outcome]) -> str:
+    """How well sizes hold, as a sentence."""
+    rows = [r for r in score.sizes(recovered, outcomes) if r.of]
+    return f'Sizes: {"; ".join(f"{r.name} in {r.share}" for r in rows)}.' if rows else ''
+
+
+def fragment(measured: Measured, table: Table, words: str = '') -> str:
+    """Command, conditions, table and words below it."""
     times = measured.seconds
     lasted = (
         f'; a diagnosis took {median(times):.0f} s, at most {max(times):.0f} s' if times else ''
     )
     said = f'Measured on {measured.date}{lasted}. SHA-256 of the key: `{measured.key[:16]}...`.'
-    return '\n\n'.join([f'```\n{measured.command}\n```', said, *map(as_markdown, tables)]) + '\n'
+    parts = [f'```\n{measured.command}\n```', said, as_markdown(table), words]
+    return '\n\n'.join(part for part in parts if part) + '\n'

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.blind.cases import SIGNAL
-from otf_core.blind.draw import draw_trial
+from otf_core.blind.cases import trial_of
 from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.observer import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
@@ -100,9 +99,7 @@ def parameter_deviations(
 def ruler_of(entry: Mapping[str, Any]) -> Ruler:
     """Build the cell of an entry of the key again, without effects."""
     rng = np.random.default_rng([entry['seed'], entry['number'] + 1])
-    return make_ruler(
-        draw_trial(entry['cell'], rng, entry['places'], signals=entry['kind'] == SIGNAL)
-    )
+    return make_ruler(trial_of(entry['kind'], entry['cell'], rng))
 
 
 def _hidden(parts: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:

@@ -98,8 +98,6 @@ def expected_calibration_error(classes: Sequence[Stated]) -> float:
     return off / count if count else 0.0
 
 
-SIZES = ((0.0, 0.3), (0.3, 0.7), (0.7, 2.0), (2.0, 20.0))
-"""um; classes of the size in the residual."""
 GAP_TOLERANCE = 0.2
 SMALL_GAP_UM = 0.3
 CLOSE = (2.0, 3.0)
@@ -118,10 +116,6 @@ def _right(name: str, outcomes: Sequence[Outcome]) -> Row:
     return Row(name, sum(o.is_right for o in outcomes), len(outcomes))
 
 
-def _needless(outcomes: Sequence[Outcome]) -> Row:
-    return Row(', a needless cause besides', sum(bool(o.extra) for o in outcomes), len(outcomes))
-
-
 def _left(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
     """Right answers that leave less than a share of the gap."""
     left = [o.gap_left for o in outcomes if o.is_right]
@@ -132,77 +126,64 @@ def _inputs(outcomes: Sequence[Outcome]) -> list[Row]:
     """Inputs named where the truth has no name and is a function of inputs."""
     judged = [o for o in outcomes if o.inputs_right is not None]
     return [
-        Row(', with the right inputs', sum(bool(o.inputs_right) for o in judged),
-            len(judged)),
-        Row(', with these and others', sum(bool(o.inputs_among) for o in judged),
-            len(judged)),
-    ]  # fmt: skip
-
-
-def _unknown(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
-    return [
-        _results(f'{words}: called unknown', outcomes, 'unknown'),
-        _results(', given a name', outcomes, 'forced'),
-        _results(', nothing said', outcomes, 'unseen'),
+        Row(', with the right inputs', sum(bool(o.inputs_right) for o in judged), len(judged)),
+        Row(', with these and others', sum(bool(o.inputs_among) for o in judged), len(judged)),
     ]
-
-
-def _named(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
-    """Who is named in cells with one visible cause."""
-    return [
-        _right(f'{words}: named rightly', outcomes),
-        _results(', of these in the short list of the first cause', outcomes, 'listed'),
-        _results(', another named first', outcomes, 'wrong', 'second'),
-        _results(', nothing named', outcomes, 'unseen'),
-        _results(', called unknown', outcomes, 'called_unknown'),
-        _needless([o for o in outcomes if o.is_right]),
-    ]
-
-
-def _parts(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
-    """Visible parts of cells with several causes."""
-    found = [f for o in outcomes for f, v in zip(o.found, o.visible, strict=True) if v]
-    return [Row(f'{words}: visible parts named', sum(found), len(found)), _needless(outcomes)]
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[Row]:
-    """The criteria of a trial, family by family."""
+    """The criteria of a trial, family by family, of cells whose causes leave a trace."""
 
-    def of(*kinds: str, seen: bool = True) -> list[Outcome]:
-        every = [o for o in outcomes if o.kind in kinds]
-        if {'two', 'three', 'none'} & set(kinds):
-            return every
-        return [o for o in every if all(o.visible) == seen]
+    def of(kind: str) -> list[Outcome]:
+        return [o for o in outcomes if o.kind == kind and all(o.visible)]
 
-    quiet = [o for o in outcomes if o.noise_as_specified]
-    unknown, hidden = of('unknown'), of('one', 'faint', 'places', seen=False)
-    traceless = [o for o in outcomes if o.kind == 'unknown' and not all(o.visible)]
+    def named(words: str, kind: str) -> Row:
+        return _right(f'{words}: named rightly', of(kind))
+
+    every = {kind: [o for o in outcomes if o.kind == kind] for kind in ('mixture', 'small')}
+    parts = [f for o in every['mixture'] for f, v in zip(o.found, o.visible, strict=True) if v]
+    as_is, unknown, signal = of('as_is'), of('unknown'), of('signal')
+    as_is = [o for o in outcomes if o.kind == 'as_is' and o.visible[0]]
     return [
         _results('command failed', outcomes, 'failed'),
-        _results('nothing: none blamed', of('none'), 'quiet'),
-        Row(f'noise as specified: {", ".join(NOISE)} named',
-            sum(bool(NOISE & set(o.extra)) for o in quiet), len(quiet)),
-        *_named('one effect', of('one')),
-        _right('a faint one: named rightly', of('faint')),
-        _results(', another named first', of('faint'), 'wrong', 'second'),
-        *_named('a known cause in another form', of('departed')),
+        _results('nothing: no cause reported', of('none'), 'quiet'),
+        _results('small causes alone: no other claimed', every['small'], 'quiet'),
+        named('one effect', 'one'),
+        named('a faint one', 'faint'),
+        named('a very large one', 'large'),
+        named('a known cause in another form', 'departed'),
         _left(', less than a third of the gap left', of('departed'), THIRD),
-        _right('a very large one: named rightly', of('large')),
-        _needless([o for o in of('large') if o.is_right]),
-        _right('one that follows a signal: named rightly', of('signal')),
-        Row(', with its signal', sum(bool(o.follows) for o in of('signal')), len(of('signal'))),
-        _right('one effect, two tracker places: named rightly', of('places')),
-        *_parts('two effects', of('two')),
-        *_parts('three effects', of('three')),
-        *_unknown('no catalogue, a decoy exists', [o for o in unknown if o.has_decoy]),
-        *_unknown('no catalogue, no decoy', [o for o in unknown if not o.has_decoy]),
+        named('a table that tilts', 'tilt'),
+        named('one on a machine of 2 m to 6 m', 'long'),
+        Row('one that follows a signal: named rightly, with its signal',
+            sum(o.is_right and bool(o.follows) for o in signal), len(signal)),
+        named('one effect, two tracker places', 'places'),
+        Row('two or three causes: visible ones named', sum(parts), len(parts)),
+        _right('one cause amid small ones: named first', as_is),
+        Row(', at most one needless cause', sum(len(o.extra) < 2 for o in as_is), len(as_is)),
+        Row(', none claimed', sum(not o.sure_extra for o in as_is), len(as_is)),
         _results('no catalogue: called unknown', unknown, 'unknown'),
-        *_inputs(unknown),
         _left(', less than half of the gap left', unknown, HALF),
-        Row('no catalogue, no trace: given a name',
-            sum(bool(o.named) for o in traceless), len(traceless)),
+    ]  # fmt: skip
+
+
+def further(outcomes: Sequence[Outcome]) -> list[Row]:
+    """What else can be counted: needless causes, inputs, what leaves no trace."""
+    noise = [o for o in outcomes if o.noise_as_specified]
+    alone = [o for o in outcomes if o.kind in ('one', 'faint', 'places')]
+    hidden = [o for o in alone if not all(o.visible)]
+    unknown = [o for o in outcomes if o.kind == 'unknown' and all(o.visible)]
+    right = [o for o in outcomes if o.is_right and len(o.truth) == 1]
+    return [
+        Row(f'noise as specified: {", ".join(NOISE)} named',
+            sum(bool(NOISE & set(o.extra)) for o in noise), len(noise)),
+        Row('one cause named rightly: a needless one besides',
+            sum(bool(o.extra) for o in right), len(right)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
-        _results(', blamed on another', hidden, 'wrong', 'second'),
+        _results(', attributed to another', hidden, 'wrong', 'second'),
+        _results('no catalogue: given a name', unknown, 'forced'),
+        _results(', nothing said', unknown, 'unseen'),
+        *_inputs(unknown),
     ]  # fmt: skip
 
 
@@ -212,22 +193,8 @@ def first_place(alone: Sequence[Outcome]) -> list[Row]:
     return [
         _right('named rightly', [o for o in alone if o.visible[0]]),
         _results('no trace from there: listed as not visible', hidden, 'not_visible'),
-        _results(', blamed on another', hidden, 'wrong', 'second'),
+        _results(', attributed to another', hidden, 'wrong', 'second'),
     ]
-
-
-def by_size(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Share named rightly in classes of size, for single visible effects."""
-    kept = [
-        o for o in outcomes
-        if o.kind in ('one', 'faint', 'places') and len(o.truth) == 1 and o.visible[0]
-        and o.truth[0] not in NOISE
-    ]  # fmt: skip
-    rows = [
-        _right(f'{low:.1f} um to {high:.1f} um', [o for o in kept if low <= o.size_um[0] < high])
-        for low, high in SIZES
-    ]
-    return [r for r in rows if r.of]
 
 
 def _label(outcome: Outcome) -> str:
@@ -291,12 +258,12 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     sure = [o for o in seen if any(c >= CONFIDENT for c in o.confidence)]
     apart = sum(told_apart(o, recovered) > TOLD_APART for o in sure)
     return [
-        _results('called unknown', seen, 'unknown'),
-        *_inputs(seen),
-        _left(', less than half of the gap left', seen, HALF),
-        Row('blamed with confidence on another that can be told apart', apart, len(seen)),
-        Row(', on one of the same trace', len(sure) - apart, len(seen)),
-        _results('nothing said', seen, 'unseen'),
+        _results('an effect taken out of the catalogue: called unknown', seen, 'unknown'),
+        Row(
+            ', attributed with confidence to another effect that is distinguishable',
+            apart,
+            len(seen),
+        ),
     ]
 
 
@@ -311,8 +278,11 @@ def score_to_dict(
     """Plain data of everything scored."""
     classes = reliability(stated(outcomes))
     return {
-        'schema': 'otf-blind-score/2',
-        'criteria': [{**r._asdict(), 'interval': r.interval} for r in summary(outcomes)],
+        'schema': 'otf-blind-score/3',
+        'criteria': [
+            {**r._asdict(), 'interval': r.interval}
+            for r in (*summary(outcomes), *further(outcomes))
+        ],
         'reliability': [{**c.row._asdict(), 'stated': c.mean} for c in classes],
         'expected_calibration_error': expected_calibration_error(classes),
         'outcomes': [{**vars(o), 'is_right': o.is_right} for o in outcomes],

@@ -16,7 +16,6 @@ from otf_core.blind.depends import kin_of
 from otf_core.blind.outcome import NOISE, Outcome, outcome
 from otf_core.blind.publish import (
     DIAGRAM,
-    PARTICULARS,
     TABLE,
     Measured,
     Table,
@@ -27,6 +26,7 @@ from otf_core.blind.publish import (
     particulars,
     reliability_svg,
     shrink_words,
+    sizes_words,
     without_itself,
 )
 from otf_core.blind.recovery import Recovery, recovery_from
@@ -197,33 +197,32 @@ def _score(
         if (FIRST, entry['cell']) in answers:
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
-    main, rest = criteria(outcomes, recovered, alone), particulars(outcomes)
+    main, rest = criteria(outcomes), particulars(outcomes, recovered, alone)
     write_text(folder / DIAGRAM, reliability_svg(reliability(stated(outcomes))))
-    _publish(folder, score_to_dict(outcomes, recovered, alone), main, rest)
-    every = [*main, *rest, misses([*outcomes, *alone])]
+    data = score_to_dict(outcomes, recovered, alone)
+    _publish(folder, data, main, sizes_words(recovered, outcomes))
+    every = [main, *rest, misses([*outcomes, *alone])]
     return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
 
 
 def _publish(
     folder: Path,
     data: Mapping[str, Any],
-    main: Sequence[Table],
-    rest: Sequence[Table],
+    main: Table,
+    words: str = '',
     *,
     leave_one_out: bool = False,
 ) -> None:
-    """Write score.json, and the tables as the docs hold them."""
+    """Write score.json, and the table as the docs hold it."""
     block = provenance('blind', files={'key': folder / KEY})
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
     measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
-    write_text(folder / TABLE, fragment(measured, main))
-    picture = '' if leave_one_out else f'\n![Reliability diagram](images/{DIAGRAM})\n'
-    write_text(folder / PARTICULARS, fragment(measured, rest) + picture)
+    write_text(folder / TABLE, fragment(measured, main, words))
 
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, TABLE, PARTICULARS, DIAGRAM,
+    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, TABLE, DIAGRAM,
              'score.json', 'score.txt', fleet.FILE)  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
@@ -306,7 +305,7 @@ def run_leave_one_out(
     recovered, judged = _recover_all(named, folder, workers, progress)
     main, *rest = without_itself(outcomes, recovered)
     data = score_to_dict(outcomes, list(recovered.values()))
-    _publish(folder, data, [main], rest, leave_one_out=True)
+    _publish(folder, data, main, leave_one_out=True)
     text = '\n\n'.join(map(as_text, [main, *rest]))
     write_text(folder / 'score.txt', text + '\n')
     return Trialled(text, {**ended, **asked, **judged})

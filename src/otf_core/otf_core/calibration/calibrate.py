@@ -437,7 +437,7 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
     if fit.residual_ratio > 1.5:
         found.append(
             f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
-            f'single samples: an effect that the rigid-body model lacks, or more noise'
+            f'single samples: an effect that the rigid-body model does not contain, or more noise'
         )
     return found
 

@@ -7,11 +7,11 @@ of two passes over the same piece of a line
 
     E[ v . w ] = | b |^2  -  tr( B_v V B_w^T )
 
-b being what the model lacks there, B the derivatives of the piece by all unknowns (across the
-line) and V their covariance: residuals of generalised least squares have the covariance
-S - A V A^T, and between passes S is zero. The mean of | b |^2 needs no knowledge of the noise,
-which may hide a lack as large as itself. It is the sum of squares for lack of fit of repeated
-observations; how sure it is tells the scatter between lines.
+b being what the model does not contain there, B the derivatives of the piece by all unknowns
+(across the line) and V their covariance: residuals of generalised least squares have the
+covariance S - A V A^T, and between passes S is zero. The mean of | b |^2 needs no knowledge of
+the noise, which may hide a lack as large as itself. It is the sum of squares for lack of fit of
+repeated observations; how sure it is tells the scatter between lines.
 
 Of several runs the passes of one and the same are compared, and those of different ones beside it:
 what comes again within runs alone is the tracker's, from another place, or the machine changed.

@@ -46,7 +46,7 @@ NOT_STATED = 'not stated'
 MEASUREMENT_FAILED, LIMIT_NOT_PROVEN = 4, 5
 """Exit codes: a quality gate failed; the measurement is good, a limit is not proven to hold."""
 MEANING = {
-    VOLUMETRIC: 'volumetric error, at the point that decides',
+    VOLUMETRIC: 'volumetric error, at the decisive point',
     UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
 }
 

@@ -433,7 +433,7 @@ def calibrate_with_file(
     own = config
     if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):
         own = replace(config, reversal='none')
-    words = f'Effects of {file} taken off: {listed(taking)}.'
+    words = f'Effects of {file} removed: {listed(taking)}.'
     plain = assemble(solved.solution, config, solved.findings)
     corrected = calibrate_without(solved, taking, own, progress)
     return beside_plain(plain, corrected, taking, words)
@@ -445,13 +445,13 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
     for one in found:
         if one.effect.belongs_to is BelongsTo.NOISE:
             raise ConfigError(
-                f'{file}: {one.effect.name}: noise displaces nothing that could be taken off; its '
-                f'size is found from the data in every calibration; leave it out of the file'
+                f'{file}: {one.effect.name}: noise is not a displacement that could be removed; '
+                f'every calibration determines its size from the data; leave it out of the file'
             )
         if one.effect.belongs_to is BelongsTo.TABLES:
             raise ConfigError(
-                f'{file}: {one.effect.name}: belongs into the tables and is not taken off; the '
-                f'tables follow the data as finely as they call for; leave it out of the file'
+                f'{file}: {one.effect.name}: belongs to the tables and is not removed; the '
+                f'tables follow the data as finely as needed; leave it out of the file'
             )
     if not found:
         raise ConfigError(f'{file}: names no effect; leave --effects out for plain tables')

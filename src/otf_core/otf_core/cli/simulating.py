@@ -192,7 +192,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine)
-    refuse_rotary(machine, 'plan')
+    if machine.rotary_names:
+        return _plan_rotary(arguments, out, machine, config, judged)
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
     after = arguments.after
     request = PlanRequest(
@@ -219,6 +220,44 @@ def run_plan(arguments: argparse.Namespace) -> int:
     shown = next((f.name for f in files if f.name == 'report.html'), 'plan.svg')
     words += f'open {Path(arguments.out) / shown}; all numbers: --verbose, forecast.txt'
     answer_from(arguments, words, files, 'plan.json')
+    return 0
+
+
+def _plan_rotary(
+    arguments: argparse.Namespace,
+    out: Any,
+    machine: Any,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+) -> int:
+    """Parts for a machine with rotary axes, and forecast of what they can show."""
+    import numpy as np
+
+    from otf_core.model.provenance import provenance
+    from otf_core.noise.noise_model import read_noise
+    from otf_core.planning.plan_report import read_place
+    from otf_core.planning.rotary_paths import beside, duration_of, forecast_parts, plan_parts
+    from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
+
+    for option in ('path', 'after', 'time_budget', 'wanted_uncertainty', 'dialect'):
+        if getattr(arguments, option) is not None:
+            raise ConfigError(
+                f'--{option.replace("_", "-")}: not available for machines with rotary axes'
+            )
+    given = arguments.tracker_place
+    place = beside(machine) if given is None else np.array(read_place(given))
+    noise = None if arguments.noise is None else read_noise(arguments.noise)
+    about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
+    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+        parts = plan_parts(machine, config)
+        progress('forecasting', 0.0)
+        found = forecast_parts(machine, parts, place, config, judged, noise)
+        durations = [duration_of(machine, part, config) for part in parts]
+        plan = RotaryPlan(machine, parts, durations, place, found)
+        progress('writing', 0.0)
+        with out.filled('plan') as folder:
+            files = write_plan(plan, folder, about)
+    answer_from(arguments, plan_words(plan), files, 'plan.json')
     return 0
 
 

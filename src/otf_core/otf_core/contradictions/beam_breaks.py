@@ -222,7 +222,7 @@ def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
     along = ' along the beam' if offsets.kind == 'range' else ''
     done = (
         f'; offsets of the parts between breaks are estimated (u '
-        f'{np.mean(offsets.u) * 1e6:.2g} um) and taken off'
+        f'{np.mean(offsets.u) * 1e6:.2g} um) and removed'
         if repair
         else ''
     )

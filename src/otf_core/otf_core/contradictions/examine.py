@@ -186,13 +186,13 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
     if share > OTHER_MACHINE_DIFFERENCE and together > GATE_RATIO * apart:
         raise InputError(
             f'{_names(model.runs)}: {text}: they are not of one machine, or it was changed '
-            f'between them (readjusted, crashed, referenced anew); calibrate them one by one'
+            f'between them (readjusted, crashed, referenced again); calibrate them one by one'
         )
     grave = share > CHANGED_DIFFERENCE and together > GATE_RATIO * apart
     return [Finding('one machine', GATE if grave else WARNING, (
         f'{text}: the machine changed between the runs (temperature, load, readjustment), a '
-        f'target offset is another than stated, or the model lacks something; calibrate them one '
-        f'by one and compare'
+        f'target offset differs from the stated one, or an effect is missing in the model;'
+        f' calibrate them one by one and compare'
     ))]  # fmt: skip
 
 

@@ -360,8 +360,8 @@ def _restless(name: str, count: int) -> Finding:
     """Finding where steps have no end: no single move explains the run."""
     return Finding('moved', WARNING, (
         f'{name + ": " if name else ""}what the tables leave changes over time, at {count} '
-        f'moments and more, as no single move of tracker or target does: an effect that the model '
-        f'lacks; ./otf diagnose looks for it'
+        f'moments and more, unlike any single movement of tracker or target: an effect that the '
+        f'model does not contain; ./otf diagnose looks for it'
     ))  # fmt: skip
 
 
@@ -374,7 +374,7 @@ def _finding(name: str, step: Step, repaired: bool, *, repair: bool) -> Finding:
         ))  # fmt: skip
     if repair:
         return Finding('moved', GATE, (
-            f'{text}; what is left on one side does not determine the tracker pose: clamp '
+            f'{text}; the rest on one side does not determine the tracker pose: clamp '
             f'both and record again, or cut the recording there'
         ))  # fmt: skip
     return Finding('moved', WARNING, f'{text}; check clamping and target')

@@ -139,7 +139,7 @@ def _done_words(taking: Sequence[Taken], stays: Sequence[str]) -> str:
     held = held[:1].upper() + held[1:]
     if taking:
         return f'Taken off: {listed(taking).replace("_", " ")}.' + (f' {held}.' if held else '')
-    return f'{held}; nothing else to take off.' if held else 'No effect was taken off.'
+    return f'{held}; nothing else to remove.' if held else 'No effect was taken off.'
 
 
 def _left(config: CalibrationConfig) -> set[BelongsTo]:
@@ -164,9 +164,9 @@ def _to_take(
         others = [n for n in about.indistinguishable if n not in names]
         if others:
             said.append(
-                f'indistinguishable from {" or ".join(others)}; tables with that taken off '
+                f'indistinguishable from {" or ".join(others)}; tables with that removed '
                 f'instead may differ by more than u'
             )
         if said:
-            warnings.append(f'effect taken off: {one.effect.name}, {"; ".join(said)}')
+            warnings.append(f'effect removed: {one.effect.name}, {"; ".join(said)}')
     return taking, warnings

@@ -351,7 +351,7 @@ def calibrate_with_effects(
     """
     if method != 'otf':
         raise ConfigError(
-            f'effects {effects}: cannot be taken off with the method {method}: at stops there is '
+            f'effects {effects}: cannot be removed with the method {method}: at stops there is '
             f'neither feed nor direction of travel; use the method otf'
         )
     if effects != AUTO:

@@ -300,7 +300,7 @@ WORDS = {
 }  # fmt: skip
 ACTS = {
     VECTOR: 'a shift of the target',
-    RIGID_TRACKER: 'a shift and turn of all that the tracker sees',
+    RIGID_TRACKER: 'a shift and rotation of all points measured by the tracker',
     RIGID_TABLE: 'a shift and turn of the table',
 }
 ALMOST = 0.95
@@ -310,7 +310,7 @@ MECHANISMS = (
     ({'sense_x', 'sense_y', 'sense_z'}, 'friction, play or clamps of the drives that reverse'),
     (
         {'since_reversal_x', 'since_reversal_y', 'since_reversal_z'},
-        'wind-up and friction that are taken up after a reversal',
+        'wind-up and friction that build up after a reversal',
     ),
     ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),
     ({'feed'}, 'forces or films that grow with speed: oil film, air drag, control'),
@@ -318,7 +318,7 @@ MECHANISMS = (
     ({PLACE}, 'a fault of a guideway or of the structure at one place'),
     ({MOMENT}, 'a jolt: something slipped, gave way or was knocked'),
     ({*TURNS}, 'a screw, a gear, a rack or the balls of a guide: what repeats with travel'),
-    ({CYCLE}, 'what switches in turn: cooling, coolant, air conditioning, a pump'),
+    ({CYCLE}, 'something switching periodically: cooling, coolant, air conditioning, a pump'),
     ({'time'}, 'warming, settling or something that switches while the run lasts'),
     ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/effects.md from the registry: ``python3 -m otf_core.effects.catalogue docs/effects.md``."""
+"""Write docs/effects.md from the registry: ``python3 -m otf_core.effects.effects_page FILE``."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 LISTED = 18
 """Names that are written out; of longer lists the first and the last."""
 
-INTRODUCTION = """<!-- Generated: python3 -m otf_core.effects.catalogue docs/effects.md -->
+INTRODUCTION = """<!-- Generated: python3 -m otf_core.effects.effects_page docs/effects.md -->
 # Effects
 
-What makes a real cell differ from the rigid-body simulation. Every effect is one file in
+Effects that make a real cell differ from the rigid-body simulation. Every effect is one file in
 `src/otf_core/otf_core/effects/catalogue/` and one line in its registry; its `terms` are the only
 formula, used by simulation (`./otf simulate --effects effects.yaml`), fit, diagnosis and report.
 
 An effect displaces the measured point, in the machine frame, actual minus nominal: linear in its
-coefficients, not linear in its shape parameters. Symbols: q axis positions, u positions scaled to
+coefficients, nonlinear in its shape parameters. Symbols: q axis positions, u positions scaled to
 [-1, 1] over the axis range, d unit travel direction, v speed along the path, t time since the
 start of the recording, r beam from tracker to target, R, H, V its length, azimuth and zenith
-angle, e_R, e_H, e_V unit vectors to their growth, e_a unit vector of axis a. Only what lies across
-the path is seen on the fly.
+angle, e_R, e_H, e_V unit vectors in the direction of their increase, e_a unit vector of axis a.
+Only displacements across the path are visible on the fly.
 
 ```yaml
 # effects.yaml: any number of effects; coefficients that are left out are zero, SI units
@@ -37,7 +37,7 @@ the path is seen on the fly.
   parameters: {B_X: 5.0e-06, B_Z: -2.0e-06}
 - effect: cyclic_error
   parameters: {period: 0.01, S_Y: 1.0e-06}
-  units: {period: m, S_Y: m}     # optional; checked where it stands
+  units: {period: m, S_Y: m}     # optional; checked if given
 ```
 
 Free forms and empirical effects as entries of such a file: [free-forms.md](free-forms.md).

@@ -114,6 +114,6 @@ class BelongsTo(Enum):
     """The part of a calibration that takes an effect up."""
 
     EFFECTS = 'taken off as an effect'
-    TABLES = 'the tables follow it finer; nothing is taken off'
+    TABLES = 'the tables follow it more finely; nothing is removed'
     REVERSAL = 'the calibration chooses its own tables for both senses of travel'
     NOISE = 'no displacement: it changes the noise, which every calibration judges anyway'

@@ -359,7 +359,7 @@ JSON_KINDS: tuple[Kind, ...] = (
         'otf-simulation/1',
         'truth of a simulation',
         _explain_simulation,
-        'what lies beside a simulated bag',
+        'data that accompany a simulated bag',
     ),
     _json_kind(
         'otf-loop/1',

@@ -365,7 +365,9 @@ def columns_of(
         taken = offered
     if len(taken) == 1:
         rest = [o for o in offered if o is not taken[0]]
-        words = '; '.join(f'not {o.words}, {o.role or "which is not said to be it"}' for o in rest)
+        words = '; '.join(
+            f'not {o.words}, {o.role or "which is not stated to be it"}' for o in rest
+        )
         remarks = (f'the {wanted} point is {taken[0].words}; {words}',) if rest else ()
         return Columns(taken[0].point, time, '', remarks)
     if not taken:
@@ -375,7 +377,7 @@ def columns_of(
         )
     points = ' and '.join(o.words for o in offered)
     raise AmbiguousPointError(
-        f'{where}: the head names {len(offered)} points: {points}; nothing says which one was '
+        f'{where}: the head names {len(offered)} points: {points}; nothing states which one was '
         f'{"planned" if nominal else "measured"}{_choice(headings, offered, time, nominal)}'
     )
 
@@ -557,7 +559,7 @@ def unnamed_words(table: TextTable) -> str:
     shown = ' | '.join(table.head[-1:]) or 'nothing'
     return (
         f'{table.where}: line {table.lines[0]} has {table.width} columns, and the head '
-        f'names no x, y, z (it says: {shown[:100]})'
+        f'names no x, y, z (it contains: {shown[:100]})'
     )
 
 

@@ -304,7 +304,7 @@ class GCode:
             start = self._path.at[axis]
             absolute = mode == 'AC' or (self._centre_absolute and not mode)
             if absolute and letter not in block.centre:
-                refuse(self._where, number, word, f'lacks {letter} of its centre (G90.1)')
+                refuse(self._where, number, word, f'has no {letter} for its centre (G90.1)')
             found[axis] = value * self._unit + (Decimal(0) if absolute else start or Decimal(0))
         return found
 
@@ -483,7 +483,7 @@ class Klartext:
         if kind == 'C' and self._centre is None:
             refuse(self._where, number, text, 'is a circle without a centre (CC)')
         if sense is None or (kind == 'CR' and radius is None):
-            refuse(self._where, number, text, 'lacks the sense (DR) or the radius (R)')
+            refuse(self._where, number, text, 'has no sense (DR) or no radius (R)')
         self._path.arc_to(
             number, text, goal, frame, 'XY',
             self._centre if kind == 'C' else None,

@@ -220,7 +220,7 @@ def check_clock() -> Iterator[State]:
         late = os.fstat(file.fileno()).st_mtime - time.time()
     if abs(late) > LARGEST_LAG:
         yield State(
-            'clock', WARNING, f'{date}, but the disk says {late:+.0f} s',
+            'clock', WARNING, f'{date}, but the disk differs by {late:+.0f} s',
             'let both computers keep time by NTP',
         )  # fmt: skip
     synchronised = _synchronised()

@@ -353,7 +353,7 @@ def answered(rows: Rows, question: Question) -> Answer:
     left = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
     log_odds = 0.5 * left
     words = (
-        f'tells {question.effect} from {question.rival}: '
+        f'distinguishes {question.effect} from {question.rival}: '
         f'{"yes" if log_odds >= NAMED_LOG_ODDS else "not surely"} (odds of exp({log_odds:.1f}))'
     )
     return Answer(question, log_odds, words)

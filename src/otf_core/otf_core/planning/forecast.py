@@ -131,7 +131,8 @@ def drive_times(plan: Plan, acceleration: float) -> DriveTimes:
 #
 # The path pieces that a recording would give are laid out from geometry and drive times; system of
 # equations, weights and solution are those of the calibration, only without measured values. The
-# forecast is therefore right where the noise is, and silent about effects that the model lacks.
+# forecast is therefore right where the noise is, and silent about effects that the model does not
+# contain.
 
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""

@@ -27,7 +27,7 @@ _SPACE = ((0, 0, 0), (1, 1, 1), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 0), (0, 
           (1, 0.5, 1), (0, 1, 0.5), (0.5, 0, 1), (0, 0, 0))  # fmt: skip
 
 
-def _unit_lap(levels: int) -> NDArray[np.float64]:
+def lap_of_box(levels: int) -> NDArray[np.float64]:
     """Corner points of one lap in the unit cube, shape (n, 3)."""
     points: list[NDArray[np.float64]] = []
     for normal in (2, 1, 0):
@@ -62,7 +62,7 @@ def plan_path(machine: Machine, config: PlannerConfig) -> Plan:
         If the margin leaves nothing of an axis.
     """
     low, high = inner_range(machine, config)
-    lap = low + _unit_lap(config.levels) * (high - low)
+    lap = low + lap_of_box(config.levels) * (high - low)
     laps = [lap if k % 2 == 0 else lap[::-1][1:] for k in range(config.passes)]
     # lap starts and ends at the same corner, so forward laps after a reverse one join up too
     laps = [p if k == 0 or k % 2 else p[1:] for k, p in enumerate(laps)]

@@ -247,7 +247,7 @@ def state_words(history: History) -> str:
             else f'no significant drift over the {drift.runs} runs {since}'
         )
         return f'Changed: last change {change}; {words}.'
-    return f'Steady: no change and no significant drift in the {drift.runs} runs {since}.'
+    return f'Steady: no significant change or drift in the {drift.runs} runs {since}.'
 
 
 def drift_words(history: History) -> list[str]:
@@ -363,7 +363,7 @@ def _marks_words(history: History) -> str:
         f'{k}: {e.words}, {_day(e.at)}' for k, e in enumerate(history.events, start=1)
     )
     reference = history.series.runs[history.reference]
-    return f'Square: {_moment(reference.at)}, the run from which on drift is judged. ' + (
+    return f'Square: {_moment(reference.at)}, the run from which drift is assessed. ' + (
         f'Dashed lines are events ({events}); no line leads across them. ' if events else ''
     )
 

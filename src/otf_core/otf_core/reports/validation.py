@@ -30,7 +30,7 @@ AXIS_LENGTH = 0.06
 """m; length of the axes of path coordinate systems."""
 SCHEMA = 'otf-validation/1'
 FILE = 'validation.json'
-WORDS = 'agreement is judged with expanded uncertainties, k = 2'
+WORDS = 'agreement is assessed with expanded uncertainties, k = 2'
 
 
 def _line(points: Array, kind: str) -> Strokes:

@@ -2,11 +2,11 @@
 """Joint solution of runs: common tables, one pose per run, noise as the residuals show it.
 
 Standstills show the noise of the tracker at rest, some of it for too short a time, and nothing of
-what the model lacks. So the sizes of five parts of the covariance S of a line are fitted: white
-and slow noise of the tracker, its correlation time, misfit of single pieces and of whole lines.
-Their logarithms (of factors, for the tracker) maximise the restricted likelihood: with e the
-residual of a solution whose estimates have the posterior covariance V, E[e e^T] = S - A V A^T, and
-for K = dS by a logarithm
+model errors. So the sizes of five parts of the covariance S of a line are fitted: white and slow
+noise of the tracker, its correlation time, misfit of single pieces and of whole lines. Their
+logarithms (of factors, for the tracker) maximise the restricted likelihood: with e the residual
+of a solution whose estimates have the posterior covariance V, E[e e^T] = S - A V A^T, and for K =
+dS by a logarithm
 
     score = (e^T S^-1 K S^-1 e - tr P K) / 2,  P = S^-1 - S^-1 A V A^T S^-1,
     information = tr(P K P K') / 2

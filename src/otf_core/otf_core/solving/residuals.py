@@ -129,8 +129,8 @@ def check_residuals(whitened: Array, leg: Index, rank: int) -> ResidualCheck:
     ----------
     whitened : ndarray, shape (c, p)
         Residuals freed of the assumed noise covariance, pieces in driving order: independent
-        and of unit variance if nothing but that noise is in them. What the model lacks shows as
-        size and as correlation between neighbouring pieces of a leg.
+        and of unit variance if nothing but that noise is in them. What the model does not contain
+        shows as size and as correlation between neighbouring pieces of a leg.
     leg : ndarray of int64, shape (p,)
     rank : int
         Number of estimated quantities.

@@ -33,7 +33,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.motions import MOTIONS, ErrorMotion, is_motion, unit_of
+from otf_core.model.motions import ErrorMotion, is_motion, unit_of
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.solution import Positive
 from otf_core.solving.unknowns import Basis, Unknowns, reference_position
@@ -328,8 +328,9 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
     size = size / np.sqrt(IN_A_VECTOR)
     own = 2.0 * np.log(size / limit)
     logs = np.array([own, START[1], own + START[2] - START[0]])
-    for motion in MOTIONS:
-        part = unknowns.free_blocks[motion]
+    for motion, part in unknowns.free_blocks.items():
+        if not isinstance(motion, ErrorMotion):
+            continue
         if part.stop > part.start:
             usual = CoefficientPrior(motion, unknowns.bases[motion.axis], 2.0 * size / limit)
             covariance = usual.at(logs)[0]

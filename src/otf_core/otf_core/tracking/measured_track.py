@@ -262,7 +262,7 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
         stops.append(corner[1:])
         joined.append(np.arange(len(corner) - 1) > 0)
     if not starts:
-        raise InputError('the recording has so many gaps that no straight line is left in it')
+        raise InputError('the recording has so many gaps that no straight line remains')
     return Track(
         hops, points, np.concatenate(starts), np.concatenate(stops), np.concatenate(joined)
     )

@@ -357,7 +357,7 @@ def test_steps_without_end_are_no_moves(monkeypatch):
     model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), repair=True)
     assert model is whole
     assert [f.check for f in findings] == ['moved']
-    assert 'as no single move' in findings[0].words
+    assert 'unlike any single move' in findings[0].words
 
 
 @pytest.mark.parametrize(('left', 'cut'), [(3.6, False), (2.0, True), (0.9, True)])
@@ -378,4 +378,4 @@ def test_several_moves_leave_hardly_anything_or_are_none(monkeypatch, left, cut)
     monkeypatch.setattr(tracker_moves.Model, 'of', of)
     model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), repair=True)
     assert (len(model.runs), len(findings)) == ((4, 3) if cut else (1, 1))
-    assert cut or 'at 3 moments and more, as no single move' in findings[0].words
+    assert cut or 'at 3 moments and more, unlike any single move' in findings[0].words

@@ -238,8 +238,8 @@ def refused(tmp_path, text, **options):
 @pytest.mark.parametrize(
     ('text', 'said'),
     [
-        ('- effect: tracker_noise\n  parameters: {level_range: 2.0}\n', 'displaces nothing'),
-        ('- effect: table_resolution\n  parameters: {EYX@0.0..0.05: 1.0e-6}\n', 'into the tables'),
+        ('- effect: tracker_noise\n  parameters: {level_range: 2.0}\n', 'is not a displacement'),
+        ('- effect: table_resolution\n  parameters: {EYX@0.0..0.05: 1.0e-6}\n', 'to the tables'),
         ('- effect: gremlins\n  parameters: {}\n', "'gremlins' is unknown; possible: backlash"),
         (
             '- effect: backlash\n  parameters: {B_X: 1.0e-6}\n  units: {B_X: mm}\n',
@@ -313,7 +313,7 @@ def test_what_is_not_taken_off_is_said_with_what_holds_it():
     found = FoundCauses((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
     words = with_causes(plain, None, found, CONFIG, 'There it is.').words
     assert 'Backlash of X is in the reversal tables (X 5.20 +/- 0.40 um, k = 2: ' in words
-    assert words.endswith('nothing else to take off.') and 'No effect was taken off' not in words
+    assert words.endswith('nothing else to remove.') and 'No effect was taken off' not in words
     waves = FoundCauses((), ((),), ('cyclic error of X',))
     words = with_causes(plain, None, waves, CONFIG, 'There it is.').words
     assert 'Cyclic error of X is in the error tables, which follow it' in words

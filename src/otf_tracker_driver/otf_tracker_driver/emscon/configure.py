@@ -153,7 +153,7 @@ async def set_reflector(link: Link, name: str) -> tuple[str, tuple[str, ...]]:
             near = get_close_matches(name, names, 1)
             hint = f'did you mean {near[0]}? ' if near else ''
             raise TrackerError(
-                f'reflector {name!r} is not known to the tracker; {hint}'
+                f'reflector {name!r} is unknown to the tracker; {hint}'
                 f'possible: {", ".join(names) or "none"}'
             )
         await _set(link, Command.SET_REFLECTOR, Command.GET_REFLECTOR, number)

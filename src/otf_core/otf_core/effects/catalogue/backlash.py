@@ -36,20 +36,20 @@ class Backlash(Effect):
     """Reversal error that does not depend on position."""
 
     name: ClassVar[str] = 'backlash'
-    cause: ClassVar[str] = 'play and wind-up between drive and slide; the encoder does not see it'
+    cause: ClassVar[str] = 'play and wind-up between drive and slide, not visible to the encoder'
     equation: ClassVar[str] = '1/2 B_a sign(d_a) e_a'
     coefficients: ClassVar[str] = (
-        'B_a: reversal value of axis a; shape: held 1 if an axis that stands stays on the side of '
-        'its last travel, 0 if it does not'
+        'B_a: reversal value of axis a; shape: held 1 if an axis at rest stays on the side of '
+        'its last travel, otherwise 0'
     )
     typical: ClassVar[str] = '1 um to 10 um on production machines'
     source: ClassVar[str] = 'ISO 230-2:2014, 2.16 (reversal value)'
     signature: ClassVar[str] = (
-        'a constant offset on every diagonal that flips with the sense of travel; none on lines '
-        'along the axis itself'
+        'a constant offset on every diagonal that changes sign with the direction of travel; '
+        'none on lines along the axis itself'
     )
     needs: ClassVar[str] = (
-        'every line driven forward and reverse, and lines that are no box diagonals'
+        'every line driven forward and backward, and lines that are not space diagonals'
     )
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
     trial: ClassVar[Trial] = Trial((Axes('B'), SOMETIMES_HELD), second_place=9)
@@ -61,17 +61,17 @@ class Backlash(Effect):
         Free(
             ('time',),
             (4,),
-            'the play changes while the run lasts',
+            'the backlash changes during the run',
             own_per_run=True,
             belongs_to=BelongsTo.EFFECTS,
         ),
         Free(
             ('since_reversal_{axis}',),
             (5,),
-            'the play is taken up over some travel after a reversal',
+            'the backlash is traversed over some distance after a reversal',
             belongs_to=BelongsTo.EFFECTS,
         ),
-        Free(('feed',), (2,), 'the play changes with the feed', belongs_to=BelongsTo.EFFECTS),
+        Free(('feed',), (2,), 'the backlash depends on the feed', belongs_to=BelongsTo.EFFECTS),
     )
 
     def shapes(self, state: State) -> Sequence[Shape]:

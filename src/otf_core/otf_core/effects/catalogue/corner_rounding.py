@@ -44,13 +44,13 @@ class CornerRounding(Effect):
     coefficients: ClassVar[str] = (
         'A: distance from the corner point; shape: length l over which it falls to 1/e'
     )
-    typical: ClassVar[str] = '5 um to 50 um within some v^2 / 2a of the corner'
+    typical: ClassVar[str] = '5 um to 50 um within about v^2 / 2a of the corner'
     source: ClassVar[str] = (
         'path tolerance of contouring controls, e.g. LinuxCNC G-code reference, G64 P (path '
         'blending with tolerance)'
     )
-    signature: ClassVar[str] = 'both ends of every leg bend to the inside of their corners'
-    needs: ClassVar[str] = 'samples close to the corners, with little corner exclusion'
+    signature: ClassVar[str] = 'both ends of every leg bend towards the inside of the corners'
+    needs: ClassVar[str] = 'samples close to the corners, with a small corner exclusion'
     shape_names: ClassVar[tuple[str, ...]] = ('l',)
     refine: ClassVar[str] = 'l'
     refine_width: ClassVar[float] = 0.5
@@ -61,7 +61,7 @@ class CornerRounding(Effect):
         Free(
             ('{term}_corner',),
             (8,),
-            'the rounding does not fall off as an exponential of the distance',
+            'the rounding does not decay exponentially with the distance',
             (1,),
             both_ends,
             zero_at=1.0,

@@ -55,7 +55,8 @@ class CrossCoupling(Effect):
 
     name: ClassVar[str] = 'cross_coupling'
     cause: ClassVar[str] = (
-        'the structure is not rigid: it sags or yaws by the weight of another axis far out'
+        'the structure is not rigid: it sags or yaws under the weight of another axis at the '
+        'end of its travel'
     )
     equation: ClassVar[str] = 'c u_x^i u_y^j u_z^k e_d, at least two powers above 0'
     coefficients: ClassVar[str] = (
@@ -64,13 +65,13 @@ class CrossCoupling(Effect):
     )
     typical: ClassVar[str] = '1 um on small machines, tens of um on large ones'
     source: ClassVar[str] = (
-        'what the rigid-body model leaves out: Sanders et al., J. Manuf. Mater. Process. 2023, '
+        'not included in the rigid-body model: Sanders et al., J. Manuf. Mater. Process. 2023, '
         '7, 60, section 1.1'
     )
     signature: ClassVar[str] = 'slope or bend of lines along one axis changes with another axis'
     needs: ClassVar[str] = (
-        'lines at several levels of every axis; a second tracker place, as offsets of the tracker '
-        'look alike from one'
+        'lines at several levels of every axis; a second tracker place, since offsets of the '
+        'tracker look the same from a single one'
     )
     stays_in_place: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((Several(_DRAWN, 2),), second_place=7)
@@ -79,7 +80,7 @@ class CrossCoupling(Effect):
         Free(
             pair,
             (4, 4),
-            f'the error is no low power of the positions {pair[0].upper()} and {pair[1].upper()}',
+            f'the error is not a low-order polynomial of {pair[0].upper()} and {pair[1].upper()}',
             (1, 1),
             vector,
         )

@@ -44,7 +44,8 @@ class CyclicError(Effect):
         'HEIDENHAIN, Exposed Linear Encoders (position error within one signal period: +/- 1 %)'
     )
     signature: ClassVar[str] = (
-        'waves of period p / d_a on diagonals, at fixed positions of the axis; none along the axis'
+        'waves of period p / d_a on diagonals, at fixed positions of the axis; none on lines '
+        'along the axis'
     )
     needs: ClassVar[str] = (
         'samples closer than half a period; two feeds, as at one feed it looks like vibration'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Direction-dependent tables: errors of an axis that differ between forward and reverse travel.
+"""Direction-dependent tables: errors that differ between forward and backward travel.
 
 delta = 1/2 sign(d_a) sum_k c_k P_k(u_a) J_m(q), added over the six motions m of every axis a; u_a
 is the position scaled to [-1, 1] over the axis range, P_k are Legendre polynomials and J_m is the
@@ -67,15 +67,15 @@ class DirectionDependentTables(Effect):
         'c_k of motion m as m_k, EXX_1 to ECZ_3; shape: highest order of the polynomials, held as '
         'for backlash'
     )
-    typical: ClassVar[str] = '1 um to 5 um, 1 urad to 10 urad between forward and reverse'
+    typical: ClassVar[str] = '1 um to 5 um, 1 urad to 10 urad between forward and backward travel'
     source: ClassVar[str] = (
-        'ISO 230-2:2014 (reversal value at each position); forward and reverse columns of '
+        'ISO 230-2:2014 (reversal value at each position); forward and backward columns of '
         'compensation files, e.g. LinuxCNC [JOINT_n]COMP_FILE'
     )
     signature: ClassVar[str] = (
-        'forward and reverse passes of one line differ by a smooth function of position'
+        'forward and backward passes of one line differ by a smooth function of position'
     )
-    needs: ClassVar[str] = 'every line driven forward and reverse'
+    needs: ClassVar[str] = 'every line driven forward and backward'
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
     trial: ClassVar[Trial] = Trial(
         (OfMachine(lambda axes: Either(tuple((SOMETIMES_HELD, _drawn_axis(a)) for a in axes))),)
@@ -90,7 +90,7 @@ class DirectionDependentTables(Effect):
         Free(
             ('{axis}',),
             (7,),
-            'the reversal error changes along the axis more than a cubic does',
+            'the reversal error varies along the axis more than a cubic',
             acts=reversed_motions,
         ),
     )

@@ -22,24 +22,25 @@ class ServoMismatch(Effect):
     name: ClassVar[str] = 'servo_mismatch'
     cause: ClassVar[str] = 'position loops of different gain Kv: each axis lags by v / Kv'
     equation: ClassVar[str] = '-v T_a d_a e_a'
-    coefficients: ClassVar[str] = 'T_a: delay of axis a; only differences between axes show'
+    coefficients: ClassVar[str] = 'T_a: delay of axis a; only differences between axes are visible'
     typical: ClassVar[str] = '0.01 ms to 0.1 ms between axes: 2 um to 20 um at 12 m/min'
     source: ClassVar[str] = (
         'HEIDENHAIN TNC 430 technical manual (Kv factor; equal for axes that interpolate)'
     )
     signature: ClassVar[str] = (
-        'offset on every diagonal that flips with the sense of travel and grows with the feed'
+        'offset on every diagonal that changes sign with the direction of travel and grows with '
+        'the feed'
     )
-    needs: ClassVar[str] = 'two feeds, forward and reverse; at one feed it looks like backlash'
+    needs: ClassVar[str] = 'two feeds, forward and backward; at one feed it looks like backlash'
     trial: ClassVar[Trial] = Trial((Axes('T', 1e-5, most=2),))
 
     free: ClassVar[tuple[Free, ...]] = (
-        Free(('feed',), (2,), 'the lag is not in proportion to the feed'),
-        Free(('since_stop',), (5,), 'the lag changes while a leg lasts'),
+        Free(('feed',), (2,), 'the lag is not proportional to the feed'),
+        Free(('since_stop',), (5,), 'the lag changes during a leg'),
         Free(
             ('since_stop', 'feed'),
             (5, 2),
-            'the lag changes while a leg lasts, and not in proportion to the feed',
+            'the lag changes during a leg and is not proportional to the feed',
         ),
     )
 

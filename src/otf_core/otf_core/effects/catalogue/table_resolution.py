@@ -69,7 +69,7 @@ class TableResolution(Effect):
     )
     coefficients: ClassVar[str] = (
         "c as motion@from..to with the ends of the interval in m, c' with _2 behind it; shape: "
-        'order 1 bows, 2 waves as well, 3 rotations as well'
+        'order 1 bows, 2 also waves, 3 also rotations'
     )
     typical: ClassVar[str] = '0.5 um to 5 um with nodes 30 mm to 60 mm apart'
     source: ClassVar[str] = (
@@ -77,7 +77,7 @@ class TableResolution(Effect):
         'Introduction to Numerical Analysis, section 2.1)'
     )
     signature: ClassVar[str] = (
-        'bows between nodes, at the same axis position on all lines that cross it'
+        'curvature between nodes, at the same axis position on all lines that cross it'
     )
     needs: ClassVar[str] = 'closer table nodes, and lines crossing every interval more than once'
     shape_names: ClassVar[tuple[str, ...]] = ('order',)

@@ -47,7 +47,7 @@ class TableTilt(Effect):
         'Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.2 (why the tracker '
         'stands on the table)'
     )
-    signature: ClassVar[str] = 'as an angular error of the axis, but about the tracker'
+    signature: ClassVar[str] = 'like an angular error of the axis, but about the tracker'
     needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
     trial: ClassVar[Trial] = Trial(
         (Either(tuple((_drawn(k),) for k in 'XY')),), hard_to_see=True, second_place=4
@@ -57,7 +57,7 @@ class TableTilt(Effect):
         Free(
             ('{axis}',),
             (6,),
-            'the tilt is not in proportion to the position',
+            'the tilt is not proportional to the position',
             (1,),
             tilted,
         ),

@@ -24,7 +24,7 @@ class TargetIncidence(Effect):
     cause: ClassVar[str] = 'dihedral and centring errors of the reflector, hit off its axis'
     equation: ClassVar[str] = '(k i^2 + k_u i_u + k_w i_w) e_R'
     coefficients: ClassVar[str] = (
-        'k: range error per square of the angle; k_u, k_w: linear parts, from a mis-aimed target'
+        'k: range error per square of the angle; k_u, k_w: linear parts, from a misaligned target'
     )
     typical: ClassVar[str] = '1 um to 10 um at 25 deg; 5 um/rad^2 to 50 um/rad^2'
     source: ClassVar[str] = (
@@ -32,9 +32,12 @@ class TargetIncidence(Effect):
         'return beam'
     )
     signature: ClassVar[str] = (
-        'range too long or short towards the edges of the volume, and lost beams beyond 25 deg'
+        'range too long or too short towards the edges of the volume, and beam breaks beyond 25 '
+        'deg'
     )
-    needs: ClassVar[str] = 'the target turned on its axis between runs, or aimed along at places'
+    needs: ClassVar[str] = (
+        'the target turned about its axis between runs, or realigned at some positions'
+    )
     trial: ClassVar[Trial] = Trial(
         (Number('k', OneOf((-2e-5, 2e-5))), Maybe(0.3, Number('k_u', Normal(5e-6)))),
         second_place=6,

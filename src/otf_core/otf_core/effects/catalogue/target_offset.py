@@ -23,10 +23,10 @@ class TargetOffset(Effect):
     name: ClassVar[str] = 'target_offset'
     cause: ClassVar[str] = 'wrong tool length or offset of the target entered'
     equation: ClassVar[str] = 'sum over a of r_a(q_a) x dT'
-    coefficients: ClassVar[str] = 'dT_a: actual less stated offset along a'
+    coefficients: ClassVar[str] = 'dT_a: actual minus stated offset along a'
     typical: ClassVar[str] = '1 mm to 20 mm of offset: 0.2 um per 10 mm at 20 urad'
     source: ClassVar[str] = 'Bryan, Precision Engineering 1 (1979) 129 (Abbe principle)'
-    signature: ClassVar[str] = 'none in one run: the straightness tables take it up'
+    signature: ClassVar[str] = 'no trace in one run: the straightness tables absorb it'
     needs: ClassVar[str] = 'runs with a second and a third target offset'
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('target offset', ('target_offset',)),

@@ -55,7 +55,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     """Strain of each axis that grows with time."""
 
     name: ClassVar[str] = 'thermal_axis_expansion'
-    cause: ClassVar[str] = 'screw, scale or bed of an axis warms up while the run lasts'
+    cause: ClassVar[str] = 'screw, scale or bed of an axis warms up during the run'
     equation: ClassVar[str] = 'S_a g(t) (q_a - q0_a) e_a'
     coefficients: ClassVar[str] = (
         'S_a: strain of axis a reached at until; S_a_2, ...: further functions of time; shape: '
@@ -69,7 +69,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         'CIRP Annals 61 (2012) 771'
     )
     signature: ClassVar[str] = (
-        'diagonals turn and bend more and more with time; repeated lines differ by a slope'
+        'diagonals rotate and bend increasingly with time; repeated lines differ by a slope'
     )
     needs: ClassVar[str] = (
         'one reference line repeated every few minutes, one line along the beam, axis temperatures'
@@ -89,7 +89,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         Free(
             ('time',),
             (10,),
-            'the strain follows no exponential in time',
+            'the strain does not follow an exponential in time',
             (1,),
             acts=strained,
             zero_at=-1.0,
@@ -97,7 +97,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         Free(
             ('{axis}',),
             (2,),
-            'the axis does not grow in proportion to the distance from its zero position',
+            'the expansion is not proportional to the distance from the zero position of the axis',
             acts=approached,
             of_shape=True,
             essential=0,
@@ -105,8 +105,8 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         Free(
             ('time', '{axis}'),
             (6, 2),
-            'the axis does not grow in proportion to the distance from its zero position, and '
-            'follows no exponential in time',
+            'the expansion is not proportional to the distance from the zero position of the '
+            'axis and does not follow an exponential in time',
             (1, 0),
             acts=grown,
             zero_at=-1.0,

@@ -41,11 +41,11 @@ class ThermalStructureDrift(drift.DriftingEffect):
         'CIRP Annals 61 (2012) 771'
     )
     signature: ClassVar[str] = (
-        'the same shift at all places at a time; a line driven again later lies beside itself'
+        'the same shift everywhere at any given time; a line repeated later is displaced'
     )
     needs: ClassVar[str] = (
-        'lines repeated at other times; a fixed second target on the table tells it from a drift '
-        'of the tracker, with which it agrees exactly'
+        'lines repeated at other times; a fixed second target on the table distinguishes it '
+        'from a drift of the tracker, which has exactly the same effect'
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
@@ -55,7 +55,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
         Free(
             ('time',),
             (14,),
-            'the drift follows no exponential in time',
+            'the drift does not follow an exponential in time',
             (1,),
             vector,
             zero_at=-1.0,

@@ -93,7 +93,7 @@ class TrackerAngles(Effect):
     signature: ClassVar[str] = (
         'points shift across the beam as a smooth function of azimuth and zenith angle'
     )
-    needs: ClassVar[str] = 'a second tracker place; two-face checks tell the parts apart'
+    needs: ClassVar[str] = 'a second tracker place; two-face checks separate the parts'
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('tracker angles', ('tracker_offset', 'tracker_angle'), size=_shared_equally),
     )

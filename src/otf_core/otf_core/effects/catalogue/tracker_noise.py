@@ -27,21 +27,21 @@ class TrackerNoise(Effect):
     """Level, correlation in time and tails of the tracker's noise."""
 
     name: ClassVar[str] = 'tracker_noise'
-    cause: ClassVar[str] = 'turbulent air, long filters, a worn or dusty target, broken beams'
+    cause: ClassVar[str] = 'turbulent air, long filters, a worn or dusty target, beam breaks'
     equation: ClassVar[str] = (
         'no displacement; standard deviations level * u, autocorrelation '
         'correlated_share * exp(-t / correlation_time), white rest with Student t of dof'
     )
     coefficients: ClassVar[str] = (
         'shape only: factors on u_range and u_angle, correlated share of the variance and its '
-        'time constant, degrees of freedom of the tails; what is missing stays as specified'
+        'time constant, degrees of freedom of the tails; missing ones remain as specified'
     )
     typical: ClassVar[str] = 'level 0.5 to 3, correlated share 0.3 to 0.8 over 0.1 s to 0.5 s'
     source: ClassVar[str] = (
         'standstills of recorded trackers; ISO 10360-10:2021 for the levels that are specified'
     )
     signature: ClassVar[str] = (
-        'scatter without structure; means over stretches shrink less than white noise would'
+        'scatter without structure; means over stretches decrease less than with white noise'
     )
     needs: ClassVar[str] = 'standstills of a second or more'
     shape_names: ClassVar[tuple[str, ...]] = (

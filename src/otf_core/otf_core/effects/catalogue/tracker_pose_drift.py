@@ -30,7 +30,8 @@ class TrackerPoseDrift(drift.DriftingEffect):
     cause: ClassVar[str] = 'tracker or its mount settles, creeps or warms up'
     equation: ClassVar[str] = '(M_k + W_k x r) g_k(t)'
     coefficients: ClassVar[str] = (
-        'M_a, W_a: shift along and turn about a reached at until; M_a_2, ...: further functions'
+        'M_a, W_a: shift along and rotation about a reached at until; M_a_2, ...: further '
+        'functions'
         ' of time; shape: time constant tau, until (0: end of the run), order of the last '
         'function'
     )
@@ -38,12 +39,10 @@ class TrackerPoseDrift(drift.DriftingEffect):
     source: ClassVar[str] = (
         'ASME B89.4.19-2006 and ISO 10360-10:2021 (drift checks of laser trackers)'
     )
-    signature: ClassVar[str] = (
-        'all points turn about the tracker as time goes on; grows with range'
-    )
+    signature: ClassVar[str] = 'all points rotate about the tracker with time; grows with range'
     needs: ClassVar[str] = (
-        'fixed nests on the table, measured again and again; its shift agrees exactly with a '
-        'drift of the structure'
+        'fixed nests on the table, measured repeatedly; its shift has exactly the same effect '
+        'as a drift of the structure'
     )
     trial: ClassVar[Trial] = Trial(
         (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
@@ -55,7 +54,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
         Free(
             ('time',),
             (10,),
-            'the drift follows no exponential in time',
+            'the drift does not follow an exponential in time',
             (1,),
             rigid_tracker,
             zero_at=-1.0,

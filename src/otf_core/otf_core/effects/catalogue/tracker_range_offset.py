@@ -26,7 +26,7 @@ class TrackerRangeOffset(Effect):
         'parameter x10 in Muralikrishnan et al., J. Res. NIST 114 (2009) 21; Leica Absolute '
         'Tracker manual (maximum permissible error R0: 5 um)'
     )
-    signature: ClassVar[str] = 'points spread like a fan from the tracker, more so at short range'
+    signature: ClassVar[str] = 'points spread radially from the tracker, more so at short range'
     needs: ClassVar[str] = 'a second tracker place on another side of the volume'
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('tracker range offset', ('tracker_range_offset',)),

@@ -42,7 +42,7 @@ class TrackerScale(Effect):
     coefficients: ClassVar[str] = 'm: relative error of the range'
     typical: ClassVar[str] = '1e-6 to 5e-6: -0.93e-6 per K, 0.27e-6 per hPa'
     source: ClassVar[str] = 'Ciddor, Applied Optics 35 (1996) 1566 (refractive index of air)'
-    signature: ClassVar[str] = 'none: it is the same as equal slopes of EXX, EYY and EZZ'
+    signature: ClassVar[str] = 'no trace: it is identical to equal slopes of EXX, EYY and EZZ'
     needs: ClassVar[str] = 'a calibrated length: scale bar, interferometer along a line, artefact'
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('tracker scale', ('tracker_scale',)),

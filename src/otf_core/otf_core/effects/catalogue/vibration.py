@@ -38,7 +38,7 @@ class Vibration(Effect):
     """Oscillation in time."""
 
     name: ClassVar[str] = 'vibration'
-    cause: ClassVar[str] = 'pumps, fans, hydraulics, or a position loop that hums'
+    cause: ClassVar[str] = 'pumps, fans, hydraulics, or a position loop that oscillates'
     equation: ClassVar[str] = 'S sin(2 pi f t) + C cos(2 pi f t)'
     coefficients: ClassVar[str] = (
         'S_a, C_a: amplitudes of sine and cosine along a; shape: frequency f'
@@ -65,7 +65,7 @@ class Vibration(Effect):
         Free(
             ('since_stop',),
             (6,),
-            'it is woken by every start and dies out',
+            'it is excited by every start and decays',
             (1,),
             woken,
             of_shape=True,

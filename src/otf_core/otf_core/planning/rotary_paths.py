@@ -1,0 +1,541 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths that show the errors of rotary axes, and what they will show.
+
+A sample says nothing along the direction of travel, so an error is seen at an axis position only
+if the reflector passes there in directions that leave no common component out. For unknowns x with
+rows A(q), driven directions d and P = I - d d^T, x is not seen if and only if
+
+    P A(q) x = 0   at every driven place                                      (rank condition)
+
+Circles of one rotary axis always leave out the tangent, which is all that its angular positioning
+moves. It is seen where a second axis moves at the same time: another rotary axis (A with C), a
+linear axis (spiral), or linear axes that follow the rotation but for a slow creep in a direction
+of choice (TCP creep); or at stops, which leave out nothing. Moves of several axes are driven in
+both senses: a lag between drives acts in opposite sense and cancels in the mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.arrays import Array, Index
+from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
+from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.frames import RigidTransform
+from otf_core.model.joints import Sight
+from otf_core.model.machine import BED, SPINDLE, TABLE, TOOL, Machine
+from otf_core.model.motions import AXES
+from otf_core.model.nodes import table_nodes
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.planning.path_creation import lap_of_box
+from otf_core.rotary.matching import Part, nominal_places
+from otf_core.rotary.reduction import TOGETHER, AxisPieces
+from otf_core.rotary.rows import AxisRun, build_rows
+from otf_core.rotary.solution import AxisSolution, place_equations
+from otf_core.rotary.tabulation import (
+    determined,
+    evenly_spread,
+    field_rows,
+    gauge_matrix,
+    raw_rows,
+)
+from otf_core.rotary.unknowns import bases_of, layout
+from otf_core.solving.normal import normal_equations
+from otf_core.solving.roughness import expected_precision
+from otf_core.solving.solution import solve
+from otf_core.solving.whitener import Whitener
+
+TURN_RATE = np.radians(15.0)
+"""rad/s; rotary axes turn no faster, so that samples at 500 Hz lie 0.03 degrees apart."""
+CREEP = 0.06
+"""m that the reflector creeps while a rotary axis runs through its range."""
+CREEP_CORNER = np.radians(1.0)
+"""rad between corners of a chain in which linear axes follow a rotation."""
+CREEP_PLACES = ((0.5, 0.1, 0.4), (-0.3, 0.45, 0.15), (-0.25, -0.4, 0.6), (0.1, 0.2, 0.85))
+"""Places of the creeping reflector: X, Y in shares of ``REACH`` and its height in shares of it."""
+REACH = 0.2
+"""m; radius about a rotary axis within which the reflector creeps."""
+STOP_TURN, STOP_TIME = np.radians(15.0), 1.0
+"""rad between stops of a rotary axis and s at each."""
+SWEEPS = (1, 2, 3)
+"""Sweeps of the second rotary axis per range of the first, one reflector place after the other."""
+LEVER = 0.2
+"""m; a rotation counts as travel on this radius where a path is cut into pieces."""
+STILL = 1e-4
+"""Travel of the reflector per travel of the axes below which nothing is said across it."""
+SMOOTH = 0.2
+"""Change of the unit direction in the axes below which a corner is driven through."""
+ACCELERATION_TIME = 0.4
+"""s lost at every corner that is not driven through."""
+HAND_MOVE = 60.0
+"""s for taking the reflector to its next place by hand."""
+
+
+@dataclass(frozen=True)
+class PlannedPart:
+    """What is driven with one reflector place in view.
+
+    Attributes
+    ----------
+    path : AxisPath
+    dwell : float
+        s at every corner; 0 drives through smooth ones.
+    words : str
+        What it is.
+    """
+
+    path: AxisPath
+    dwell: float
+    words: str
+
+
+@dataclass(frozen=True)
+class RotaryForecast:
+    """What a plan will show.
+
+    Attributes
+    ----------
+    u : mapping of name to float
+        m or rad; root mean square over the nodes of the standard uncertainty, in the gauge of the
+        tables; of squareness and location errors their own.
+    hidden : mapping of name to str
+        What will not be seen, and why.
+    grid_u : float
+        m; mean uncertainty of error vectors over the driven ranges.
+    duration : float
+        s, without moves by hand.
+    """
+
+    u: Mapping[str, float]
+    hidden: Mapping[str, str]
+    grid_u: float
+    duration: float
+
+
+def positions_of(machine: Machine, **axes: Array | float) -> Array:
+    """Axis positions (n, k) from positions of single axes, the others at rest.
+
+    Axes that are not given stand at zero, or where zero is outside their range in its middle.
+    """
+    count = max(np.atleast_1d(np.asarray(own)).size for own in axes.values())
+    found = np.tile(rest(machine), (count, 1))
+    for name, own in axes.items():
+        found[:, machine.column(name)] = own
+    return found
+
+
+def rest(machine: Machine) -> Array:
+    """Positions (k,) at which axes that a part does not need stand."""
+    own = [machine.axes[a] for a in machine.axis_names]
+    return np.array([0.0 if a.min <= 0.0 <= a.max else 0.5 * (a.min + a.max) for a in own])
+
+
+def box_lines(machine: Machine, levels: int) -> Array:
+    """Lines and diagonals of the linear axes, corners (n, k); rotary axes at rest."""
+    ends = np.array([(machine.axes[a].min, machine.axes[a].max) for a in AXES])
+    box = ends[:, 0] + lap_of_box(levels) * (ends[:, 1] - ends[:, 0])
+    return positions_of(machine, **{a: box[:, k] for k, a in enumerate(AXES)})
+
+
+def there_and_back(corners: Array) -> Array:
+    """Corners followed in reverse: both senses of every leg."""
+    return np.concatenate([corners, corners[-2::-1]])
+
+
+def turn(machine: Machine, axis: str, **others: float) -> Array:
+    """One axis over its range and back: a circle or an arc, corners (3, k)."""
+    ends = np.array([machine.axes[axis].min, machine.axes[axis].max])
+    return there_and_back(positions_of(machine, **{axis: ends}, **others))
+
+
+def turn_together(machine: Machine, first: str, second: str, sweeps: int) -> Array:
+    """Two axes at once: ``second`` sweeps its range several times while ``first`` runs once.
+
+    Beginning at either end of the second, each in both senses; corners (n, k).
+    """
+    a, b = machine.axes[first], machine.axes[second]
+    along = np.linspace(a.min, a.max, sweeps + 1)
+    odd = np.arange(sweeps + 1) % 2 == 1
+    chains = []
+    for start, end in ((b.min, b.max), (b.max, b.min)):
+        chain = positions_of(machine, **{first: along, second: np.where(odd, end, start)})
+        chains.append(there_and_back(chain))
+    return np.concatenate(chains)
+
+
+def spiral(machine: Machine, axis: str, linear: str, low: float, high: float) -> Array:
+    """A linear axis from one position to another while a rotary axis turns, and back."""
+    own = machine.axes[axis]
+    ends = {axis: np.array([own.min, own.max]), linear: np.array([low, high])}
+    return there_and_back(positions_of(machine, **ends))
+
+
+def creep(machine: Machine, axis: str, start: Array, drift: Array, target: str = TOOL) -> Array:
+    """Turn a rotary axis while the linear axes hold the reflector but for a slow drift, and back.
+
+    Parameters
+    ----------
+    machine : Machine
+    axis : str
+    start, drift : ndarray, shape (3,), m
+        First place of the reflector in the frame of the tracker's link, and how far it creeps.
+
+    Returns
+    -------
+    ndarray, shape (n, k), m and rad
+
+    Raises
+    ------
+    ConfigError
+        If a linear axis would leave its range.
+    """
+    own = machine.axes[axis]
+    share = np.linspace(0.0, 1.0, int(np.ceil((own.max - own.min) / CREEP_CORNER)) + 1)
+    q = positions_of(machine, **{axis: own.min + share * (own.max - own.min)})
+    sight = Sight.of_target(machine, target)
+    wanted = np.asarray(start) + share[:, None] * np.asarray(drift)
+    linear = [machine.column(a) for a in AXES]
+    for _ in range(2):  # positions are linear in the linear axes; the second step is rounding
+        seen = sight.at(q)
+        off = (wanted - seen.position)[:, :, None]
+        q[:, linear] += np.linalg.solve(seen.velocity[:, :, linear], off)[:, :, 0]
+    for name in AXES:
+        ends, at = machine.axes[name], q[:, machine.column(name)]
+        out = max(ends.min - at.min(), at.max() - ends.max)
+        if out > 0.0:
+            raise ConfigError(f'creep of {axis}: {name} would leave its range by {out:.3g} m')
+    return there_and_back(q)
+
+
+def stops(machine: Machine, axis: str) -> Array:
+    """Positions of a rotary axis to stop at, corners (n, k)."""
+    own = machine.axes[axis]
+    count = int(np.ceil((own.max - own.min) / STOP_TURN)) + 1
+    return positions_of(machine, **{axis: np.linspace(own.min, own.max, count)})
+
+
+def creeps(machine: Machine, axis: str, target: str) -> list[Array]:
+    """TCP creep at several places in two directions, as far as the linear axes reach."""
+    sight = Sight.of_target(machine, target)
+    nominal = sight.nominal(_middle(machine)[None])[0]
+    own = machine.axes[axis]
+    across = np.array(own.direction)
+    side = np.cross(across, np.eye(3)[np.argmin(np.abs(across))])
+    found = []
+    table = axis in machine.chain.table_side
+    for x, y, z in CREEP_PLACES:
+        at = REACH * np.array([x, y, z])
+        start = np.array(own.centre) + at if table else nominal + 0.5 * at
+        for drift in (CREEP * across, CREEP * side / np.linalg.norm(side)):
+            try:
+                found.append(creep(machine, axis, start - 0.5 * drift, drift, target))
+            except ConfigError:
+                continue
+    return found
+
+
+def _middle(machine: Machine) -> Array:
+    """Linear axes in the middle of their ranges, rotary axes at rest, (k,)."""
+    q = rest(machine)
+    for name in AXES:
+        q[machine.column(name)] = 0.5 * (machine.axes[name].min + machine.axes[name].max)
+    return q
+
+
+def plan_parts(machine: Machine, config: PlannerConfig) -> list[PlannedPart]:
+    """Parts that show what the set-up can show.
+
+    Spindle targets: lines, and TCP creep of every rotary axis between them and the tracker.
+    Targets on the table: circles and arcs of every rotary axis, two rotary axes together, else a
+    linear axis on the table with the rotary one, else stops.
+
+    Raises
+    ------
+    ConfigError
+        If no target moves relative to the tracker.
+    """
+    parts: list[PlannedPart] = []
+    number = 0
+    for name, target in machine.targets.items():
+        seen = [j.name for j in Sight.of_target(machine, name).joints]
+        turning = [a for a in seen if a in machine.rotary_names]
+        if target.link == SPINDLE and parts:  # a second place tells more of the tool side alone
+            turning = [a for a in turning if a in machine.chain.target_side]
+        if target.link == SPINDLE and all(a in seen for a in AXES):
+            parts.append(_part(machine, name, [box_lines(machine, config.levels)], 'lines'))
+        if target.link == SPINDLE:
+            chains = [c for a in turning for c in creeps(machine, a, name)]
+            if chains:
+                words = f'linear axes follow {" and ".join(turning)}, TCP creep'
+                parts.append(_part(machine, name, chains, words))
+        elif turning:
+            linear = [a for a in seen if a in AXES]
+            parts += _table_parts(machine, name, turning, linear, number)
+            number += 1
+    if not parts:
+        raise ConfigError(
+            f'targets: none moves relative to the tracker (link {machine.tracker.link})'
+        )
+    return parts
+
+
+def _table_parts(
+    machine: Machine, name: str, turning: Sequence[str], linear: Sequence[str], number: int
+) -> list[PlannedPart]:
+    """Parts with a reflector on the table."""
+    chains = [turn(machine, a) for a in (*turning, *linear)]
+    words = f'{" and ".join((*turning, *linear))} alone'
+    sweeps = SWEEPS[number % len(SWEEPS)]
+    pairs = [(a, b) for k, a in enumerate(turning) for b in (*turning[k + 1 :], *linear)]
+    for first, second in pairs:
+        wide = max((first, second), key=lambda a: machine.axes[a].max - machine.axes[a].min)
+        other = second if wide == first else first
+        chains.append(turn_together(machine, wide, other, sweeps))
+        words += f', {first} with {second}'
+    parts = [_part(machine, name, chains, words)]
+    if not pairs:
+        halts = _part(machine, name, [stops(machine, turning[0])], f'stops of {turning[0]}')
+        parts.append(PlannedPart(halts.path, STOP_TIME, halts.words))
+    return parts
+
+
+def _part(machine: Machine, name: str, chains: Sequence[Array], words: str) -> PlannedPart:
+    path = AxisPath(machine.axis_names, np.concatenate(chains), name)
+    return PlannedPart(path.of(machine), 0.0, words)
+
+
+def beside(machine: Machine) -> Array:
+    """Default place of a tracker, shape (3,), m: high, on the side to which the table tilts.
+
+    Tilting brings the table's normal to one side; on the other side the table hides its
+    reflectors.
+    """
+    ends = np.array([(machine.axes[a].min, machine.axes[a].max) for a in AXES])
+    side = np.array([-1.0, -1.0, 0.0])
+    table = [a for a in machine.chain.table_side if a in machine.rotary_names]
+    for name in table:
+        axis = machine.axes[name]
+        across = np.cross(np.array(axis.direction), [0.0, 0.0, 1.0])
+        if np.linalg.norm(across) > 0.5:  # an axis that tilts the table
+            # the target turns by +q relative to the table: the table turns by -q
+            most = axis.max if abs(axis.max) > abs(axis.min) else axis.min
+            side = -np.sign(most) * np.cross(np.array(axis.direction), [0.0, 0.0, 1.0])
+            side = side + 0.7 * np.cross(side, [0.0, 0.0, 1.0])
+    middle = ends.mean(axis=1)
+    reach = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0]) + 0.5
+    return np.asarray(middle + reach * np.array([*side[:2] / np.linalg.norm(side[:2]), 0.5]))
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Pieces of one part: places on its path and times."""
+
+    first: Array
+    last: Array
+    time: Array
+    duration: Array
+    stretch: Index
+
+
+def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: float) -> _Cut:
+    """Cut a part into pieces of equal travel, with times at the speed of its slowest leg."""
+    q = part.path.positions
+    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+    legs = np.diff(q, axis=0)
+    length = np.linalg.norm(legs * scale, axis=1)
+    unit = legs * scale / length[:, None]
+    sharp = np.append(True, np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH)
+    stretch = np.cumsum(sharp) - 1
+    turning = np.array([machine.axes[a].rotary for a in machine.axis_names])
+    travel = np.linalg.norm(legs[:, ~turning], axis=1)
+    angle = np.abs(legs[:, turning]).max(axis=1, initial=0.0)
+    per_metre = np.maximum(travel / config.feed, angle / TURN_RATE) / length
+    reach = np.append(0.0, length.cumsum())
+    rows, clock = [], 0.0
+    for k in range(stretch[-1] + 1):
+        own = np.flatnonzero(stretch == k)
+        low, high = reach[own[0]], reach[own[-1] + 1]
+        count = max(1, int(np.ceil((high - low) / piece)))
+        marks = np.linspace(low, high, count + 1)
+        pace = per_metre[own].max()
+        at = np.interp(marks, reach, np.arange(len(reach)))
+        took = np.full(count, (marks[1] - marks[0]) * pace)
+        begin = clock + took[0] * np.arange(count)
+        rows.append((at[:-1], at[1:], begin + 0.5 * took, took, np.full(count, k)))
+        clock += took.sum() + ACCELERATION_TIME + part.dwell
+    first, last, time, took, number = (np.concatenate(own) for own in zip(*rows, strict=True))
+    return _Cut(first, last, time, took, number.astype(np.int64))
+
+
+def _pieces(
+    machine: Machine,
+    part: PlannedPart,
+    number: int,
+    place: Array,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+) -> AxisPieces:
+    """Pieces of a part, or its stops, as a recording would give them."""
+    q, sight = part.path.positions, Sight.of_target(machine, part.path.target)
+    if part.dwell >= STOP_TIME:
+        count, took = len(q), part.dwell
+        points, corner = sight.nominal(q), np.arange(count)
+        zero, whole = np.zeros_like(q), np.full(count, took)
+        return AxisPieces(
+            q=q, step=zero, spread=np.zeros(count), xyz=points - place, nominal=points,
+            direction=np.zeros((count, 3)), part=np.full(count, number), leg=corner,
+            stretch=corner, side=zero, count=np.full(count, int(took * judged.rate)),
+            time=2.0 * took * corner.astype(float), duration=whole, standstill=True,
+        )  # fmt: skip
+    cut = _cut(machine, part, config, CalibrationConfig().piece_length)
+    first, last = position_at(q, cut.first), position_at(q, cut.last)
+    middle = position_at(q, 0.5 * (cut.first + cut.last))
+    along = sight.nominal(last) - sight.nominal(first)
+    size = np.linalg.norm(along, axis=1)
+    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+    samples = np.floor(cut.duration * judged.rate).astype(np.int64)
+    keep = (size > STILL * np.linalg.norm((last - first) * scale, axis=1)) & (samples > 0)
+    own = np.flatnonzero(keep)
+    points, step = sight.nominal(middle[own]), (last - first)[own]
+    inside = np.concatenate([np.arange(np.sum(cut.stretch[own] == k)) // TOGETHER
+                             for k in np.unique(cut.stretch[own])])  # fmt: skip
+    leg = np.cumsum(np.append(0, (np.diff(cut.stretch[own]) != 0) | (np.diff(inside) != 0)))
+    return AxisPieces(
+        q=middle[own], step=step, spread=np.full(len(own), 1.0 / np.sqrt(12.0)),
+        xyz=points - place, nominal=points, direction=along[own] / size[own, None],
+        part=np.full(len(own), number), leg=leg, stretch=cut.stretch[own],
+        side=np.sign(step), count=samples[own], time=cut.time[own], duration=cut.duration[own],
+    )  # fmt: skip
+
+
+def duration_of(machine: Machine, part: PlannedPart, config: PlannerConfig) -> float:
+    """Driving time of a part, s, dwells included."""
+    cut = _cut(machine, part, config, np.inf)
+    ends = len(np.unique(cut.stretch)) * (ACCELERATION_TIME + part.dwell)
+    return float(cut.duration.sum() + ends)
+
+
+def forecast_parts(
+    machine: Machine,
+    parts: Sequence[PlannedPart],
+    place: Array,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+    noise: NoiseModel | None = None,
+) -> RotaryForecast:
+    """Forecast what a calibration with these parts will show.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,), m
+        Beam origin of the tracker in the frame of its link.
+    """
+    limit = CalibrationConfig().unidentifiable_above
+    model = noise or NoiseModel.from_spec(machine.tracker)
+    low, high = _driven(machine, parts)
+    nodes = table_nodes(machine, low, high)
+    free = tuple(n for n, t in machine.targets.items()
+                 if t.u > 0.0 and n in {p.path.target for p in parts})  # fmt: skip
+    unknowns = layout(machine, bases_of(machine, nodes), 1, free)
+    places = nominal_places(machine)
+    pose = RigidTransform(np.eye(3), np.asarray(place, dtype=float))
+    measured = tuple(Part(p.path, 0, 0) for p in parts)
+    normal = place_equations(machine, unknowns, places)
+    for k, part in enumerate(parts):
+        pieces = _pieces(machine, part, k, pose.translation, config, judged)
+        run = AxisRun(machine, measured, pieces, pose, places, places, 0, '', free)
+        rows = cast(Any, build_rows(run, unknowns, None))
+        whitener = Whitener.of(rows, cast(Any, pieces), model)
+        normal = normal + normal_equations(rows, unknowns, whitener)
+    accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
+    prior = expected_precision(unknowns, limit, judged.error_size)
+    solution = solve(normal, unknowns, limit, accepted, prior)
+    done = AxisSolution(
+        machine, unknowns, solution, cast(Any, None), normal, (), (pose,), places, 0
+    )
+    values = gauge_matrix(machine, nodes) @ raw_rows(done, nodes)
+    cover = values @ solution.covariance @ values.T
+    seen = determined(done, values, limit)
+    u, hidden = _by_name(machine, nodes, np.sqrt(np.maximum(np.diag(cover), 0.0)), seen)
+    field = field_rows(machine, nodes, evenly_spread(low, high))
+    variance = np.einsum('ij,ij->i', field @ cover, field).reshape(-1, 3).sum(axis=1)
+    return RotaryForecast(
+        u,
+        {n: why_hidden(machine, parts, n) for n in hidden},
+        float(np.sqrt(np.maximum(variance, 0.0)).mean()),
+        sum(duration_of(machine, p, config) for p in parts),
+    )
+
+
+def _driven(machine: Machine, parts: Sequence[PlannedPart]) -> tuple[Array, Array]:
+    q = np.concatenate([p.path.positions for p in parts])
+    return q.min(axis=0), q.max(axis=0)
+
+
+def _by_name(
+    machine: Machine, nodes: Mapping[str, Array], u: Array, seen: NDArray[np.bool_]
+) -> tuple[dict[str, float], list[str]]:
+    """Uncertainty of every error, and those of which most nodes are not determined."""
+    found, hidden = {}, []
+    start = len(machine.scalars)
+    for k, name in enumerate(machine.scalars):
+        found[name] = float(u[k])
+        if not seen[k]:
+            hidden.append(name)
+    for motion in machine.motions:
+        own = slice(start, start + len(nodes[motion.axis]))
+        start = own.stop
+        loose = u[own] > 0.0
+        found[str(motion)] = float(np.sqrt(np.mean(u[own] ** 2)))
+        if not loose.any() or np.mean(seen[own][loose]) <= 0.5:
+            hidden.append(str(motion))
+    return found, hidden
+
+
+def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str:
+    """Say by the rank condition why an error will not be seen, and what would show it."""
+    axis = name[-1]
+    moved = [p for p in parts if axis in _seen(machine, p) and _travels(machine, p, axis)]
+    if not moved:
+        return f'no part moves {axis} between tracker and reflector'
+    turns = axis in machine.rotary_names
+    angular = name[1] == axis or name in machine.location
+    if (
+        turns
+        and angular
+        and not any(_combined(machine, p, axis) or p.dwell >= STOP_TIME for p in moved)
+    ):
+        return (
+            f'every leg that turns {axis} moves nothing else: the direction of travel, which is '
+            f'left out, is the one in which {name} acts. Drive another axis at the same time, '
+            f'in both senses, or stop'
+        )
+    table = {p.path.target for p in moved if machine.targets[p.path.target].link == TABLE}
+    if turns and 0 < len(table) < 3 and machine.tracker.link == BED:
+        return f'{len(table)} reflector place(s) on the table; three, not in line with {axis}'
+    tools = {p.path.target for p in moved if machine.targets[p.path.target].link == SPINDLE}
+    if len(tools) == 1:
+        return 'one reflector place on the tool side; a second one of other length or off the axis'
+    return 'all reflectors lie on the line about which it turns them'
+
+
+def _seen(machine: Machine, part: PlannedPart) -> set[str]:
+    """Axes between the tracker and the reflector of a part."""
+    return {j.name for j in Sight.of_target(machine, part.path.target).joints}
+
+
+def _travels(machine: Machine, part: PlannedPart, axis: str) -> bool:
+    return bool(np.ptp(part.path.positions[:, machine.column(axis)]) > 0.0)
+
+
+def _combined(machine: Machine, part: PlannedPart, axis: str) -> bool:
+    """Tell whether a part turns an axis while another one in view moves."""
+    steps = np.abs(np.diff(part.path.positions, axis=0)) > 0.0
+    others = [machine.column(a) for a in _seen(machine, part) if a != axis]
+    return bool(np.any(steps[:, machine.column(axis)] & steps[:, others].any(axis=1)))

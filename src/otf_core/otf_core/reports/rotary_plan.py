@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``otf plan`` writes of a machine with rotary axes: plan.json, path.mcap, forecast.txt.
+
+plan.json (``otf-rotary-plan/1``), SI units: machine, place of the tracker in the frame of its
+link, parts with target, axis positions at the corners, dwell and duration, and the forecast.
+path.mcap holds the parts as ``/planner/axes`` messages.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from otf_core.arrays import Array
+from otf_core.bags.bag import write_axis_paths
+from otf_core.files.writing import write_text
+from otf_core.model.machine import BED, Machine
+from otf_core.model.motions import unit_of
+from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart, RotaryForecast
+
+SCHEMA = 'otf-rotary-plan/1'
+
+
+@dataclass(frozen=True)
+class RotaryPlan:
+    """A plan with its forecast.
+
+    Attributes
+    ----------
+    parts : sequence of PlannedPart
+    durations : sequence of float
+        s, of every part.
+    place : ndarray, shape (3,), m
+        Beam origin of the tracker in the frame of its link.
+    """
+
+    machine: Machine
+    parts: Sequence[PlannedPart]
+    durations: Sequence[float]
+    place: Array
+    forecast: RotaryForecast
+
+
+def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a plan as plain data in the layout of plan.json."""
+    found = plan.forecast
+    return {
+        'schema': SCHEMA,
+        'machine': plan.machine.to_dict(),
+        'tracker': {'link': plan.machine.tracker.link, 'place': plan.place.tolist()},
+        'axes': list(plan.machine.axis_names),
+        'parts': [
+            {
+                'target': part.path.target,
+                'words': part.words,
+                'dwell': part.dwell,
+                'duration': duration,
+                'positions': part.path.positions.tolist(),
+            }
+            for part, duration in zip(plan.parts, plan.durations, strict=True)
+        ],
+        'forecast': {
+            'duration': found.duration,
+            'grid_u': found.grid_u,
+            'u': {n: {'u': u, 'unit': unit_of(n)} for n, u in found.u.items()},
+            'hidden': dict(found.hidden),
+        },
+        'provenance': dict(about),
+    }
+
+
+def plan_words(plan: RotaryPlan) -> str:
+    """Return the plan in words: parts, what will be seen how well, what not and why."""
+    machine, found = plan.machine, plan.forecast
+    link = 'bed' if machine.tracker.link == BED else 'table'
+    at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
+    order = [part.path.target for part in plan.parts]
+    moves = sum(a != b for a, b in pairwise(order))
+    lines = [
+        f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
+        f'{found.duration / 60:.1f} min of driving, {moves} moves of the reflector by hand '
+        f'(about {moves * HAND_MOVE / 60:.0f} min); the tracker stays where it is throughout',
+        '',
+    ]
+    for part, duration in zip(plan.parts, plan.durations, strict=True):
+        lines.append(f'  {part.path.target:10s} {duration / 60:5.1f} min  {part.words}')
+    lines += [
+        '',
+        f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * found.grid_u:.2f} um '
+        f'on average over the ranges driven; of errors (um, urad; root mean square of the nodes):',
+    ]
+    shown = [n for n in found.u if n not in found.hidden]
+    groups = [list(machine.squareness), list(machine.location)]
+    groups += [[str(m) for m in machine.motions if m.axis == a] for a in machine.axis_names]
+    for group in groups:
+        own = [f'{n} {1e6 * found.u[n]:.2f}' for n in group if n in shown]
+        if own:
+            lines.append('  ' + ', '.join(own))
+    if found.hidden:
+        lines += ['', 'Will not be seen:']
+        lines += [f'  {name}: {why}' for name, why in found.hidden.items()]
+    return '\n'.join(lines) + '\n'
+
+
+def write_plan(plan: RotaryPlan, folder: Path, about: Mapping[str, Any]) -> list[Path]:
+    """Write plan.json, path.mcap and forecast.txt; return their paths."""
+    files = [folder / name for name in ('plan.json', 'path.mcap', 'forecast.txt')]
+    write_text(files[0], json.dumps(plan_to_dict(plan, about), indent=1) + '\n')
+    write_axis_paths(files[1], [part.path for part in plan.parts])
+    write_text(files[2], plan_words(plan))
+    return files

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths for rotary axes and what they show; judged by the rank condition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from otf_core.bags.bag import write_axis_paths
+from otf_core.bags.bag_reading import BagReading
+from otf_core.bags.rosbag2_metadata import PATH, POINT
+from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
+from otf_core.model.axis_path import AxisPath
+from otf_core.model.joints import Sight
+from otf_core.model.machine import machine_from_dict
+from otf_core.planning import rotary_paths as paths
+
+FEED = PlannerConfig(feed=0.1, levels=2)
+PLACES = {'a': [0.2, 0.03, 0.1], 'b': [-0.09, 0.16, 0.06], 'c': [-0.07, -0.17, 0.13]}
+
+
+def trunnion(link='b', nests=3):
+    nest = {n: {'link': 'w', 'place': p, 'u': 1e-3} for n, p in list(PLACES.items())[:nests]}
+    linear = {'X': (-0.3, 0.3), 'Y': (-0.25, 0.25), 'Z': (0.0, 0.6)}
+    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.1} for a, (lo, hi) in linear.items()}
+    axes['A'] = {'kind': 'rotary', 'min': -0.5, 'max': 1.9, 'table_pitch': 0.3,
+                 'direction': [1, 0, 0], 'centre': [0, 0, 0.05]}  # fmt: skip
+    axes['C'] = {'kind': 'rotary', 'min': 0.0, 'max': 6.2832, 'table_pitch': 0.5236,
+                 'direction': [0, 0, 1], 'centre': [0, 0, 0], 'endless': True}  # fmt: skip
+    return machine_from_dict({
+        'name': 'trunnion', 'chain': 'w-C-A-b-Y-X-Z-t', 'axes': axes,
+        'target_offset': [0.0, 0.0, -0.15],
+        'tracker': {'u_range': 5e-7, 'u_angle': 2e-6, 'link': link},
+        'targets': {'long': {'link': 't', 'place': [0.0, 0.0, -0.25], 'u': 0.0}}
+        | (nest if link == 'b' else {}),
+    })  # fmt: skip
+
+
+def part(machine, name, *chains):
+    q = np.concatenate(chains)
+    return paths.PlannedPart(AxisPath(machine.axis_names, q, name).of(machine), 0.0, '')
+
+
+def judged(machine, parts):
+    place = paths.beside(machine)
+    return paths.forecast_parts(machine, parts, place, FEED, ForecastConfig())
+
+
+@pytest.fixture(scope='module')
+def lines():
+    machine = trunnion()
+    box = paths.box_lines(machine, 2)
+    return [part(machine, name, box) for name in ('tool', 'long')]
+
+
+def test_circles_alone_hide_angular_positioning_and_say_why(lines):
+    machine = trunnion()
+    alone = [part(machine, n, paths.turn(machine, 'C'), paths.turn(machine, 'A')) for n in PLACES]
+    found = judged(machine, lines + alone)
+    assert {'ECC', 'EAA'} <= set(found.hidden)
+    assert not {'EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'X0C', 'Y0C'} & set(found.hidden)
+    assert 'moves nothing else' in found.hidden['ECC']
+
+
+def test_two_rotary_axes_together_leave_only_the_roll_of_the_spindle():
+    machine = trunnion()
+    plan = paths.plan_parts(machine, FEED)
+    found = judged(machine, plan)
+    assert set(found.hidden) == {'ECX', 'ECZ'}
+    rotary = [p for p in plan if p.path.target in PLACES]
+    assert sum(paths.duration_of(machine, p, FEED) for p in rotary) < 600.0
+    assert found.u['ECC'] < 5e-6
+    assert found.u['EAA'] < 4e-6
+    assert found.u['A0C'] < 1.5e-6
+
+
+def test_one_reflector_place_on_the_table_is_too_few():
+    machine = trunnion(nests=1)
+    found = judged(machine, paths.plan_parts(machine, FEED))
+    three = judged(trunnion(), paths.plan_parts(trunnion(), FEED))
+    assert found.u['EAC'] > 3.0 * three.u['EAC']
+
+
+def test_a_tracker_on_the_table_sees_all_by_creep():
+    machine = trunnion('w')
+    plan = paths.plan_parts(machine, FEED)
+    assert {p.path.target for p in plan if 'creep' in p.words} == {'tool'}
+    found = judged(machine, plan)
+    assert set(found.hidden) == {'ECX', 'ECZ'}
+    assert found.u['ECC'] < 2e-6
+
+
+def test_lines_alone_show_no_rotary_axis_and_name_the_reason(lines):
+    machine = trunnion()
+    still = [n for n in (*machine.location, *machine.motions) if n[-1] in 'AC']
+    for name in still:
+        assert 'no part moves' in paths.why_hidden(machine, lines, str(name))
+
+
+def test_stops_show_angular_positioning_of_a_single_rotary_axis():
+    data = trunnion().to_dict()
+    data['chain'] = 'w-C-b-Y-X-Z-t'
+    del data['axes']['A']
+    machine = machine_from_dict(data)
+    plan = paths.plan_parts(machine, FEED)
+    assert any(p.dwell for p in plan)
+    assert 'ECC' not in judged(machine, plan).hidden
+    without = [p for p in plan if not p.dwell]
+    assert 'ECC' in judged(machine, without).hidden
+
+
+def test_creep_moves_the_reflector_along_the_drift_alone():
+    machine = trunnion('w')
+    start, drift = np.array([0.1, 0.02, 0.1]), np.array([0.0, 0.0, 0.06])
+    for axis in ('A', 'C'):
+        q = paths.creep(machine, axis, start, drift)
+        p = Sight.of_target(machine, 'tool').nominal(q)
+        half = len(q) // 2
+        expected = start + np.linspace(0.0, 1.0, half + 1)[:, None] * drift
+        np.testing.assert_allclose(p[: half + 1], expected, atol=1e-12)
+        np.testing.assert_allclose(q, q[::-1], atol=0.0)
+
+
+def test_creep_beyond_a_linear_axis_is_refused_by_its_name():
+    with pytest.raises(ConfigError, match='X would leave its range'):
+        paths.creep(trunnion('w'), 'C', np.array([0.5, 0.0, 0.1]), np.array([0.0, 0.0, 0.06]))
+
+
+@pytest.mark.parametrize('link', ['b', 'w'])
+def test_every_leg_of_several_axes_is_driven_in_both_senses(link):
+    machine = trunnion(link)
+    for planned in paths.plan_parts(machine, FEED):
+        q = planned.path.positions
+        rotary = [machine.column(a) for a in machine.rotary_names]
+        step = np.abs(np.diff(q, axis=0)) > 1e-9
+        mixed = step[:, rotary].any(axis=1) & (step.sum(axis=1) > 1)
+        legs = {(tuple(a), tuple(b)) for a, b in zip(q[:-1].round(9), q[1:].round(9), strict=True)}
+        own = [(tuple(q[k].round(9)), tuple(q[k + 1].round(9))) for k in np.flatnonzero(mixed)]
+        single = sum((b, a) not in legs for a, b in own)
+        chains = 1 if link == 'b' else 20  # links between chains are driven once
+        assert single <= chains
+
+
+def test_tracker_stands_where_the_table_tilts_to():
+    machine = trunnion()
+    assert paths.beside(machine)[1] > 0.25
+    other = {**machine.axes, 'A': replace(machine.axes['A'], direction=(-1.0, 0.0, 0.0))}
+    assert paths.beside(replace(machine, axes=other))[1] < -0.25
+
+
+def test_parts_come_back_from_their_file(tmp_path):
+    machine = trunnion()
+    plan = [p.path for p in paths.plan_parts(machine, FEED)]
+    write_axis_paths(tmp_path / 'path.mcap', plan)
+    found = BagReading(tmp_path / 'path.mcap', POINT, PATH).axis_paths
+    assert [p.target for p in found] == [p.target for p in plan]
+    for one, other in zip(found, plan, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
