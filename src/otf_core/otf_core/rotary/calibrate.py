@@ -146,22 +146,7 @@ def _calibrated(
 ) -> AxisCalibration:
     check_same_machine(recordings)
     machine = recordings[0].machine
-    progress('aligning', 0.0)
-    matched: list[Matched] = []
-    notes: list[str] = []
-    for k, recording in enumerate(recordings):
-        with errors_of(recording.name):
-            known = matched[0] if same_station and matched else None
-            found = match(
-                recording.samples,
-                recording.machine,
-                recording.axis_paths,
-                known.pose if known else None,
-                known.places if known else None,
-            )
-            notes += check_matched(recording.samples, found, recording.axis_paths)
-            matched.append(found)
-        progress('aligning', (k + 1) / (len(recordings) + 1))
+    matched, notes = _match_all(recordings, progress, same_station)
     low, high = driven_ranges(machine, matched)
     nodes = table_nodes(machine, low, high)
     places = common_places(machine, matched)
@@ -207,6 +192,29 @@ def _calibrated(
     assert done is not None
     result = _assembled(recordings, matched, done, config, method, (low, high), before)
     return replace(result, warnings=(*notes, *result.warnings))
+
+
+def _match_all(
+    recordings: Sequence[Recording], progress: Progress, same_station: bool
+) -> tuple[list[Matched], list[str]]:
+    """Match all recordings; also what is to be noted of them."""
+    matched: list[Matched] = []
+    notes: list[str] = []
+    progress('aligning', 0.0)
+    for k, recording in enumerate(recordings):
+        with errors_of(recording.name):
+            known = matched[0] if same_station and matched else None
+            found = match(
+                recording.samples,
+                recording.machine,
+                recording.axis_paths,
+                known.pose if known else None,
+                known.places if known else None,
+            )
+            notes += check_matched(recording.samples, found, recording.axis_paths)
+            matched.append(found)
+        progress('aligning', (k + 1) / (len(recordings) + 1))
+    return matched, notes
 
 
 def _located(

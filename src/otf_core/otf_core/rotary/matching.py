@@ -36,6 +36,10 @@ KNOWN = 1e-4
 ROUNDS = 12
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
+WIDEST, NARROWEST = 0.15, 0.03
+"""m; arc length about the expected one within which a track is matched, first and last."""
+LEAST_OFF = 3e-6
+"""m; nearer points count alike."""
 NEAR = 2e-4
 """m; change of pose and places below which samples keep their legs."""
 HALF_CHORD, LONGEST_STEP = 2e-3, 5e-3
@@ -276,7 +280,7 @@ def _refined(
     column = {name: 6 + 3 * k for k, name in enumerate(free)}
     first = 6 + 3 * len(free)
     size = first + len(location)
-    band, far = 0.15, True
+    band, far = WIDEST, True
     for _ in range(ROUNDS):
         normal, right = np.zeros((size, size)), np.zeros(size)
         for name, at in column.items():
@@ -292,27 +296,14 @@ def _refined(
             points = pose.apply(f.track.xyz)
             if far:
                 f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
-            place = curve.place_at(f.reach)
-            sight = sight_at(actual, f.part.path.target, known)
-            place, seen, tangent = closest(sight, curve, place, points)
-            f.reach = curve.reach_at(place)
-            off = points - seen.position
-            off -= tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
-            weight = 1.0 / np.maximum(np.linalg.norm(off, axis=1), 3e-6)
-            rows = np.zeros((len(points), 3, size))
-            rows[:, :, :3] = np.eye(3)
-            for k in range(3):
-                rows[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
             name = f.part.path.target
-            if name in column:
-                inner = np.eye(3)[None] if seen.inner is None else seen.inner
-                rows[:, :, column[name] : column[name] + 3] = -inner
-            for k, scalar in enumerate(location, start=first):
-                if scalar in seen.scalars:
-                    rows[:, :, k] = -seen.scalars[scalar]
-            rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
-            normal += np.einsum('n,nij,nik->jk', weight, rows, rows, optimize=True)
-            right -= np.einsum('n,nij,ni->j', weight, rows, off, optimize=True)
+            place, seen, tangent = closest(
+                sight_at(actual, name, known), curve, curve.place_at(f.reach), points
+            )
+            f.reach = curve.reach_at(place)
+            own = {scalar: k for k, scalar in enumerate(location, start=first)}
+            matrix, side = _equations(points, seen, tangent, column.get(name), own, size)
+            normal, right = normal + matrix, right + side
         step = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0], dtype=np.float64)
         pose = pose.moved_by(step[:3], step[3:6])
         for name, at in column.items():
@@ -320,11 +311,38 @@ def _refined(
         for k, scalar in enumerate(location, start=first):
             location[scalar] += float(step[k])
         actual = with_lines(machine, location)
-        band = max(0.03, 0.5 * band)
+        band = max(NARROWEST, 0.5 * band)
         far = float(np.abs(step[[0, 1, 2, *range(6, first)]]).max()) > NEAR
         if np.abs(step[[0, 1, 2, *range(6, size)]]).max() < SETTLED * 100:
             break
     return pose, known, location
+
+
+def _equations(
+    points: Array,
+    seen: Seen,
+    tangent: Array,
+    at_place: int | None,
+    at_lines: Mapping[str, int],
+    size: int,
+) -> tuple[Array, Array]:
+    """Normal equations of the deviations of points across their curve, robustly weighted."""
+    off = points - seen.position
+    off = off - tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
+    weight = 1.0 / np.maximum(np.linalg.norm(off, axis=1), LEAST_OFF)
+    rows = np.zeros((len(points), 3, size))
+    rows[:, :, :3] = np.eye(3)
+    for k in range(3):
+        rows[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
+    if at_place is not None:
+        rows[:, :, at_place : at_place + 3] = -np.eye(3) if seen.inner is None else -seen.inner
+    for scalar, k in at_lines.items():
+        if scalar in seen.scalars:
+            rows[:, :, k] = -seen.scalars[scalar]
+    rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
+    normal = np.einsum('n,nij,nik->jk', weight, rows, rows, optimize=True)
+    right = -np.einsum('n,nij,ni->j', weight, rows, off, optimize=True)
+    return np.asarray(normal), np.asarray(right)
 
 
 def with_lines(machine: Machine, location: Mapping[str, float]) -> Machine:
