@@ -12,7 +12,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import read_json
+from otf_core.files.strict_yaml import read_json, shortened
 from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_lengths
 from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
@@ -139,7 +139,9 @@ def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
         raise ConfigError(f'{name}: cannot be read ({error})') from None
     head = lines[0].replace(' ', '').lower() if lines else ''
     if sorted(head.split(',')) != sorted(header.split(',')):
-        raise ConfigError(f'{name}: has the header {head[:60]!r}; expected {header}, in m and rad')
+        raise ConfigError(
+            f'{name}: has the header {shortened(head, 60)!r}; expected {header}, in m and rad'
+        )
     order = [head.split(',').index(a.lower()) for a in axes]
     rows = []
     for number, line in enumerate(lines[1:], start=2):
@@ -151,7 +153,7 @@ def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
             values = []
         if len(values) != len(axes) or not np.all(np.isfinite(values)):
             raise ConfigError(
-                f'{name}: line {number}: expected {len(axes)} numbers, got {line[:60]!r}'
+                f'{name}: line {number}: expected {len(axes)} numbers, got {shortened(line, 60)!r}'
             )
         rows.append([values[k] for k in order])
     if not rows:
