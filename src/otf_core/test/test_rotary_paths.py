@@ -151,6 +151,19 @@ def test_tracker_stands_where_the_table_tilts_to():
     assert paths.beside(replace(machine, axes=other))[1] < -0.25
 
 
+def test_the_table_hides_its_reflectors_from_the_other_side():
+    machine = trunnion()
+    place = paths.beside(machine)
+    good = paths.sight_share(machine, 'a', place)
+    bad = paths.sight_share(machine, 'a', place * [1.0, -1.0, 1.0])
+    assert good.open > 0.95 > 0.7 > bad.open
+    assert all(a <= b for a, b in zip(good.facings, good.facings[1:], strict=False))
+    assert good.facings[-1] > 0.8
+    paths.check_side(machine, place)
+    with pytest.raises(ConfigError, match='the side to which it tilts'):
+        paths.check_side(machine, place * [1.0, -1.0, 1.0])
+
+
 def test_parts_come_back_from_their_file(tmp_path):
     machine = trunnion()
     plan = [p.path for p in paths.plan_parts(machine, FEED)]
