@@ -20,10 +20,11 @@ from bag_cells import (
 )
 from cli_cells import run, write_points
 
+from otf_core.bags.bag import points_of
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_moments import read_moments
 from otf_core.inputs.path_file import read_path, read_points
-from otf_core.inputs.recordings import Given, read_content, read_samples
+from otf_core.inputs.recordings import Given, open_reading, read_content
 from otf_core.inputs.text_points import TextReading
 
 STAMPS = START + 2_000_000 * np.arange(50)
@@ -220,10 +221,10 @@ def test_a_text_of_one_sample_or_without_times_is_refused_for_that(tmp_path, tim
     file = tmp_path / 'run.csv'
     file.write_text(f'time_s,x,y,z\n{time},1.0,0.2,0.3\n')
     with pytest.raises(InputError, match=r'run\.csv: samples: one sample only'):
-        read_samples(file)
+        points_of(open_reading(file, Given()), file)
     file.write_text('time_s,x,y,z\n' + '0,1.0,0.2,0.3\n' * 9)
     with pytest.raises(InputError, match='time_s in s: all 9 times are zero'):
-        read_samples(file)
+        points_of(open_reading(file, Given()), file)
 
 
 def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
@@ -356,7 +357,7 @@ def test_samples_of_another_child_are_left_out(tmp_path):
         for k, (t, p) in enumerate(zip(STAMPS, XYZ, strict=True))
     ]
     bag = write_mcap(tmp_path / 'run.mcap', messages)
-    samples = read_samples(bag, Given(topic='/tf_point'))
+    samples = points_of(open_reading(bag, Given(topic='/tf_point')), bag)
     np.testing.assert_array_equal(samples.xyz, np.delete(XYZ, 7, axis=0))
 
 
@@ -370,3 +371,17 @@ def test_a_path_that_is_given_takes_the_place_of_that_of_a_bag(tmp_path):
     np.testing.assert_array_equal(content.samples.xyz, CONTENT.samples.xyz)
     with pytest.raises(ConfigError, match='--columns'):
         read_content([bag], Given(columns='x,y,z'))
+
+
+def test_lines_left_out_are_counted_in_the_answers(tmp_path, capsys):
+    rows = [
+        f'{0.002 * k:.3f},{0.1 + 1e-4 * k:.5f},0.2,{0.3 + 1e-6 * (k % 7):.6f}' for k in range(900)
+    ]
+    rows[100] = '0.200,lost,0.2,0.3'
+    file = tmp_path / 'samples.csv'
+    file.write_text('\n'.join(['t_s,x_m,y_m,z_m', *rows]) + '\n')
+    for verb in ('check', 'info'):
+        run(verb, file, '--json')
+        data = json.loads(capsys.readouterr().out)
+        (found,) = data.get('facts', data)['left_out']
+        assert (found['lines'], found['first_line']) == (1, 102) and found['reason']

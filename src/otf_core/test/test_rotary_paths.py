@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.joints import Sight
-from otf_core.model.machine import machine_from_dict
+from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.planning import rotary_paths as paths
 
 FEED = PlannerConfig(feed=0.1, levels=2)
@@ -151,6 +152,19 @@ def test_tracker_stands_where_the_table_tilts_to():
     assert paths.beside(replace(machine, axes=other))[1] < -0.25
 
 
+def test_the_table_hides_its_reflectors_from_the_other_side():
+    machine = trunnion()
+    place = paths.beside(machine)
+    good = paths.sight_share(machine, 'a', place)
+    bad = paths.sight_share(machine, 'a', place * [1.0, -1.0, 1.0])
+    assert good.open > 0.95 > 0.7 > bad.open
+    assert all(a <= b for a, b in zip(good.facings, good.facings[1:], strict=False))
+    assert good.facings[-1] > 0.8
+    paths.check_side(machine, place)
+    with pytest.raises(ConfigError, match='the side to which it tilts'):
+        paths.check_side(machine, place * [1.0, -1.0, 1.0])
+
+
 def test_parts_come_back_from_their_file(tmp_path):
     machine = trunnion()
     plan = [p.path for p in paths.plan_parts(machine, FEED)]
@@ -159,3 +173,28 @@ def test_parts_come_back_from_their_file(tmp_path):
     assert [p.target for p in found] == [p.target for p in plan]
     for one, other in zip(found, plan, strict=True):
         np.testing.assert_array_equal(one.positions, other.positions)
+
+
+def test_the_page_on_five_axes_states_what_the_planner_says():
+    root = next(p for p in Path(__file__).resolve().parents if (p / 'examples').is_dir())
+    machine = load_machine(root / 'examples' / 'trunnion.yaml')
+    page = (root / 'docs' / 'five-axes.md').read_text()
+    row = next(line for line in page.splitlines() if line.startswith('| and A with C'))
+    minutes, place, c_line, a_line, radial, tilt, ecc, eaa, a_tilt = (
+        float(cell) for cell in row.split('|')[2:11]
+    )
+    config = PlannerConfig()
+    plan = paths.plan_parts(machine, config)
+    found = paths.forecast_parts(machine, plan, paths.beside(machine), config, ForecastConfig())
+    rotary = [p for p in plan if p.path.target.startswith('nest')]
+    assert sum(paths.duration_of(machine, p, config) for p in rotary) / 60 == pytest.approx(
+        minutes, abs=0.1
+    )
+    stated = {
+        ('X0C', 'Y0C', 'Y0A', 'Z0A'): place, ('A0C', 'B0C'): c_line, ('B0A', 'C0A'): a_line,
+        ('EXC', 'EYC', 'EZC'): radial, ('EAC', 'EBC'): tilt, ('ECC',): ecc, ('EAA',): eaa,
+        ('EBA', 'ECA'): a_tilt,
+    }  # fmt: skip
+    for names, value in stated.items():
+        assert max(1e6 * found.u[n] for n in names) == pytest.approx(value, abs=0.06), names
+    assert set(found.hidden) == {'ECX', 'ECZ'}

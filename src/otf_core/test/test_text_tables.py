@@ -12,6 +12,7 @@ from table_texts import COUNT, HEAD, KINDS, LEFT_OUT, READ, REFUSED, ROWS, XYZ, 
 
 from otf_core.cli.parser import Parser
 from otf_core.errors import ConfigError, InputError
+from otf_core.files.strict_yaml import shortened
 from otf_core.inputs.path_file import read_points
 from otf_core.inputs.recordings import Given, read_recording
 from otf_core.inputs.text_points import TextReading
@@ -203,3 +204,16 @@ def test_the_grammar_in_the_docs_is_that_of_these_texts():
 def test_a_track_in_another_unit_than_its_path_has_it_named(ratio, words):
     said = no_match.unit_by_size(ratio)
     assert words in said and bool(words) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ('text', 'length', 'short'),
+    [
+        ('a, 123.456, b', 9, 'a, ...'),
+        ('abc def ghi', 6, 'abc de ...'),
+        ('x 12345', 5, 'x ...'),
+        ('x 12345', 7, 'x 12345'),
+    ],
+)
+def test_text_of_a_message_is_not_cut_inside_a_number(text, length, short):
+    assert shortened(text, length) == short

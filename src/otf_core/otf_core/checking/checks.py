@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
 from otf_core.errors import InputError
+from otf_core.files.text_table import LeftOut
 from otf_core.inputs.recordings import AS_IT_IS, Given, open_reading
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -59,6 +60,8 @@ class Seen:
         Of the tables.
     remarks : tuple of str
         What was repaired while it was read.
+    left_out : tuple of LeftOut
+        Lines of a text table that are not samples.
     said : tuple of str
         How it was read, where that is not as usual.
     refused : mapping of step to str
@@ -77,6 +80,7 @@ class Seen:
     findings: tuple[Finding, ...] = ()
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     said: tuple[str, ...] = ()
     refused: Mapping[str, str] | None = None
 
@@ -133,7 +137,7 @@ def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusa
         with refused.of('points', source):
             reading.require(reading.point)
             received = received_of(reading, source, remarks)
-            seen = replace(seen, received=received)
+            seen = replace(seen, received=received, left_out=tuple(reading.left_out))
             screening = Screening()
             screening.foreign(reading.foreign)
             raw = received.stamp_ns, received.xyz
@@ -245,6 +249,7 @@ def _check_content(seen: Seen) -> Checked:
     facts = {
         'topics': dict(seen.topics),
         'samples': 0 if seen.received is None else len(seen.received.stamp_ns),
+        'left_out': list(map(asdict, seen.left_out)),
     }
     problems = errors(*(seen.why(step) for step in ('bag', 'points', 'path')))
     return Checked('; '.join(parts), facts, problems + warnings(*seen.remarks))

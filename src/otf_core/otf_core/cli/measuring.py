@@ -229,7 +229,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
-    from otf_core.inputs.recordings import read_samples
+    from otf_core.bags.bag import points_of
+    from otf_core.inputs.recordings import open_reading
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
     from otf_core.reports.noise_report import format_noise, write_noise
@@ -237,12 +238,15 @@ def run_noise(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
     with progress_of(arguments, 'looking at standstills'):
-        samples = read_samples(arguments.bag, given_of(arguments))
+        reading = open_reading(arguments.bag, given_of(arguments))
+        samples = points_of(reading, arguments.bag)
         try:
             report = noise_report(samples, speed)
         except OtfError as error:
             raise type(error)(f'{arguments.bag}: {error}') from None
-        origin = origin_of(Path(arguments.bag).name, samples)
+        origin = dataclasses.replace(
+            origin_of(Path(arguments.bag).name, samples), left_out=tuple(reading.left_out)
+        )
         with out.filled('noise') as folder:
             files = write_noise(report, folder, provenance('noise', runs=[origin]))
     answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
@@ -344,7 +348,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     states = examine()
     lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
     wrong = [s for s in states if s.severity != OK]
-    lines += ['', f'{len(wrong)} things to look at' if wrong else 'nothing is wrong']
+    lines += ['', f'{len(wrong)} items need attention' if wrong else 'no problems found']
     healthy = all(s.severity != ERROR for s in states)
     parts = [dataclasses.asdict(s) for s in states]
     answer(arguments, '\n'.join(lines), {'healthy': healthy, 'parts': parts})
@@ -352,7 +356,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Say what a file is and says."""
+    """Identify a file and summarise its contents."""
     from otf_core.info.explain import explain
 
     kind, found = explain(arguments.file)

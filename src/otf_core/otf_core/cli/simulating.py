@@ -236,7 +236,14 @@ def _plan_rotary(
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
     from otf_core.planning.plan_report import read_place
-    from otf_core.planning.rotary_paths import beside, duration_of, forecast_parts, plan_parts
+    from otf_core.planning.rotary_paths import (
+        beside,
+        check_side,
+        duration_of,
+        forecast_parts,
+        plan_parts,
+        sights,
+    )
     from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
 
     for option in ('path', 'after', 'time_budget', 'wanted_uncertainty', 'dialect'):
@@ -246,6 +253,7 @@ def _plan_rotary(
             )
     given = arguments.tracker_place
     place = beside(machine) if given is None else np.array(read_place(given))
+    check_side(machine, place)
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
     with progress_of(arguments, 'choosing lines', PLAN) as progress:
@@ -253,7 +261,7 @@ def _plan_rotary(
         progress('forecasting', 0.0)
         found = forecast_parts(machine, parts, place, config, judged, noise)
         durations = [duration_of(machine, part, config) for part in parts]
-        plan = RotaryPlan(machine, parts, durations, place, found)
+        plan = RotaryPlan(machine, parts, durations, place, found, sights(machine, place))
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             files = write_plan(plan, folder, about)

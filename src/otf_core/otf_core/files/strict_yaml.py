@@ -64,6 +64,8 @@ _WORDS = reprlib.Repr()
 _WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
 _WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _MAX_SHOWN_LETTERS = 250
+_NUMBER_PARTS = re.compile(r'[\d.]')
+_NUMBER_AT_END = re.compile(r'[+-]?\d[\d.]*(?:[eE][+-]?\d*)?$')
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
 
@@ -74,7 +76,16 @@ def shown(value: Any) -> str:
         text = _WORDS.repr(value)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return 'a number with thousands of digits'
-    return text if len(text) <= _MAX_SHOWN_LETTERS else f'{text[:_MAX_SHOWN_LETTERS]} ...'
+    return shortened(text, _MAX_SHOWN_LETTERS)
+
+
+def shortened(text: str, length: int) -> str:
+    """A text of bounded length; never cut inside a number, whose rest would be another one."""
+    if len(text) <= length:
+        return text
+    inside = _NUMBER_PARTS.match(text, length) and _NUMBER_AT_END.search(text[:length])
+    head = text[: inside.start()].rstrip() if inside else ''
+    return f'{head or text[:length]} ...'
 
 
 def number_words(error: Exception) -> str:

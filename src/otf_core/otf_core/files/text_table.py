@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from otf_core.errors import InputError
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import shortened, shown
 from otf_core.files.text_dialect import (
     COMMENT,
     MIN_NUMBER_COLUMNS,
@@ -274,7 +274,7 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
         head = next((n for n, line in enumerate(every) if _is_named(line, is_head)), None)
         if head is not None:
             raise InputError(f'{where}: holds no points: no line of numbers below line {head + 1}')
-        first = next((line.strip()[:60] for line in every if line.strip()), '')
+        first = next((shortened(line.strip(), 60) for line in every if line.strip()), '')
         raise InputError(
             f'{where}: holds no lines of at least {MIN_NUMBER_COLUMNS} numbers; the first line '
             f'is {first!r}; export time, x, y, z of every sample, one sample per line'
@@ -550,7 +550,7 @@ class _Reader:
         if len(names) == width - 1 and self.dialect.separator == ',' and _with_parts(columns):
             self.dialect = Dialect(self.dialect.separator, self.dialect.dated, width - 1)
             return names
-        line = self.every[at].strip()[:80]
+        line = shortened(self.every[at].strip(), 80)
         raise InputError(
             f'{self.where}: the head (line {at + 1}) names {len(names)} columns, the lines have '
             f'{width}: {line!r}; correct the head, or leave it out and name the columns with '

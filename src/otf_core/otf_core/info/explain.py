@@ -8,7 +8,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -517,7 +517,12 @@ def _explain_table(path: Path) -> Explained:
     rows = [('read as', text) for text in reading.said]
     low, high = raw.xyz.min(axis=0), raw.xyz.max(axis=0)
     rows += [(axis, f'{a:.4f} to {b:.4f} m') for axis, a, b in zip('xyz', low, high, strict=True)]
-    facts = {'samples': len(raw.xyz), 'lower': low.tolist(), 'upper': high.tolist()}
+    facts = {
+        'samples': len(raw.xyz),
+        'lower': low.tolist(),
+        'upper': high.tolist(),
+        'left_out': list(map(asdict, reading.left_out)),
+    }
     return Explained(tuple(rows), facts)
 
 

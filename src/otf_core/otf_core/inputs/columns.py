@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
+from otf_core.files.strict_yaml import shortened
 from otf_core.files.text_dialect import is_missing, is_value, shown_name
 from otf_core.files.text_moments import ORDERS
 from otf_core.files.text_table import (
@@ -448,8 +449,8 @@ def _refuse_other_axes(table: TextTable) -> None:
         match = OTHER_AXES.search(line)
         if match:
             raise InputError(
-                f'{table.where}: the head states {match[1].lower()} coordinates ({line[:80]!r}); '
-                f'export Cartesian ones'
+                f'{table.where}: the head states {match[1].lower()} coordinates '
+                f'({shortened(line, 80)!r}); export Cartesian ones'
             )
 
 
@@ -559,7 +560,7 @@ def unnamed_words(table: TextTable) -> str:
     shown = ' | '.join(table.head[-1:]) or 'nothing'
     return (
         f'{table.where}: line {table.lines[0]} has {table.width} columns, and the head '
-        f'names no x, y, z (it contains: {shown[:100]})'
+        f'names no x, y, z (it contains: {shortened(shown, 100)})'
     )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
+from otf_core.files.strict_yaml import shortened
 
 Position = dict[str, Decimal | None]
 """By axis, m; None: not stated by the program."""
@@ -41,8 +42,8 @@ CURE = 'give the plan.json of otf plan or a CSV x,y,z of the corner points inste
 def refuse(where: str, line: int, word: str, why: str) -> NoReturn:
     """Refuse a program for a word of it."""
     raise ConfigError(
-        f'{where}: line {line}: {word[:60]!r} {why}; an NC program is read as a path of straight '
-        f'lines and arcs of X, Y, Z alone: {CURE}'
+        f'{where}: line {line}: {shortened(word, 60)!r} {why}; an NC program is read as a path of '
+        f'straight lines and arcs of X, Y, Z alone: {CURE}'
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import read_json
+from otf_core.files.strict_yaml import read_json, shortened
 from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_lengths
 from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
@@ -176,7 +176,9 @@ def _positions_of(name: str | Path, lines: list[str], axes: tuple[str, ...]) -> 
     header = ','.join(axes).lower()
     head = lines[0].replace(' ', '').lower()
     if sorted(head.split(',')) != sorted(header.split(',')):
-        raise ConfigError(f'{name}: has the header {head[:60]!r}; expected {header}, in m and rad')
+        raise ConfigError(
+            f'{name}: has the header {shortened(head, 60)!r}; expected {header}, in m and rad'
+        )
     order = [head.split(',').index(a.lower()) for a in axes]
     rows = []
     for number, line in enumerate(lines[1:], start=2):
@@ -188,7 +190,7 @@ def _positions_of(name: str | Path, lines: list[str], axes: tuple[str, ...]) -> 
             values = []
         if len(values) != len(axes) or not np.all(np.isfinite(values)):
             raise ConfigError(
-                f'{name}: line {number}: expected {len(axes)} numbers, got {line[:60]!r}'
+                f'{name}: line {number}: expected {len(axes)} numbers, got {shortened(line, 60)!r}'
             )
         rows.append([values[k] for k in order])
     if not rows:

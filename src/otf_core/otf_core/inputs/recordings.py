@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from otf_core.bags.bag import BagContent, content_of, points_of
+from otf_core.bags.bag import BagContent, content_of
 from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, called
 from otf_core.bags.signals import read_signals
@@ -16,7 +16,6 @@ from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
 from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.machine import TOOL, Machine, load_machine
-from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, errors_of
 
@@ -104,11 +103,6 @@ def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagC
         one of them at least the path, which is the same in all that have it.
     """
     return content_of([open_reading(source, given) for source in sources], sources, given.path)
-
-
-def read_samples(source: str | Path, given: Given = AS_IT_IS) -> Samples:
-    """Read the samples of a recording that may lack a path."""
-    return points_of(open_reading(source, given), source)
 
 
 def read_recording(

@@ -71,6 +71,12 @@ STILL = 1e-4
 """Travel of the reflector per travel of the axes below which nothing is said across it."""
 SMOOTH = 0.2
 """Change of the unit direction in the axes below which a corner is driven through."""
+SMR_ANGLE = np.radians(30.0)
+"""rad; half-angle of the cone of beams that a spherically mounted reflector returns."""
+SIGHT_STEPS, FACINGS = 24, 400
+"""Positions of every rotary axis, and directions of a reflector, among which sight is judged."""
+LEAST_OPEN = 0.8
+"""Share of the positions of the rotary axes in which the table must not hide a reflector."""
 ACCELERATION_TIME = 0.4
 """s lost at every corner that is not driven through."""
 HAND_MOVE = 60.0
@@ -539,3 +545,83 @@ def _combined(machine: Machine, part: PlannedPart, axis: str) -> bool:
     steps = np.abs(np.diff(part.path.positions, axis=0)) > 0.0
     others = [machine.column(a) for a in _seen(machine, part) if a != axis]
     return bool(np.any(steps[:, machine.column(axis)] & steps[:, others].any(axis=1)))
+
+
+@dataclass(frozen=True)
+class SightShare:
+    """In which share of the positions of the rotary axes a reflector on the table is seen.
+
+    Attributes
+    ----------
+    open : float
+        The table does not stand between reflector and tracker.
+    facings : tuple of float
+        Share seen with 1, 2, ... facings of the reflector, each turned by hand once.
+    """
+
+    open: float
+    facings: tuple[float, ...]
+
+
+def sight_share(
+    machine: Machine, name: str, place: Array, half_angle: float = SMR_ANGLE, facings: int = 8
+) -> SightShare:
+    """Judge where a tracker on the bed stands for a reflector on the table.
+
+    The table's normal is taken as Z where all axes are at zero. Facings are chosen one after the
+    other, each as the direction that adds most.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,), m
+        Beam origin in the frame of the bed.
+    half_angle : float
+        rad; of the cone of beams that the reflector returns.
+    """
+    sight = Sight.of_target(machine, name)
+    turning = [a for a in machine.chain.table_side if a in machine.rotary_names]
+    own = [np.linspace(machine.axes[a].min, machine.axes[a].max, SIGHT_STEPS) for a in turning]
+    mesh = [m.ravel() for m in np.meshgrid(*own)]
+    seen = sight.at(positions_of(machine, **dict(zip(turning, mesh, strict=True))))
+    beam = np.asarray(place) - seen.position
+    beam /= np.linalg.norm(beam, axis=1)[:, None]
+    if seen.inner is not None:
+        beam = np.einsum('nij,ni->nj', seen.inner, beam)  # as the table sees it
+    free = beam[:, 2] > 0.0
+    k = np.arange(FACINGS) + 0.5
+    height, round_about = 1.0 - k / FACINGS, np.pi * (1.0 + 5.0**0.5) * k
+    level = np.sqrt(1.0 - height**2)
+    facing = np.stack([level * np.cos(round_about), level * np.sin(round_about), height], axis=1)
+    within = (beam @ facing.T > np.cos(half_angle)) & free[:, None]
+    covered, shares = np.zeros(len(beam), dtype=bool), []
+    for _ in range(facings):
+        best = int(np.argmax((within & ~covered[:, None]).sum(axis=0)))
+        covered |= within[:, best]
+        shares.append(float(covered.mean()))
+    return SightShare(float(free.mean()), tuple(shares))
+
+
+def sights(machine: Machine, place: Array) -> dict[str, SightShare]:
+    """``sight_share`` of every target on the table, for a tracker on the bed."""
+    if machine.tracker.link != BED:
+        return {}
+    own = [name for name, target in machine.targets.items() if target.link == TABLE]
+    return {name: sight_share(machine, name, place) for name in own}
+
+
+def check_side(machine: Machine, place: Array) -> None:
+    """Refuse a place of the tracker from which the table hides its reflectors.
+
+    Raises
+    ------
+    ConfigError
+        Says in which share of the positions, and on which side the tracker must stand.
+    """
+    for name, found in sights(machine, place).items():
+        if found.open < LEAST_OPEN:
+            good = ', '.join(f'{v:.2f}' for v in beside(machine))
+            raise ConfigError(
+                f'tracker_place: the table hides {name} in {100 * (1 - found.open):.0f} % of the '
+                f'positions of its rotary axes; stand on the side to which it tilts, such as '
+                f'{good} m'
+            )

@@ -6,7 +6,6 @@ Figures are one for each motion (paper Figures 6 to 8) and one of the volume (Fi
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
-from otf_core.files.writing import ensure_folder, write_text
+from otf_core.files.writing import ensure_folder
 from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
@@ -48,6 +47,7 @@ from otf_core.reports.page import (
     micro_unit,
     page_html,
     place,
+    write_result,
 )
 
 HISTOGRAM_BINS = 31
@@ -505,20 +505,16 @@ def remarks_on(result: Comparison) -> list[str]:
 def write_comparison(
     result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write motions.svg, volume.svg, report.html, comparison.txt and, last, comparison.json.
+    """Write the figures, report.html, comparison.txt and comparison.json.
 
     Parameters
     ----------
     about : mapping, optional
-        Block ``provenance`` of the JSON file; what is known without it if not given.
+        Block ``provenance`` of comparison.json.
     """
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
     files = [draw_motions(result, folder), draw_volume(result, folder)]
     date = str(data['provenance']['written'])
-    files += [folder / name for name in ('report.html', 'comparison.txt', 'comparison.json')]
-    write_text(files[2], comparison_html(result, CONVENTION, remarks_on(result), date))
-    write_text(files[3], format_comparison(result) + '\n')
-    content = json.dumps(data, indent=1, allow_nan=False)
-    write_text(files[4], content + '\n')
-    return files
+    page = comparison_html(result, CONVENTION, remarks_on(result), date)
+    return [*files, *write_result(folder, 'comparison', page, format_comparison(result), data)]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.files.writing import ensure_folder, write_text
+from otf_core.files.writing import ensure_folder
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
 from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
 from otf_core.noise.report import NoiseReport
 from otf_core.reports.drawing.panel import Panel, decades, write_sheet
-from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html
+from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html, write_result
 
 NOISE_CAPTION = (
     'Above: root of the variogram, the scatter of the difference of two samples over root 2, '
@@ -273,23 +272,13 @@ def format_noise(report: NoiseReport) -> str:
 def write_noise(
     report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write noise.svg, report.html, noise.txt and, last, noise.json.
-
-    Parameters
-    ----------
-    about : mapping, optional
-        Block ``provenance`` of the JSON file; what is known without it if not given.
-    """
+    """Write noise.svg, report.html, noise.txt and noise.json, with ``about`` as its provenance."""
     folder = ensure_folder(folder)
     data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
-    names = ('report.html', 'noise.txt', 'noise.json')
-    files = [draw_noise(report, folder), *(folder / name for name in names)]
     runs = data['provenance'].get('runs') or [{}]
     name = str(runs[0].get('name') or '')
     date = str(data['provenance']['written'])
     events = [*_event_rows(report), *_peak_rows(report)]
-    write_text(files[1], noise_html(report, name, date, events, _colour_words(report)))
-    write_text(files[2], format_noise(report) + '\n')
-    content = json.dumps(data, indent=1, allow_nan=False)
-    write_text(files[3], content + '\n')
-    return files
+    page = noise_html(report, name, date, events, _colour_words(report))
+    figure = draw_noise(report, folder)
+    return [figure, *write_result(folder, 'noise', page, format_noise(report), data)]

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
-from otf_core.files.writing import tidy
+from otf_core.files.writing import tidy, write_text
 from otf_core.reports.drawing.style import STYLE, running_head, text
 
 # Numbers of reports as text: micrometres and microradians, positions in millimetres.
@@ -298,3 +300,14 @@ def page_html(heading: Heading, sections: Sequence[Section]) -> str:
         + '\n'.join(map(_section, rest))
         + f'\n</main>{scripts}</body></html>\n'
     )
+
+
+def write_result(
+    folder: Path, stem: str, page: str, text: str, data: Mapping[str, Any]
+) -> list[Path]:
+    """Write report.html, STEM.txt and, last, STEM.json."""
+    content = json.dumps(data, indent=1, allow_nan=False)
+    files = [folder / name for name in ('report.html', f'{stem}.txt', f'{stem}.json')]
+    for file, written in zip(files, (page, f'{text}\n', f'{content}\n'), strict=True):
+        write_text(file, written)
+    return files

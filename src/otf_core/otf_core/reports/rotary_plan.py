@@ -15,14 +15,24 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from otf_core.arrays import Array
 from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import write_text
 from otf_core.model.machine import BED, Machine
 from otf_core.model.motions import unit_of
-from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart, RotaryForecast
+from otf_core.planning.rotary_paths import (
+    HAND_MOVE,
+    SMR_ANGLE,
+    PlannedPart,
+    RotaryForecast,
+    SightShare,
+)
 
 SCHEMA = 'otf-rotary-plan/1'
+ENOUGH = 0.9
+"""Share of the positions that facings are counted up to."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,8 @@ class RotaryPlan:
         s, of every part.
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the frame of its link.
+    sight : mapping of target to SightShare
+        Of targets on the table, seen from a tracker on the bed.
     """
 
     machine: Machine
@@ -43,6 +55,7 @@ class RotaryPlan:
     durations: Sequence[float]
     place: Array
     forecast: RotaryForecast
+    sight: Mapping[str, SightShare]
 
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -63,6 +76,10 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
             }
             for part, duration in zip(plan.parts, plan.durations, strict=True)
         ],
+        'sight': {
+            name: {'half_angle': SMR_ANGLE, 'open': own.open, 'facings': list(own.facings)}
+            for name, own in plan.sight.items()
+        },
         'forecast': {
             'duration': found.duration,
             'grid_u': found.grid_u,
@@ -88,6 +105,14 @@ def plan_words(plan: RotaryPlan) -> str:
     ]
     for part, duration in zip(plan.parts, plan.durations, strict=True):
         lines.append(f'  {part.path.target:10s} {duration / 60:5.1f} min  {part.words}')
+    for name, own in plan.sight.items():
+        count = next((k for k, share in enumerate(own.facings, 1) if share >= ENOUGH), None)
+        facings = f'{count or len(own.facings)} facings of the reflector'
+        share = 100 * own.facings[(count or len(own.facings)) - 1]
+        lines.append(
+            f'  {name}: seen in {share:.0f} % of the positions of the rotary axes with {facings} '
+            f'({np.degrees(SMR_ANGLE):.0f} degrees to each side)'
+        )
     lines += [
         '',
         f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * found.grid_u:.2f} um '

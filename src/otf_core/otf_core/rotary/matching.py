@@ -301,8 +301,8 @@ def _refined(
                 sight_at(actual, name, known), curve, curve.place_at(f.reach), points
             )
             f.reach = curve.reach_at(place)
-            own = {scalar: k for k, scalar in enumerate(location, start=first)}
-            matrix, side = _equations(points, seen, tangent, column.get(name), own, size)
+            lines = {scalar: k for k, scalar in enumerate(location, start=first)}
+            matrix, side = _equations(points, seen, tangent, column.get(name), lines, size)
             normal, right = normal + matrix, right + side
         step = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0], dtype=np.float64)
         pose = pose.moved_by(step[:3], step[3:6])
