@@ -47,6 +47,8 @@ TOOL = 'tool'
 LINKS = TABLE, BED, SPINDLE = 'w', 'b', 't'
 """Links of a machine by their letters in the chain."""
 MOST_ROTARY = 2
+FURTHEST_CENTRE = 10.0
+"""m; lines of rotary axes run nearer to the origin of the machine."""
 LARGEST_ANGLE = 100.0
 """rad; ends of the range of a rotary axis, turned several times, stay below."""
 FULL_TURN = 2.0 * math.pi
@@ -356,6 +358,9 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         fields = axes_fields.mapping(label)
         axes[label] = _rotary_axis(fields) if label in ROTARY else _axis(fields)
         fields.done()
+    for label in axes_fields.keys:
+        if label in LETTERS:
+            axes_fields.fail(label, f'is not in the chain {chain}')
     axes_fields.done()
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
@@ -443,15 +448,13 @@ def _rotary_axis(fields: Fields) -> Axis:
     if size < 1e-9:
         fields.fail('direction', 'is zero; expected a vector along the axis')
     centre = fields.vector('centre', 3)
-    if max(map(abs, centre)) > 100:
-        fields.fail('centre', f'{centre} m lies outside any machine; unit is m, not mm')
+    if max(map(abs, centre)) > FURTHEST_CENTRE:
+        fields.fail('centre', f'{centre} m lies outside any machine; is it in mm?')
     endless = fields.take('endless') if fields.has('endless') else False
     if not isinstance(endless, bool):
         fields.fail('endless', f'expected true or false, got {endless!r}')
-    if endless and high - low > FULL_TURN * (1 + 1e-3):
-        fields.fail(
-            'max', f'of an endless axis at most a full turn above min, {low + FULL_TURN:g}'
-        )
+    if endless and abs(high - low - FULL_TURN) > 1e-3 * FULL_TURN:
+        fields.fail('max', f'of an endless axis a full turn above min, {low + FULL_TURN:.6g}')
     fields.done(known=('kind', 'min', 'max', 'table_pitch', 'direction', 'centre', 'endless'))
     x, y, z = (float(v) for v in direction / size)
     return Axis(low, high, pitch, (x, y, z), (centre[0], centre[1], centre[2]), endless)
