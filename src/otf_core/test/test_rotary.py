@@ -319,3 +319,43 @@ def test_commands_for_linear_axes_say_so(verb, tmp_path, capsys):
     }
     assert main([verb, *words[verb]]) == 2
     assert 'not available for machines with rotary axes' in capsys.readouterr().err
+
+
+def simulated(parts, seed=12, **options):
+    """A simulated recording of the small trunnion."""
+    m = machine()
+    run = simulate_parts(m, parts, SimulationConfig(seed=seed, rate=40.0), dwell=0.1, **options)
+    path = nominal_track(m, run.parts)
+    return Recording(run.samples, path, m, 'simulated', axis_paths=run.parts), run
+
+
+def test_lag_of_an_axis_is_reversal_and_leaves_the_tables_alone():
+    recording, run = simulated(usual_parts(machine()), feed=0.1, lag={'C': 2e-4})
+    result = calibrate_axes([recording], CalibrationConfig(), silent)
+    found = {r.motion: r for r in result.reversal}
+    # C late against A is A ahead of C: together they drive at one ratio
+    assert {'ECC', 'EAA'} & set(found)
+    q = evenly_spread(machine().lower, machine().upper, 400)
+    assert left(result.tables, run.truth, q) < 0.25
+
+
+def test_reflector_that_was_reseated_is_named():
+    parts = list(usual_parts(machine()))
+    recording, run = simulated([*parts, parts[2]], feed=0.1)
+    samples = recording.samples
+    last = int(np.flatnonzero(np.diff(samples.stamp_ns) > 1.9e9)[-1]) + 1
+    xyz = samples.xyz.copy()
+    own = run.parts[-1].positions
+    moved = {}
+    for shift in (0.0, 6e-5):
+        place = run.places['nest-1'] + shift
+        sight = Sight(machine(), 'b', 'w', place)
+        time = samples.time[last:] - samples.time[last]
+        q = JointDrive(machine(), own, 0.1, 2.0, 0.1).at(time)
+        moved[shift] = sight.nominal(q) @ run.rotation.T
+    xyz[last:] += moved[6e-5] - moved[0.0]
+    other = replace(recording, samples=replace(samples, xyz=xyz))
+    result = calibrate_axes([other], CalibrationConfig(), silent)
+    assert any("target 'nest-1': in part 6 it lies 10" in w for w in result.failed_gates)
+    good = calibrate_axes([recording], CalibrationConfig(), silent)
+    assert not good.failed_gates

@@ -35,6 +35,7 @@ from otf_core.reports.page import (
     sections_to_text,
 )
 from otf_core.rotary.calibrate import AxisCalibration, first_pose
+from otf_core.rotary.reversal import CONSTANT, NONE
 from otf_core.rotary.tabulation import evenly_spread, without_rigid
 
 GAUGE = (
@@ -67,27 +68,19 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'alignment': alignment,
         'tracker_link': machine.tracker.link,
         'fit': asdict(result.fit),
-        'runs': [
-            {
-                'name': Path(s.run.name).name,
-                'parts': [
-                    {
-                        'target': p.path.target,
-                        'corners': len(p.path.positions),
-                        'driven': m.driven[k],
-                    }
-                    for k, p in enumerate(m.parts)
-                ],
-                'alignment': {
-                    'rotation': done.poses[s.run.station].rotation.tolist(),
-                    'translation': done.poses[s.run.station].translation.tolist(),
-                },
-                'pieces': len(s.run.pieces),
-                'noise': noise_to_fields(s.noise),
-                'misfit': asdict(s.misfit),
-            }
-            for s, m in zip(done.runs, result.matched, strict=True)
-        ],
+        'runs': [_run_to_dict(result, k) for k in range(len(done.runs))],
+        'reversal': {
+            'model': CONSTANT if result.reversal else NONE,
+            'motions': {
+                r.motion: {
+                    'axis': r.motion.axis,
+                    'unit': r.motion.unit,
+                    'value': r.value,
+                    'u': r.u,
+                }
+                for r in result.reversal
+            },
+        },
         'run_id': result.run_id,
         'gauge': GAUGE,
         'spacing': {'table_pitch_over': result.made.fraction},
@@ -107,6 +100,26 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'provenance': about(result),
     }
     return data
+
+
+def _run_to_dict(result: AxisCalibration, number: int) -> dict[str, Any]:
+    solved, matched = result.solution.runs[number], result.matched[number]
+    pose = result.solution.poses[solved.run.station]
+    parts = [
+        {'target': p.path.target, 'corners': len(p.path.positions), 'driven': share}
+        for p, share in zip(matched.parts, matched.driven, strict=True)
+    ]
+    return {
+        'name': Path(solved.run.name).name,
+        'parts': parts,
+        'alignment': {
+            'rotation': pose.rotation.tolist(),
+            'translation': pose.translation.tolist(),
+        },
+        'pieces': len(solved.run.pieces),
+        'noise': noise_to_fields(solved.noise),
+        'misfit': asdict(solved.misfit),
+    }
 
 
 def about(result: AxisCalibration) -> dict[str, Any]:
@@ -195,6 +208,7 @@ def sections(result: AxisCalibration) -> list[Section]:
         _overview(result),
         _motions(result),
         _lines(result),
+        *_reversal(result),
         _volume(result),
         _targets(result),
         _fit(result),
@@ -353,6 +367,24 @@ def _lines(result: AxisCalibration) -> Section:
         data,
         text=('', *words),
     )
+
+
+def _reversal(result: AxisCalibration) -> list[Section]:
+    """Differences between both senses of travel, where there are any."""
+    if not result.reversal:
+        return []
+    lines = [
+        f'{r.motion}: forward less backward travel of {r.motion.axis} '
+        f'{micro_with_expanded(r.value, COVERAGE_FACTOR * r.u, r.motion.unit)}'
+        for r in result.reversal
+    ]
+    words = (
+        'Tables hold the mean of both senses. At one feed a lag of an axis behind the others '
+        'looks like backlash.',
+        *lines,
+    )
+    data = {str(r.motion): {'value': r.value, 'u': r.u} for r in result.reversal}
+    return [Section('reversal', 'Reversal', words, data, text=('', *lines))]
 
 
 def _volume(result: AxisCalibration) -> Section:

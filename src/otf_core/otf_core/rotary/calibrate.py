@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,15 +19,19 @@ from otf_core.model.machine import SPINDLE, TABLE, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of
 from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
-from otf_core.rotary.reduction import AxisPieces, reduce_to_pieces, reduce_to_stops
+from otf_core.rotary.reduction import reduce_to_pieces, reduce_to_stops
+from otf_core.rotary.reseated import reseated
+from otf_core.rotary.reversal import NONE, AxisReversal, reversals, significant
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
 from otf_core.rotary.tabulation import AxisTables, tabulate
 from otf_core.rotary.unknowns import bases_of, layout, place_block
+from otf_core.solving.unknowns import Unknowns
 from otf_core.threads import one_thread
 
 MIN_COVERAGE = 0.8
@@ -73,6 +78,8 @@ class AxisCalibration:
         Linear axes where pieces lie, for the hull of what was driven.
     fit : AxisFit
     warnings, failed_gates : tuple of str
+    reversal : tuple of AxisReversal
+        Motions that differ between both senses of travel; the tables hold the mean.
     advice : mapping of name to str
         What would show an error that the data do not show.
     method : str
@@ -91,6 +98,7 @@ class AxisCalibration:
     fit: AxisFit
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
+    reversal: tuple[AxisReversal, ...]
     advice: Mapping[str, str]
     method: str
     config: CalibrationConfig
@@ -153,45 +161,129 @@ def _calibrated(
     stations = [0 if same_station else k for k in range(len(recordings))]
     seen = {p.path.target for m in matched for p in m.parts}
     free = tuple(n for n, t in machine.targets.items() if n in seen and t.u > 0.0)
-    noises = []
-    for recording in recordings:
-        with errors_of(recording.name):
-            noises.append(noise_model(recording.samples, machine.tracker, config.standstill_speed))
     progress('solving', 0.0)
-    unknowns = layout(machine, bases_of(machine, nodes), max(stations) + 1, free)
+    job = _Job(recordings, config, progress, method, nodes, tuple(stations), free)
+    failed: list[str] = []
+    done, matched, before = job.solve(matched, places, failed)
+    result = _assembled(recordings, matched, done, config, method, (low, high), before)
+    gates = (*failed, *result.failed_gates)
+    return replace(result, warnings=(*notes, *result.warnings), failed_gates=gates)
 
-    def reduced(k: int, one: Matched, tables: ErrorTables | None) -> AxisPieces:
-        with errors_of(recordings[k].name):
-            if method == STANDSTILL:
-                return reduce_to_stops(recordings[k].samples, one, config)
-            return reduce_to_pieces(recordings[k].samples, one, nodes, config, tables)
 
-    done, logs, fitted = None, None, None
-    tables: ErrorTables | None = _located(machine, nodes, matched[0].location)
-    before = 0.0
-    for _ in range(2):
+@dataclass(frozen=True)
+class _Job:
+    """What is the same in every step of a solution.
+
+    Attributes
+    ----------
+    recordings, config, progress, method
+        See ``calibrate_axes``.
+    nodes : mapping of axis to ndarray, m and rad
+    stations : tuple of int
+        Place of the tracker of every recording.
+    free : tuple of str
+        Targets whose places are not known.
+    """
+
+    recordings: Sequence[Recording]
+    config: CalibrationConfig
+    progress: Progress
+    method: str
+    nodes: Mapping[str, Array]
+    stations: tuple[int, ...]
+    free: tuple[str, ...]
+
+    def solve(
+        self, matched: Sequence[Matched], places: Mapping[str, Array], failed: list[str]
+    ) -> tuple[AxisSolution, list[Matched], float]:
+        """Solve twice: the second time at places that the first tables give.
+
+        ``failed`` takes words on reflectors that were re-seated.
+
+        Returns
+        -------
+        done : AxisSolution
+        matched : list of Matched
+            With its poses and places.
+        before : float
+            m; mean distance of the pieces from the curves at the first poses.
+        """
+        machine, matched = self.recordings[0].machine, list(matched)
+        noises = [self._noise(r) for r in self.recordings]
+        tables = _located(machine, self.nodes, matched[0].location)
+        runs = self._runs(matched, places, tables)
+        before = _mean_distance(runs)
+        unknowns = self._layout()
+        solve = partial(solve_robustly, noises=noises, config=self.config, progress=self.progress)
+
+        def look(done: AxisSolution) -> None:
+            failed.extend(text for solved in done.runs for text in reseated(solved))
+
+        done, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
+        if self.config.reversal != NONE:
+            unknowns = self._with_reversal(done, noises, fitted)
+        tables = tables_of(machine, done.unknowns, done.solution.value)
+        matched = self._moved(matched, done)
+        runs = self._runs(matched, done.places, tables)
+        done, _ = solve(
+            runs, unknowns=unknowns, tables=tables, logs=done.roughness.logs, fitted=fitted
+        )
+        return done, self._moved(matched, done), before
+
+    def _layout(self, reversal: Sequence[str] = ()) -> Unknowns:
+        machine = self.recordings[0].machine
+        bases = bases_of(machine, self.nodes)
+        return layout(machine, bases, max(self.stations) + 1, self.free, reversal)
+
+    def _with_reversal(
+        self,
+        done: AxisSolution,
+        noises: Sequence[NoiseModel],
+        fitted: Sequence[Array | None],
+    ) -> Unknowns:
+        """Unknowns with the constants of reversal that the data show."""
+        trial, _ = solve_robustly(
+            [s.run for s in done.runs],
+            noises,
+            self._layout(done.machine.motions),
+            self.config,
+            self.progress,
+            tables_of(done.machine, done.unknowns, done.solution.value),
+            done.roughness.logs,
+            fitted,
+            repetitions=1,
+        )
+        return self._layout(significant(trial, self.config))
+
+    def _noise(self, recording: Recording) -> NoiseModel:
+        spec = self.recordings[0].machine.tracker
+        with errors_of(recording.name):
+            return noise_model(recording.samples, spec, self.config.standstill_speed)
+
+    def _moved(self, matched: Sequence[Matched], done: AxisSolution) -> list[Matched]:
+        pairs = zip(matched, self.stations, strict=True)
+        return [replace(m, pose=done.poses[k], places=done.places) for m, k in pairs]
+
+    def _runs(
+        self, matched: Sequence[Matched], places: Mapping[str, Array], tables: ErrorTables
+    ) -> list[AxisRun]:
+        """Recordings reduced to pieces or stops."""
         runs = []
-        for k, one in enumerate(matched):
-            pieces = reduced(k, one, tables)
-            name = recordings[k].name
+        for recording, one, station in zip(self.recordings, matched, self.stations, strict=True):
+            with errors_of(recording.name):
+                pieces = (
+                    reduce_to_stops(recording.samples, one, self.config)
+                    if self.method == STANDSTILL
+                    else reduce_to_pieces(recording.samples, one, self.nodes, self.config, tables)
+                )
+            machine, name = self.recordings[0].machine, recording.name
             runs.append(
                 AxisRun(
-                    machine, one.parts, pieces, one.pose, places, places, stations[k], name, free
+                    machine, one.parts, pieces, one.pose, places, one.places, station, name,
+                    self.free,
                 )
-            )
-        if done is None:
-            before = _mean_distance(runs)
-        done, fitted = solve_robustly(
-            runs, noises, unknowns, config, progress, tables, logs, fitted
-        )
-        logs, tables = done.roughness.logs, tables_of(machine, unknowns, done.solution.value)
-        places = dict(done.places)
-        matched = [
-            replace(m, pose=done.poses[stations[k]], places=places) for k, m in enumerate(matched)
-        ]
-    assert done is not None
-    result = _assembled(recordings, matched, done, config, method, (low, high), before)
-    return replace(result, warnings=(*notes, *result.warnings))
+            )  # fmt: skip
+        return runs
 
 
 def _match_all(
@@ -325,6 +417,7 @@ def _assembled(
                 {n: (v.value, v.identifiable) for n, v in made.tables.location.items()}, machine
             ),
         ),
+        reversal=tuple(reversals(done, inflation)),
         advice=advice,
         method=method,
         config=config,

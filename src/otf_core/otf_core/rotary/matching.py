@@ -33,7 +33,9 @@ MISMATCH = 0.3
 """Log of the ratio of measured and nominal length of a part that counts as one unit of misfit."""
 KNOWN = 1e-4
 """m; places that are known better give the first pose."""
-ROUNDS = 12
+ROUNDS, QUICK_ROUNDS = 12, 5
+QUICK_STEP = 6e-3
+"""m between places that are assigned to each other where it is only asked whether they fit."""
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
 WIDEST, NARROWEST = 0.15, 0.03
@@ -178,6 +180,8 @@ def match(
     paths: Sequence[AxisPath],
     pose: RigidTransform | None = None,
     places: Mapping[str, Array] | None = None,
+    *,
+    quick: bool = False,
 ) -> Matched:
     """Find pose, places of reflectors and the place of every sample.
 
@@ -191,6 +195,8 @@ def match(
         Where it is known already.
     places : mapping of target to ndarray, optional
         The same.
+    quick : bool
+        Coarser and with fewer rounds: enough to tell whether it fits at all.
 
     Raises
     ------
@@ -208,11 +214,13 @@ def match(
                 f"part '{part.path.target}': the reflector moves by only "
                 f'{1e3 * track.length:.1f} mm; is a part missing, or a broken beam between parts?'
             )
-        track = track.resampled(max(STEP, track.length / MOST))
+        step = max(STEP, track.length / MOST)
+        track = track.resampled(QUICK_STEP if quick else step)
         following.append(_Following(part, track, by_length(track, curve)))
     if pose is None:
         pose = _first_pose(machine, following, known)
-    pose, known, location = _refined(machine, following, pose, known)
+    rounds = QUICK_ROUNDS if quick else ROUNDS
+    pose, known, location = _refined(machine, following, pose, known, rounds)
     return _placed(samples, machine, following, pose, known, location)
 
 
@@ -265,6 +273,7 @@ def _refined(
     following: Sequence[_Following],
     pose: RigidTransform,
     places: Mapping[str, Array],
+    rounds: int,
 ) -> tuple[RigidTransform, dict[str, Array], dict[str, float]]:
     """Pose, places of reflectors on the table and lines of axes from the tracks of all parts."""
     known, actual = dict(places), machine
@@ -281,7 +290,7 @@ def _refined(
     first = 6 + 3 * len(free)
     size = first + len(location)
     band, far = WIDEST, True
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         normal, right = np.zeros((size, size)), np.zeros(size)
         for name, at in column.items():
             u = machine.targets[name].u

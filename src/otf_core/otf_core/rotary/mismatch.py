@@ -64,7 +64,7 @@ def _explained(samples: Samples, found: Matched, paths: Sequence[AxisPath]) -> s
     best, words = BETTER * given, ''
     for machine, driven, said in _alternatives(found.machine, paths):
         with suppress(OtfError):
-            other = max(match(samples, machine, driven).distance)
+            other = max(match(samples, machine, driven, quick=True).distance)
             if other < best:
                 best, words = other, said
                 if other < 0.5 * SUSPECT:
@@ -131,7 +131,7 @@ def _moved_tracker(samples: Samples, found: Matched, given: float) -> str:
     for part in found.parts:
         own = samples.part(part.first, part.last)
         try:
-            alone = match(own, found.machine, [part.path])
+            alone = match(own, found.machine, [part.path], quick=True)
         except OtfError:
             return ''
         if max(alone.distance) > BETTER * given:

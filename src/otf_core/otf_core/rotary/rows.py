@@ -24,7 +24,7 @@ from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.rotary.matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.unknowns import place_block
-from otf_core.solving.unknowns import Unknowns, pose_block
+from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
 
 
 @dataclass(frozen=True)
@@ -197,6 +197,13 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
             before = fixed.get(scalar, 0.0)
             fixed[scalar] = before + _filled(count, own, column)
         _add_motions(motions, sight, pieces, own, axes, unknowns, q)
+        for axis, six in seen.motions.items():
+            half = 0.5 * pieces.side[own, machine.column(axis)]
+            for k, d in enumerate('XYZABC'):
+                block = reversal_block(f'E{d}{axis}', 0)
+                if block in unknowns.blocks:
+                    column = np.einsum('cni,ni,n->cn', axes[:, own], six[:, :, k], half)
+                    fixed[block] = fixed.get(block, 0.0) + _filled(count, own, column[:, :, None])
     return AxisSystem(
         q=q,
         axes=axes,

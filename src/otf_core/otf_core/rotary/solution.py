@@ -7,7 +7,7 @@ until nothing changes; leave out pieces far from the solution, fit the noise, so
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -37,6 +37,8 @@ from otf_core.solving.whitener import Whitener
 
 LEAST = 2e-6
 """m; pieces that are off by less are never left out."""
+MOST_BEYOND = 0.05
+"""Share of the pieces that may be left out for their distance alone."""
 REPETITIONS = 4
 NOISE_SETTLED = 0.1
 FINE = 8
@@ -125,6 +127,8 @@ def solve_robustly(
     tables: ErrorTables | None = None,
     logs: Mapping[str, Array] | None = None,
     fitted: Sequence[Array | None] | None = None,
+    repetitions: int = REPETITIONS,
+    look: Callable[[AxisSolution], None] = lambda done: None,
 ) -> tuple[AxisSolution, list[Array | None]]:
     """Solve, leave out what is far from the solution, fit the noise, solve again.
 
@@ -137,8 +141,10 @@ def solve_robustly(
     runs = list(runs)
     known: list[Array | None] = list(fitted) if fitted is not None else [None] * len(runs)
     done = None
-    for repetition in range(REPETITIONS):
+    for repetition in range(repetitions):
         done = _settle(runs, noises, known, unknowns, config, progress, tables, logs)
+        if not repetition:
+            look(done)  # before anything is left out
         tables = tables_of(done.machine, unknowns, done.solution.value)
         logs = done.roughness.logs
         same = True
@@ -150,7 +156,7 @@ def solve_robustly(
                 same = False
             known[k] = found.logs
             runs[k] = replace(solved.run, pieces=solved.run.pieces.without(drop))
-        progress('solving', (repetition + 1) / (REPETITIONS + 1))
+        progress('solving', (repetition + 1) / (repetitions + 1))
         if same:
             break
     assert done is not None
@@ -176,9 +182,10 @@ def _far(solved: SolvedAxisRun, limit: float) -> NDArray[np.bool_]:
             own[:, low:high] -= np.median(solved.residual[:, low:high], axis=1, keepdims=True)
     near, whole = (np.linalg.norm(v, axis=0) for v in (own, solved.residual))
     sigma, wide = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (near, whole))
-    return np.asarray(
-        (near > max(limit * sigma, LEAST)) | (whole > max(limit * wide, MIN_OUTLIER))
-    )
+    far = near > max(limit * sigma, LEAST)
+    beyond = whole > max(limit * wide, MIN_OUTLIER)
+    # what holds for a part of the run is no outlier
+    return np.asarray(far | beyond if np.mean(beyond) < MOST_BEYOND else far)
 
 
 def place_equations(

@@ -18,7 +18,15 @@ from otf_core.arrays import Array
 from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
 from otf_core.rotary.periodic import over_turn
-from otf_core.solving.unknowns import POSE, Basis, Unknowns, cubic, motion_gauge, pose_block
+from otf_core.solving.unknowns import (
+    POSE,
+    Basis,
+    Unknowns,
+    cubic,
+    motion_gauge,
+    pose_block,
+    reversal_block,
+)
 
 FEWEST, MOST = 8, 24
 """Parts of the range of an axis that its splines have."""
@@ -41,7 +49,11 @@ def bases_of(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> di
 
 
 def layout(
-    machine: Machine, bases: Mapping[str, Basis], stations: int, targets: Sequence[str]
+    machine: Machine,
+    bases: Mapping[str, Basis],
+    stations: int,
+    targets: Sequence[str],
+    reversal: Sequence[str] = (),
 ) -> Unknowns:
     """Lay out the unknowns.
 
@@ -53,12 +65,15 @@ def layout(
         Places of the tracker.
     targets : sequence of str
         Those whose places are not known.
+    reversal : sequence of str
+        Motions that differ between both senses of travel by a constant.
     """
     order = sorted(machine.motions, key=lambda m: unit_of(m) != 'm')
     parts: list[tuple[str, Array]] = [(pose_block(k), np.eye(POSE)) for k in range(stations)]
     parts += [(place_block(name), np.eye(PLACE)) for name in targets]
     parts += [(name, np.eye(1)) for name in machine.scalars]
     parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
+    parts += [(reversal_block(name, 0), np.eye(1)) for name in reversal]
     blocks, free_blocks = {}, {}
     full = free = 0
     for name, basis in parts:
