@@ -206,7 +206,9 @@ def _weigh(
     rows = searched.rows
     judged = judge(rows, explained, config, exclude)
     explained, nameless = judged.explained, judged.nameless
-    fitted, gap = fitted_causes(explained.causes, rows), gap_of(explained, judged.noise)
+    besides = nameless.structures if nameless and explained.causes else ()
+    every = fitted_causes([*explained.causes, *(s.cause for s in besides)], rows)
+    fitted, gap = every[: len(explained.causes)], gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
     where, shape = where_and_shape(
         run_views(rows, explained),
@@ -273,7 +275,9 @@ def _answer(
         contradictions=qualify_moves(examined.findings, said),
         table_change_um=_table_change_um(calibration),
         unnamed=said,
-        applied=nameless.applied if nameless else applied,
+        applied=tuple(
+            (*own, *(nameless.applied[k] if nameless else ())) for k, own in enumerate(applied)
+        ),
         calibration=calibration,
         origin=calibration.plain.origin,
         shown=Shown(_shown_views(rows, explained), _conditions(examined, calibration.plain)),

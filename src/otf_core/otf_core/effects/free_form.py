@@ -25,7 +25,7 @@ from otf_core.effects.located_inputs import TURNS, head_of
 
 _TAKEN_OVER = (
     'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
-    'own_per_run', 'belongs_to', 'stays_in_place', 'material_um',
+    'own_per_run', 'rigid', 'couples', 'belongs_to', 'stays_in_place', 'material_um',
 )  # fmt: skip
 _OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
 

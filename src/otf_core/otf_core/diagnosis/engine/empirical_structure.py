@@ -28,7 +28,7 @@ assumed"; they count in its confidence as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 
@@ -47,7 +47,9 @@ from otf_core.diagnosis.engine.search import (
     fit_jointly,
     noise_variance,
 )
+from otf_core.effects import REGISTRY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
+from otf_core.effects.cause_names import name_of
 from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm
@@ -103,9 +105,29 @@ class Structure:
     ----------
     cause : Cause
         As a cause without a name.
+    price : float
+        Logarithm of the number of structures that it was chosen from.
     """
 
     cause: Cause
+    price: float = 0.0
+
+    def named(self, taken: Collection[str]) -> Cause | None:
+        """The same as an effect of the catalogue; None if none depends and acts so.
+
+        Parameters
+        ----------
+        taken : collection of str
+            Names that it must not have.
+        """
+        form = self.effect.form
+        assert form.acts is not None
+        name, words = name_of(form.inputs, form.acts)
+        if not name or name in taken:
+            return None
+        own = replace(form, words=words, own_per_run=self.effect.own_per_run)
+        effect = FreeForm(REGISTRY[name], own, self.effect.spans)
+        return replace(self.cause, option=replace(self.cause.option, effect=effect))
 
     @property
     def effect(self) -> FreeForm:
@@ -192,7 +214,8 @@ def _clear(tried: Structures, found: Tried, variance: float) -> Structure | None
     score = tried.score(found, variance)
     if score < NEEDED:
         return None
-    return Structure(Cause(found.made(np.arange(len(found.size)), variance), score, 1.0, ()))
+    option = found.made(np.arange(len(found.size)), variance)
+    return Structure(Cause(option, score, 1.0, ()), tried.looked)
 
 
 def _inputs(rows: Rows) -> list[str]:
