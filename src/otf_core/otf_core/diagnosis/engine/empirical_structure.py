@@ -90,6 +90,7 @@ ENOUGH = 0.95
 """Share of the evidence for two inputs that one of them must reach to be enough."""
 ONE_DIRECTION = 0.9
 """Share of the squared displacement along one direction from which that alone is tried."""
+AXES_OF_INPUTS = ('x', 'y', 'z')
 NEEDED = 12.0
 """Logarithm of the odds that a structure needs."""
 
@@ -190,7 +191,11 @@ def find_structure(tried: Structures) -> Structure | None:
     inner = [t for t in ranked if set(plain_inputs(t)) <= set(plain_inputs(first))]
     kinds = {inputs_of(t): t for t in sorted(inner, key=lambda t: tried.score(t, variance))}
     ways = [tried.tried(form) for t in kinds.values() for form in _ways(t, variance)]
-    return _clear(tried, _likeliest([first, *ways], variance), variance)
+    best = _likeliest([first, *ways], variance)
+    alike = [tried.tried(form) for form in _along_axes(best)]
+    enough = ENOUGH * _odds(best, variance)
+    simpler = [t for t in alike if _odds(t, variance) > enough]
+    return _clear(tried, _likeliest(simpler or [best], variance), variance)
 
 
 def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
@@ -321,6 +326,21 @@ def _ways(first: Tried, variance: float) -> list[Free]:
     if share > ONE_DIRECTION and not first.effect.own_per_run:
         ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
     return [replace(first.effect.form, acts=way) for way in ways]
+
+
+def _along_axes(best: Tried) -> list[Free]:
+    """The same inputs shifting the target along an axis that they belong to."""
+    form = best.effect.form if isinstance(best.effect, FreeForm) else None
+    if form is None or isinstance(form.acts, Along) or best.effect.own_per_run:
+        return []
+    own = {name[-1] for name in form.inputs if name.rpartition('_')[2] in AXES_OF_INPUTS}
+    units = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
+    return [replace(form, acts=Along(units[axis])) for axis in sorted(own)]
+
+
+def _odds(tried: Tried, variance: float) -> float:
+    """Evidence of a structure with all its terms."""
+    return tried.odds(np.arange(len(tried.size)), variance)
 
 
 def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:
