@@ -567,7 +567,9 @@ def _or_something_else(
     standing = _standing(rows, explained, alone, tried, verdict, exclude)
     if standing is not None:
         return standing
-    return _Weighed('unknown' if alone else verdict, doubted, alone)
+    if alone or _leaves_most(explained, explained.last):
+        return _Weighed('unknown', doubted, alone)
+    return _Weighed(verdict, doubted)
 
 
 def _standing(
@@ -617,10 +619,15 @@ def _describes(found: Standing, explained: Explanation, verdict: str) -> bool:
     A right cause leaves the other cause, which has a structure of its own. What imitates a cause
     that no smooth function describes leaves a part of it.
     """
-    left = gap_um(found.residuals.rms_um, explained.simulated_um)
-    if left > max(KNOWN_SHARE * explained.before_um, NO_GAP_SHARE * explained.simulated_um):
+    if _leaves_most(explained, found.residuals):
         return False
     return bool(found.structures) or verdict != 'unknown'
+
+
+def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
+    """Tell whether most of a gap is left."""
+    known = max(KNOWN_SHARE * explained.before_um, NO_GAP_SHARE * explained.simulated_um)
+    return gap_um(rest.rms_um, explained.simulated_um) > known
 
 
 def _verdict_beside(explained: Explanation, nameless: Nameless | None) -> str:
