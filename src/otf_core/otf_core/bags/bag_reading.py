@@ -231,12 +231,12 @@ class BagReading:
         )
         self._stamp_ns.add(points.stamp_ns)
         self._xyz.add(points.xyz)
-        kept = slice(None) if points.kept is None else points.kept
-        self._log_time.add(block.log_time[kept])
+        rows = slice(None) if points.kept is None else points.kept
+        self._log_time.add(block.log_time[rows])
         if block.channel is None or self._files > 1:
             self._channel = None
         elif self._channel is not None:
-            self._channel.add(block.channel[kept])
+            self._channel.add(block.channel[rows])
         self.foreign.update(points.foreign)
         self._points += block.start.size
 

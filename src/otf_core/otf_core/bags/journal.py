@@ -280,10 +280,10 @@ class JournalFile:
 
 
 def _write_all(file: int, data: bytes, at: int) -> None:
-    left = memoryview(data)
-    while left:
-        written = os.pwrite(file, left, at)
-        left, at = left[written:], at + written
+    remainder = memoryview(data)
+    while remainder:
+        written = os.pwrite(file, remainder, at)
+        remainder, at = remainder[written:], at + written
 
 
 def _sync_folder(folder: Path) -> None:
@@ -732,10 +732,11 @@ class Journal:
             disk = os.statvfs(self.directory)
         except FileNotFoundError:  # removed by somebody; made again with the run
             return
-        kept = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
-        if disk.f_bavail * disk.f_frsize - size < kept:
+        reserve = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
+        if disk.f_bavail * disk.f_frsize - size < reserve:
             raise OSError(
-                errno.ENOSPC, f'disk full except for {kept / 1e6:.1f} MB reserved for the results'
+                errno.ENOSPC,
+                f'disk full except for {reserve / 1e6:.1f} MB reserved for the results',
             )
 
 

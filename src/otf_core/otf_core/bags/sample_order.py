@@ -125,19 +125,19 @@ def of_one_clock(
     if not np.any(np.maximum.accumulate(stamp_ns) - stamp_ns > MAX_OFF_NS):
         return None
     clock: Clock[int] = Clock(left_out)
-    kept: list[int] = []
+    rows: list[int] = []
     for i, stamp in enumerate(stamp_ns.tolist()):
         if clock.take(stamp, i):
-            kept.append(i)
+            rows.append(i)
         elif clock.persists and clock.off_ns > 0:
-            kept += [at for _, at in clock.release()]
-    if clock.persists and len(kept) < CLOCK_CHANGE_SAMPLES:
-        left_out(stamp_ns[kept].tolist(), clock.held[-1][0])
-        kept = []
+            rows += [at for _, at in clock.release()]
+    if clock.persists and len(rows) < CLOCK_CHANGE_SAMPLES:
+        left_out(stamp_ns[rows].tolist(), clock.held[-1][0])
+        rows = []
     if clock.persists or clock.off_ns > 0:
-        kept += [at for _, at in clock.release()]
+        rows += [at for _, at in clock.release()]
     clock.drop()
-    return np.array(kept, np.int64)
+    return np.array(rows, np.int64)
 
 
 # How stamps that repeat were made.
@@ -424,13 +424,13 @@ class Screening:
 
     def remarks(self) -> list[str]:
         """What was left out, in words."""
-        said = []
+        lines = []
         for kind, count in sorted(self._count.items()):
             if not count:
                 continue
             first = f'the first is {self._first[kind]}' if kind in self._first else self._shown()
-            said.append(f'dropped {count} of {self.total} points {WORDS[kind]}; {first}')
-        return said
+            lines.append(f'dropped {count} of {self.total} points {WORDS[kind]}; {first}')
+        return lines
 
     def check(self, where: str) -> None:
         """Raise InputError where so much was left out that it is no accident."""
@@ -553,8 +553,8 @@ def _screened(
     if good is not None:
         stamp_ns, xyz = stamp_ns[good], xyz[good]
     stamp_ns = continued(stamp_ns, xyz, remarks)
-    kept = of_one_clock(stamp_ns, screening.off)
-    return (stamp_ns, xyz) if kept is None else (stamp_ns[kept], xyz[kept])
+    rows = of_one_clock(stamp_ns, screening.off)
+    return (stamp_ns, xyz) if rows is None else (stamp_ns[rows], xyz[rows])
 
 
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:

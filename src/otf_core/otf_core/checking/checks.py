@@ -338,9 +338,9 @@ def _check_clock(seen: Seen) -> Checked:
     first = moment(int(samples.stamp_ns[0]))
     words = f'starts {first}' if first else 'stamps count from an epoch of their own'
     steps = _clock_steps(seen.received)
-    said = ''
+    doubt = ''
     if len(steps):
-        said = (
+        doubt = (
             f'the clock of the stamps was set {len(steps)} times relative to that of the '
             f'recorder, first'
             f' {steps[0]:.1f} s after the start: let the driver stamp with a clock that is '
@@ -357,7 +357,7 @@ def _check_clock(seen: Seen) -> Checked:
     return Checked(
         f'{words}, intervals scatter by {100 * jitter:.1f} %',
         {'first_stamp': first, 'clock_set': len(steps), 'jitter': jitter},
-        errors(seen.why('stamps')) + warnings(said, uneven),
+        errors(seen.why('stamps')) + warnings(doubt, uneven),
     )
 
 
@@ -526,8 +526,8 @@ def _check_forecast(seen: Seen) -> Checked:
     if unseen:
         words += f'\nnot shown by this path: {", ".join(map(str, unseen))}'
     loose = ', '.join(map(str, found.loose_nodes))
-    said = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
-    return Checked(words, {'forecast': facts}, warnings(said))
+    doubt = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
+    return Checked(words, {'forecast': facts}, warnings(doubt))
 
 
 FORECAST = Check('forecast', _check_forecast)

@@ -67,31 +67,31 @@ def run_export(arguments: argparse.Namespace) -> int:
     refuse_rotary(content.tables.machine, 'export')
     chosen = export_format(arguments.format)
     request = Request(content, out.name, arguments.sign, arguments.points)
-    made = chosen.export(request)
+    export = chosen.export(request)
     targets = [
         (OutputFile(
             out.parent / name, is_export, overwrite=arguments.overwrite, inputs=(source,)
         ), packed)
-        for name, packed in made.files.items()
+        for name, packed in export.files.items()
     ]  # fmt: skip
     for target, packed in reversed(targets):
         with target.filled() as partial:
             partial.write_bytes(packed)
-    left = remaining_error(content.tables, made.held, content.extra.get('headline'))
+    remainder = remaining_error(content.tables, export.held, content.extra.get('headline'))
     data: dict[str, Any] = {
         'schema': 'otf-export/1',
         'format': chosen.name,
         'files': [str(target.path) for target, _ in targets],
         'sign': chosen.sign_words(request),
         'lacks': chosen.lacks,
-        'remaining': left.to_dict(),
-        'remarks': list(made.remarks),
+        'remaining': remainder.to_dict(),
+        'remarks': list(export.remarks),
     }
     lines = [
         f'sign: {data["sign"]}',
         f'not in the file: {chosen.lacks}',
-        left.words,
-        *made.remarks,
+        remainder.words,
+        *export.remarks,
         f'written: {", ".join(map(str, data["files"]))}',
     ]
     answer(arguments, '\n'.join(lines), data)

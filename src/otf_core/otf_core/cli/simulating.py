@@ -323,8 +323,8 @@ def add_closing_verbs(verb: AddVerb) -> None:
 
 def run_loop(arguments: argparse.Namespace) -> int:
     """The whole circle on LinuxCNC."""
-    asked = parameters(LoopConfig, arguments)
-    given = dataclasses.asdict(asked)
+    config = parameters(LoopConfig, arguments)
+    given = dataclasses.asdict(config)
     planning = PlannerConfig(passes=1, feed=given.pop('feed'), corner_dwell=0.05, end_dwell=2.0)
     out = output_folder(arguments, arguments.machine)
     from otf_core.loop.circle import go_round

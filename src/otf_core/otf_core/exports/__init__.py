@@ -28,8 +28,8 @@ HOMES = {
 
 def export_format(name: str) -> Format:
     """Return the format of a name in ``HOMES``."""
-    made: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
-    return made
+    found: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
+    return found
 
 
 __all__ = ['HOMES', 'export_format']

@@ -304,8 +304,8 @@ def remaining_error(
     error = displacement(tables, q)
     before = np.linalg.norm(without_rigid_motion(error, q), axis=1)
     after = np.linalg.norm(without_rigid_motion(error - held(q), q), axis=1)
-    left = displacement(tables, finer) - held(finer)
-    between = np.linalg.norm(without_rigid_motion(left, finer), axis=1)
+    remainder = displacement(tables, finer) - held(finer)
+    between = np.linalg.norm(without_rigid_motion(remainder, finer), axis=1)
     wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
     return Remaining(
         len(q),

@@ -405,9 +405,9 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     seen = values > SINGULAR_VALUE_RATIO * values[-1]
     basis = vectors[:, seen]
     solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
-    left = wanted - matrix @ solved
+    remainder = wanted - matrix @ solved
     tables = _tables(machine, nodes, solved, hidden)
-    return ImportedTables(tables, float(_rms(wanted)), float(_rms(left)))
+    return ImportedTables(tables, float(_rms(wanted)), float(_rms(remainder)))
 
 
 def _check_size(lattice: Lattice, machine: Machine) -> None:

@@ -172,9 +172,9 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
     seconds = np.array([one.seconds for one in found], np.int64) * SECOND_NS
     words = found[0].form or 'hours, minutes, seconds'
     if dated[0]:
-        days, said = _days([one.date for one in found if one.date], seconds, order)
+        days, order_words = _days([one.date for one in found if one.date], seconds, order)
         seconds = seconds + days * DAY_NS
-        words = f'date ({said}) and time' if said else 'date and time'
+        words = f'date ({order_words}) and time' if order_words else 'date and time'
     stamps, repaired = _with_parts(seconds, [one.part for one in found], found[0].form)
     if not dated[0] and len(stamps) > 1:
         stamps[1:] += DAY_NS * np.cumsum(np.diff(stamps) < -DAY_NS // 2)  # past midnight

@@ -267,10 +267,10 @@ def _scatter(series: Series, rate: Array, spread: Array) -> float:
     """Birge ratio of the runs about their line, at least 1."""
     if len(spread) < 3:
         return 1.0
-    left = series.values - series.values.mean(axis=0) - spread[:, None] * rate
+    residuals = series.values - series.values.mean(axis=0) - spread[:, None] * rate
     found = [
         chi_square(x[seen], c[np.ix_(seen, seen)])
-        for x, c in zip(left, series.covariances, strict=True)
+        for x, c in zip(residuals, series.covariances, strict=True)
         for seen in [np.diag(c) > 1e-30]
     ]
     chi2, dof = sum(f[0] for f in found), sum(f[1] for f in found)

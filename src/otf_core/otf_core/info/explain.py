@@ -449,10 +449,10 @@ def _explain_export(path: Path) -> Explained:
         ('run', f'{facts["run"]}: run_id of the error_tables.json it comes from'),
     ]
     for line in text[found.end() :].splitlines():
-        said = line.lstrip(' #;/<!-').removesuffix('-->').strip()
+        words = line.lstrip(' #;/<!-').removesuffix('-->').strip()
         for start, name in EXPORT_LINES.items():
-            if said.startswith(start) and name not in dict(rows):
-                rows.append((name, said.removeprefix(start)))
+            if words.startswith(start) and name not in dict(rows):
+                rows.append((name, words.removeprefix(start)))
     return Explained(tuple(rows), facts)
 
 

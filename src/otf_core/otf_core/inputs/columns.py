@@ -271,11 +271,11 @@ def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
         if name in FIXED:
             groups[('dval',), ''][FIXED[name]].append(_column(place, heading))
             continue
-        said = coordinate_of(_named(heading))
-        if said is None or said.role == 'none':
+        coordinate = coordinate_of(_named(heading))
+        if coordinate is None or coordinate.role == 'none':
             continue
-        words = said.words if keep_fillers else without_fillers(said.words)
-        groups[words, said.role][said.axis].append(_column(place, heading))
+        words = coordinate.words if keep_fillers else without_fillers(coordinate.words)
+        groups[words, coordinate.role][coordinate.axis].append(_column(place, heading))
     found = []
     for (_, role), axes in groups.items():
         count = min(len(axes[axis]) for axis in AXES)
@@ -361,17 +361,17 @@ def columns_of(
         polar = _polar(headings)
         return None if polar is None else Columns(polar[0], time, polar[1])
     wanted, unwanted = ('nominal', 'measured') if nominal else ('measured', 'nominal')
-    taken = [o for o in offered if o.role == wanted] or [o for o in offered if o.role == '']
-    if nominal and not taken:
-        taken = offered
-    if len(taken) == 1:
-        rest = [o for o in offered if o is not taken[0]]
+    chosen = [o for o in offered if o.role == wanted] or [o for o in offered if o.role == '']
+    if nominal and not chosen:
+        chosen = offered
+    if len(chosen) == 1:
+        rest = [o for o in offered if o is not chosen[0]]
         words = '; '.join(
             f'not {o.words}, {o.role or "which is not stated to be it"}' for o in rest
         )
-        remarks = (f'the {wanted} point is {taken[0].words}; {words}',) if rest else ()
-        return Columns(taken[0].point, time, '', remarks)
-    if not taken:
+        remarks = (f'the {wanted} point is {chosen[0].words}; {words}',) if rest else ()
+        return Columns(chosen[0].point, time, '', remarks)
+    if not chosen:
         raise AmbiguousPointError(
             f'{where}: the head names {unwanted} positions only: {offered[0].words}; export the '
             f'measured ones{_choice(headings, offered, time, nominal)}'

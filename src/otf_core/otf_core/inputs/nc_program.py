@@ -317,7 +317,7 @@ def _code(value: Decimal) -> str:
 
 def without_comments(line: str) -> str | None:
     """Text of a block without comments in brackets and behind a semicolon; None: not closed."""
-    kept: list[str] = []
+    parts: list[str] = []
     depth = at = 0
     while at < len(line):
         sign = line[at]
@@ -327,19 +327,19 @@ def without_comments(line: str) -> str | None:
             at = line.find('"', at + 1)
             if at < 0:
                 return None
-            while kept and kept[-1] in ' (':
-                kept.pop()
+            while parts and parts[-1] in ' (':
+                parts.pop()
             at += len(line[at + 1 :]) - len(line[at + 1 :].lstrip(' )'))
-            kept.append(' ')
+            parts.append(' ')
         elif sign == '(' and (depth or not _calls(line[max(at - 30, 0) : at])):
             depth += 1
         elif sign == ')' and depth:
             depth -= 1
-            kept.append(' ')
+            parts.append(' ')
         elif not depth:
-            kept.append(sign)
+            parts.append(sign)
         at += 1
-    return None if depth else ''.join(kept)
+    return None if depth else ''.join(parts)
 
 
 def _calls(before: str) -> bool:
@@ -586,12 +586,12 @@ def read_program(name: str | Path) -> Program:
 def _words(form: str, path: DrivenPath) -> str:
     """Say what a program was read as."""
     arcs = f' and {path.arcs} arcs, as chords of at most {1e3 * CHORD:g} mm' if path.arcs else ''
-    said = [f'NC program ({form}): {path.lines} straight moves{arcs}']
+    lines = [f'NC program ({form}): {path.lines} straight moves{arcs}']
     offsets = [name for name in path.frames if name != MACHINE]
     if offsets:
-        said.append(
+        lines.append(
             f'positions in {offsets[0]} are treated as {MACHINE}: that offset has to be zero'
         )
     if path.slanted_rapids:
-        said.append(f'{path.slanted_rapids} rapid moves of several axes are treated as straight')
-    return '; '.join([*said, *path.remarks])
+        lines.append(f'{path.slanted_rapids} rapid moves of several axes are treated as straight')
+    return '; '.join([*lines, *path.remarks])

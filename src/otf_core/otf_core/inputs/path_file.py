@@ -221,9 +221,9 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
     names = [c.name for c in columns.point]
     if unit is None and not form and names == ['x', 'y', 'z'] and table.dialect.separator == ',':
         return points, ''
-    said = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
-    said += ''.join(f'; {remark}' for remark in columns.remarks)
-    return points * LENGTHS[unit or 'm'], said
+    words = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
+    words += ''.join(f'; {remark}' for remark in columns.remarks)
+    return points * LENGTHS[unit or 'm'], words
 
 
 # A path from a file: plan.json of otf plan, the NC program that was driven, or corner points.

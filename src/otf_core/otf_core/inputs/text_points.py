@@ -405,15 +405,15 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
     _refuse_many(table, faults, len(table.lines) - len(bad))
     if not bad:
         return _Chosen(table.where, table.lines, read[:3], times, faults, table.width)
-    kept = [row for row in range(len(table.lines)) if row not in bad]
+    rows = [row for row in range(len(table.lines)) if row not in bad]
     point = [
-        NumberColumn([c.texts[row] for row in kept], c.values[kept], {}, c.form) for c in read[:3]
+        NumberColumn([c.texts[row] for row in rows], c.values[rows], {}, c.form) for c in read[:3]
     ]
     return _Chosen(
         table.where,
-        [table.lines[row] for row in kept],
+        [table.lines[row] for row in rows],
         point,
-        [[column[row] for row in kept] for column in times],
+        [[column[row] for row in rows] for column in times],
         faults,
         table.width,
     )

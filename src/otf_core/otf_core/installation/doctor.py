@@ -241,10 +241,10 @@ def _synchronised() -> bool | None:
         return None
     command = [program, 'show', '-p', 'NTPSynchronized', '--value']
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=2, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return {'yes': True, 'no': False}.get(done.stdout.strip())
+    return {'yes': True, 'no': False}.get(answer.stdout.strip())
 
 
 HIGHEST_DOMAIN = 232

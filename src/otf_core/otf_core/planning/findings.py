@@ -230,8 +230,8 @@ INDISTINGUISHABLE_SHARE = 0.97
 
 def forecast_rows(planned: Planned, limit: float) -> Rows:
     """Rows of the pieces that a recording of a plan would give, with zero deviations."""
-    observed, done, _ = planned
-    return rows_of([observed], done, limit)
+    observed, solution, _ = planned
+    return rows_of([observed], solution, limit)
 
 
 @dataclass(frozen=True)

@@ -350,8 +350,8 @@ def answered(rows: Rows, question: Question) -> Answer:
         np.einsum('cpk,pk->cp', run.system.axes, own).reshape(-1, 1) for run, own in parts
     ])  # fmt: skip
     trace = rows.project(rows.whiten(plain))[:, 0]
-    left = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
-    log_odds = 0.5 * left
+    remainder = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
+    log_odds = 0.5 * remainder
     words = (
         f'distinguishes {question.effect} from {question.rival}: '
         f'{"yes" if log_odds >= NAMED_LOG_ODDS else "not surely"} (odds of exp({log_odds:.1f}))'
@@ -377,8 +377,8 @@ def _left(columns: Array, trace: Array) -> float:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * normal * scale)
     pull = vectors.T @ (scale * (columns.T @ trace))
-    kept = values > 1e-9 * values[-1]
-    return float(trace @ trace - np.sum(pull[kept] ** 2 / values[kept]))
+    positive = values > 1e-9 * values[-1]
+    return float(trace @ trace - np.sum(pull[positive] ** 2 / values[positive]))
 
 
 def _seen(rows: Rows, question: Question) -> Answer:
@@ -405,13 +405,13 @@ def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> li
         )
     timed = [(drive_times(p, setup.config.acceleration).duration, k) for k, p in enumerate(plans)]
     shortest = min(timed)[0]
-    kept = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
-    if not kept:
+    affordable = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
+    if not affordable:
         raise ConfigError(
             f'time_budget: no path takes {budget:g} s or less; the shortest takes '
             f'{math.ceil(shortest)} s'
         )
-    return kept[:COMPARED_PATHS]
+    return affordable[:COMPARED_PATHS]
 
 
 def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Setup]:

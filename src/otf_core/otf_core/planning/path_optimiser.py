@@ -327,11 +327,11 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
         Without any leg if the time does not suffice for one.
     """
     joined = _pairs(lines)
-    matrix, left = np.zeros_like(ideal), time
+    matrix, remaining_time = np.zeros_like(ideal), time
     corners, feeds = [int(np.argmin(lines.points.sum(axis=1)))], []
     while True:
-        worth = judge(lines, matrix + max(left, 0.0) * ideal).gain / lines.cost
-        worth = np.where(passes * lines.cost <= left, worth, -np.inf)
+        worth = judge(lines, matrix + max(remaining_time, 0.0) * ideal).gain / lines.cost
+        worth = np.where(passes * lines.cost <= remaining_time, worth, -np.inf)
         from_here = joined[corners[-1]]
         gain = np.where(from_here >= 0, worth.max(axis=1)[from_here], -np.inf)
         target = int(np.argmax(gain))
@@ -342,8 +342,10 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
         corners.append(target)
         feeds.append(feed)
         matrix += passes * lines.information[line * len(lines.feeds) + feed]
-        left -= passes * float(lines.cost[line, feed])
-    return Walk(tuple(corners), tuple(feeds), passes, time - left, variance(lines, matrix))
+        remaining_time -= passes * float(lines.cost[line, feed])
+    return Walk(
+        tuple(corners), tuple(feeds), passes, time - remaining_time, variance(lines, matrix)
+    )
 
 
 # Plans that make the grid best known in a given time, or known well enough in the least time.

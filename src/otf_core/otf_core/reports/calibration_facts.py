@@ -260,8 +260,8 @@ class Facts:
         if not own.any():
             return 1.0
         values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
-        kept = values[values > 1e-12 * values[-1]]
-        return float(np.sqrt(kept[-1] / kept[0]))
+        positive = values[values > 1e-12 * values[-1]]
+        return float(np.sqrt(positive[-1] / positive[0]))
 
     @property
     def k_volume(self) -> float:

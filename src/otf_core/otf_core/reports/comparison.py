@@ -108,8 +108,8 @@ def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
 
 def _empty_panel(motion: ErrorMotion, unit: str) -> str:
     panel = Panel(Scale(0.1, 0.9, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
-    said = svg_words(190.0, 100.0, 'not determined by both', 'middle soft')
-    return panel.draw([said], f'{motion}: not determined by both', motion)
+    label = svg_words(190.0, 100.0, 'not determined by both', 'middle soft')
+    return panel.draw([label], f'{motion}: not determined by both', motion)
 
 
 def _along(x: Array, motion: ErrorMotion) -> Scale:
@@ -180,7 +180,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     pictures.append(vectors(volume.q, volume.difference, step))
     key = (
         *_colour_key(comparison),
-        *((f'heat h{k}', said) for k, said in heat_words(step, length)),
+        *((f'heat h{k}', label) for k, label in heat_words(step, length)),
     )
     caption = (
         f'Mean length of the error vectors of both sources and of their difference on '
@@ -350,8 +350,8 @@ def _motion_pictures(result: Comparison) -> Sequence[Picture]:
     axes, a, b = result.common.machine.axis_names, *result.names
     motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
     key = ''.join(
-        f'<span class="{kind}-key"><span class="key"></span>{text(said)}</span> '
-        for kind, said in (('after', f'a: {a}'), ('before', f'b: {b}'))
+        f'<span class="{kind}-key"><span class="key"></span>{text(label)}</span> '
+        for kind, label in (('after', f'a: {a}'), ('before', f'b: {b}'))
     )
     legend = f'<p class="soft keys">{key}</p>'
     return [

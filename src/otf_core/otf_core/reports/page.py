@@ -238,8 +238,8 @@ def _picture(picture: Picture) -> str:
     title = f'<h3>{text(picture.title)}</h3>' if picture.title else ''
     kind = COLUMNS[picture.columns]
     hint = f' <span class="screen">{text(picture.hint)}</span>' if picture.hint else ''
-    said = text(picture.caption) + hint
-    caption = f'<figcaption>{said}</figcaption>' if said else ''
+    caption_text = text(picture.caption) + hint
+    caption = f'<figcaption>{caption_text}</figcaption>' if caption_text else ''
     long = ' class="long"' if len(picture.parts) > LONG_FIGURE else ''
     parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
     shown = f'<div class="pictures{kind}">{parts}</div>'

@@ -107,8 +107,8 @@ def draw_error_bars(report: PlanReport, unit: str) -> str:
             continue
         u = found.u[name]
         mean, most = float(u.mean()), float(u.max())
-        said = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
-        rows.append(Bar(name, ((1e6 * mean, 'after'),), said, 1e6 * most))
+        label = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
+        rows.append(Bar(name, ((1e6 * mean, 'after'),), label, 1e6 * most))
     return bars(rows, f'uncertainty of errors in {words}', width=480.0)
 
 
@@ -116,7 +116,7 @@ def write_plan_picture(report: PlanReport, folder: Path) -> Path:
     """Write plan.svg into a folder."""
     size = np.linalg.norm(report.forecast.grid_u_free, axis=1)
     step = heat_step(1e6 * size)
-    key = [(f'heat h{level}', f'u {said}') for level, said in heat_words(step, size)]
+    key = [(f'heat h{level}', f'u {label}') for level, label in heat_words(step, size)]
     pictures = [draw_path(report), draw_grid(report, step)]
     pictures += [draw_error_bars(report, unit) for unit in MILLIONTHS]
     title = f'Plan for {report.setup.machine.name}: {report.how}'

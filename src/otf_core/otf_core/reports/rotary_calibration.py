@@ -53,7 +53,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json."""
     pose = first_pose(result)
     alignment = {'rotation': pose.rotation.tolist(), 'translation': pose.translation.tolist()}
-    done, machine = result.solution, result.machine
+    solution, machine = result.solution, result.machine
     data = tables_to_dict(result.tables)
     for name, words in result.advice.items():
         place = 'motions' if name in data['motions'] else None
@@ -79,14 +79,14 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
                     for k, p in enumerate(m.parts)
                 ],
                 'alignment': {
-                    'rotation': done.poses[s.run.station].rotation.tolist(),
-                    'translation': done.poses[s.run.station].translation.tolist(),
+                    'rotation': solution.poses[s.run.station].rotation.tolist(),
+                    'translation': solution.poses[s.run.station].translation.tolist(),
                 },
                 'pieces': len(s.run.pieces),
                 'noise': noise_to_fields(s.noise),
                 'misfit': asdict(s.misfit),
             }
-            for s, m in zip(done.runs, result.matched, strict=True)
+            for s, m in zip(solution.runs, result.matched, strict=True)
         ],
         'run_id': result.run_id,
         'gauge': GAUGE,

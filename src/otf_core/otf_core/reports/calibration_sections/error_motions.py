@@ -237,7 +237,7 @@ def _motion_line(facts: Facts, name: ErrorMotion) -> str:
 
 def spacing_words(result: CalibrationResult) -> str:
     """What straight lines between the nodes cost."""
-    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    wish, cost = result.table_costs[1], result.table_costs[result.fraction]
     worst = max(wish.motions, key=lambda name: wish.motions[name])
     unit = micro_unit(ErrorMotion.of(worst).unit)
     costs = (
@@ -248,7 +248,7 @@ def spacing_words(result: CalibrationResult) -> str:
         return f'Nodes stand table_pitch apart; {costs}.'
     return (
         f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
-        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+        f'{1e6 * cost.grid:.2f} um on the grid; at table_pitch {costs}.'
     )
 
 
@@ -376,16 +376,16 @@ def squareness_section(facts: Facts) -> Section:
             continue
         wide = float(result.expanded[name][0])
         larger = ANGLES[name][2] * entry.value
-        said, holds = squareness_words(name, entry.value, wide), bound.words(name)
+        statement, holds = squareness_words(name, entry.value, wide), bound.words(name)
         data[name] = {'value': entry.value, 'u': entry.u, 'U': wide, 'larger_than_90': larger,
-                      'words': said, 'holds': holds}  # fmt: skip
+                      'words': statement, 'holds': holds}  # fmt: skip
         figures = [figure(1e6 * v, 1e6 * wide) for v in (entry.value, larger)]
         rows.append((name, *figures, significant(1e6 * wide), significant(1e6 * entry.u),
                      holds or 'at any target offset'))  # fmt: skip
-        angles.append(f'{name}: {said}{f", {holds}" if holds else ""}.')
+        angles.append(f'{name}: {statement}{f", {holds}" if holds else ""}.')
         text.append(
             f'{name}  {with_expanded(1e6 * entry.value, 1e6 * wide):<20}'
-            f'u {significant(1e6 * entry.u):<8}{said}{f"; {holds}" if holds else ""}'
+            f'u {significant(1e6 * entry.u):<8}{statement}{f"; {holds}" if holds else ""}'
         )
     words = (
         *angles,
@@ -405,11 +405,11 @@ def reversal_section(facts: Facts) -> Section:
     reversal = facts.result.reversal
     text = (format_reversal(reversal), '')
     if not facts.both_ways:
-        said = (
+        statement = (
             f'Reversal model: {reversal.model}. The data do not distinguish forward from '
             f'backward travel, so no figures after ISO 230-2 can be derived.',
         )
-        return Section('reversal', 'Forward and backward', said,
+        return Section('reversal', 'Forward and backward', statement,
                        {'model': reversal.model}, text=text)  # fmt: skip
     rows: list[tuple[str, ...]] = []
     data = {}

@@ -158,10 +158,10 @@ def _bar(one: ErrorSize) -> Bar:
     if not one.known:
         return Bar(name, (), f'not known{stated}', limit)
     value, wide = 1e6 * one.value, 1e6 * one.U
-    said = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
+    label = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
     kind = STATE_KINDS.get(one.state, 'after')
     ends = (max(value - wide, 0.0), value + wide)
-    return Bar(name, ((value, kind),), said, limit, ends)
+    return Bar(name, ((value, kind),), label, limit, ends)
 
 
 def volume_pictures(facts: Facts) -> Picture:
@@ -431,14 +431,14 @@ def _contributors_line(facts: Facts) -> str:
 
 
 def _squareness_line(facts: Facts) -> str:
-    result, said = facts.result, []
+    result, parts = facts.result, []
     for name in SQUARENESS:
         if name in result.not_identifiable:
-            said.append(f'{name} not known')
+            parts.append(f'{name} not known')
             continue
         value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
-        said.append(f'{name} {with_expanded(1e6 * value, 1e6 * wide)} urad')
-    return f'squareness: {", ".join(said)}'
+        parts.append(f'{name} {with_expanded(1e6 * value, 1e6 * wide)} urad')
+    return f'squareness: {", ".join(parts)}'
 
 
 def _distance_figure(value: float, fit: Fit) -> str:
@@ -447,8 +447,8 @@ def _distance_figure(value: float, fit: Fit) -> str:
 
 
 def _warning_lines(facts: Facts) -> list[str]:
-    said = typical_warnings(facts.typical)
-    every = [w for w in facts.result.warnings if w not in said]
+    warned = typical_warnings(facts.typical)
+    every = [w for w in facts.result.warnings if w not in warned]
     lines = [f'warning: {shortened(w)}' for w in every[:SUMMARY_WARNINGS]]
     more = len(every) - SUMMARY_WARNINGS
     if more > 0:

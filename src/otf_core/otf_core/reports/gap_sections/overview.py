@@ -190,8 +190,8 @@ def shown_parameters(cause: NamedCause) -> tuple[list[str], int, int]:
 
     estimated = [n for n in cause.parameters if n in cause.u]
     significant = [n for n in estimated if strength(n) > COVERAGE_FACTOR]
-    kept = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
-    shown = [n for n in significant if n in kept]
+    strongest = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
+    shown = [n for n in significant if n in strongest]
     return shown, len(significant) - len(shown), len(estimated) - len(significant)
 
 
@@ -271,8 +271,8 @@ def unexplained_section(diagnosis: Diagnosis) -> Section:
     )
     data = {'rms_um': diagnosis.unexplained_um, 'where': where}
     size = f'left: {diagnosis.unexplained_um:.2f} um'
-    told = diagnosis.unnamed is not None  # in the sentence of the first screen
-    text = (size if told or not where else f'{size}, {where}', '')
+    named = diagnosis.unnamed is not None  # in the sentence of the first screen
+    text = (size if named or not where else f'{size}, {where}', '')
     return Section('unexplained', 'What stays unexplained', (words,), data, text=text)
 
 
@@ -562,8 +562,8 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
         dates = moment(one.first_ns), moment(one.last_ns)
         when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
-    tables, said = stated(plain.tables.machine)
+    tables, words = stated(plain.tables.machine)
     tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
     shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
     tables.append(Table(('', ''), shown, title='Recordings and versions'))
-    return Section('conditions', 'Conditions and instrument', said, dict(rows), tuple(tables))
+    return Section('conditions', 'Conditions and instrument', words, dict(rows), tuple(tables))

@@ -139,8 +139,8 @@ def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> s
 
 def time_section(diagnosis: Diagnosis) -> Section:
     """Residual against time, one dot a leg."""
-    left = len(diagnosis.shown.views) - DRAWN_RUNS
-    words = (f'{left} further runs are not drawn.',) if left > 0 else ()
+    further = len(diagnosis.shown.views) - DRAWN_RUNS
+    words = (f'{further} further runs are not drawn.',) if further > 0 else ()
     return Section('time', 'Against time', words, draw=lambda: _time_pictures(diagnosis))
 
 
