@@ -419,8 +419,8 @@ def set_state(folder: Path, state: str) -> None:
 
 def unfinished(directory: Path) -> list[Path]:
     """Runs that are still to be calibrated, the newest last."""
-    found = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
-    return [p for p in found if state_of(p) == RECORDING or not (p / METADATA).exists()]
+    runs = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
+    return [p for p in runs if state_of(p) == RECORDING or not (p / METADATA).exists()]
 
 
 @dataclass(frozen=True)
@@ -458,12 +458,12 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     arrived = []
     own = {t.name for t in (*TOPICS, GAP)}
     for file in files:
-        found = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
-        arrived.append(tuple(_in_order([b for b in found if b.topic in own])))
-        if found:
-            times = np.concatenate([b.log_time for b in found])
+        messages = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
+        arrived.append(tuple(_in_order([b for b in messages if b.topic in own])))
+        if messages:
+            times = np.concatenate([b.log_time for b in messages])
             counts: Counter[Topic] = Counter()
-            for block in found:
+            for block in messages:
                 counts[_topic(block, definitions.all)] += block.start.size
             parts.append(Part(file.name, int(times.min()), int(times.max()), counts))
         else:

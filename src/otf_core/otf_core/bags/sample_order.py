@@ -352,15 +352,15 @@ def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
     ndarray of uint8, shape (n,)
         ``NO_BEAM``, ``NOT_FINITE``, ``FAR`` or 0.
     """
-    found = np.zeros(len(xyz), np.uint8)
+    kinds = np.zeros(len(xyz), np.uint8)
     with np.errstate(invalid='ignore'):  # signalling nan
         x, y, z = xyz.T
-        found[(x == 0) & (y == 0) & (z == 0)] = NO_BEAM
+        kinds[(x == 0) & (y == 0) & (z == 0)] = NO_BEAM
         if not (xyz.max(initial=0.0) < MAX_RANGE and xyz.min(initial=0.0) > -MAX_RANGE):
             reach = np.abs(xyz).max(axis=1, initial=0.0)
-            found[~(reach < MAX_RANGE)] = FAR
-            found[~np.isfinite(reach)] = NOT_FINITE
-    return found
+            kinds[~(reach < MAX_RANGE)] = FAR
+            kinds[~np.isfinite(reach)] = NOT_FINITE
+    return kinds
 
 
 class Screening:
@@ -406,21 +406,21 @@ class Screening:
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
         """
-        found, before = judged(xyz), self.total - self._count[FOREIGN]
+        kinds, before = judged(xyz), self.total - self._count[FOREIGN]
         self.total += len(xyz)
         if self._start_ns is None and len(xyz):
             self._start_ns = int(stamp_ns[0])
-        if not found.any():
+        if not kinds.any():
             return None
         for kind in (NO_BEAM, NOT_FINITE, FAR):
-            (at,) = np.nonzero(found == kind)
+            (at,) = np.nonzero(kinds == kind)
             if at.size:
                 i = int(at[0])
                 seconds = (int(stamp_ns[i]) - (self._start_ns or 0)) * 1e-9
                 first = f'sample {before + i}, {seconds:.6f} s after the start: {xyz[i].tolist()}'
                 self._first.setdefault(kind, first)
                 self._count[kind] += at.size
-        return np.asarray(found == 0)
+        return np.asarray(kinds == 0)
 
     def remarks(self) -> list[str]:
         """What was left out, in words."""

@@ -118,13 +118,13 @@ def run_import(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
     refuse_rotary(machine, 'import')
-    found = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
-    sizes = {'size_rms_um': 1e6 * found.size_rms, 'left_rms_um': 1e6 * found.left_rms}
+    imported = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
+    sizes = {'size_rms_um': 1e6 * imported.size_rms, 'left_rms_um': 1e6 * imported.left_rms}
     block = provenance(
         'import', machines=[machine], files={'lattice': arguments.lattice},
         coverage='no uncertainty: u of the lattice is not carried over',
     )  # fmt: skip
-    content = tables_to_dict(found.tables) | {'imported': sizes, 'provenance': block}
+    content = tables_to_dict(imported.tables) | {'imported': sizes, 'provenance': block}
     with out.filled('import') as folder:
         write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
     words = (

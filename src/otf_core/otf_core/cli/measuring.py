@@ -359,10 +359,10 @@ def run_info(arguments: argparse.Namespace) -> int:
     """Identify a file and summarise its contents."""
     from otf_core.info.explain import explain
 
-    kind, found = explain(arguments.file)
-    width = max([len(name) for name, _ in found.rows] + [0])
+    kind, explanation = explain(arguments.file)
+    width = max([len(name) for name, _ in explanation.rows] + [0])
     lines = [f'{arguments.file}: {kind.name}', kind.what, '']
-    lines += [f'{name:<{width}}  {text}' for name, text in found.rows]
+    lines += [f'{name:<{width}}  {text}' for name, text in explanation.rows]
     about = {'file': arguments.file, 'kind': kind.name, 'what': kind.what}
-    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(found.facts)})
+    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(explanation.facts)})
     return 0

@@ -28,8 +28,8 @@ HOMES = {
 
 def export_format(name: str) -> Format:
     """Return the format of a name in ``HOMES``."""
-    found: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
-    return found
+    definition: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
+    return definition
 
 
 __all__ = ['HOMES', 'export_format']

@@ -194,13 +194,13 @@ def _noise_variance(run: Run, rows: slice, across: Array) -> float:
     distance = float(np.linalg.norm(beam))
     duration = float(run.pieces.duration[rows].sum())
     count = float(run.pieces.count[rows].sum())
-    found = []
+    variances = []
     for component, reach in zip(run.noise, (1.0, distance, distance), strict=True):
         slow = min(1.0, 2.0 * component.correlation_time / max(duration, 1e-9))
-        found.append(reach**2 * (component.white**2 / count + component.slow**2 * slow))
+        variances.append(reach**2 * (component.white**2 / count + component.slow**2 * slow))
     unit = across @ (run.pose.rotation @ beam) / distance
     along = float(unit @ unit)  # share of the beam that points across the line
-    return found[0] * along + max(found[1:]) * (2.0 - along)
+    return variances[0] * along + max(variances[1:]) * (2.0 - along)
 
 
 def interim_check(recording: Recording, series: Series) -> InterimCheck:

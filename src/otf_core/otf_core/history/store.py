@@ -119,8 +119,8 @@ def measured_at(content: TablesFile) -> str | None:
         return None
     measured = block.get('measured')
     last = measured.get('last') if isinstance(measured, dict) else None
-    found = last or block.get('written')
-    return found if isinstance(found, str) else None
+    date = last or block.get('written')
+    return date if isinstance(date, str) else None
 
 
 def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, bool]:

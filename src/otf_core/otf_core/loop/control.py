@@ -225,8 +225,8 @@ def find_control() -> str:
     ControlMissing
         Says how to get it.
     """
-    found = shutil.which(COMMAND)
-    if found is None or shutil.which('halsampler') is None:
+    program = shutil.which(COMMAND)
+    if program is None or shutil.which('halsampler') is None:
         raise ControlMissing(
             'LinuxCNC is not installed; on Debian 12 or later: sudo apt-get update && '
             'sudo apt-get install -y --no-install-recommends linuxcnc-uspace '
@@ -237,7 +237,7 @@ def find_control() -> str:
             f'{LOCK}: LinuxCNC runs on this computer already, and two would terminate each '
             f'other; stop it, or remove the file if none is running'
         )
-    return found
+    return program
 
 
 @contextmanager

@@ -455,11 +455,11 @@ def grid_uncertainty(
     """
     rows = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
     flat = rows.reshape(-1, rows.shape[2])
-    found = []
+    uncertainties = []
     for part in (flat, free_rows(flat, grid)):
         variance = np.einsum('ij,ij->i', part @ covariance, part)
-        found.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
-    return found[0], found[1]
+        uncertainties.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+    return uncertainties[0], uncertainties[1]
 
 
 # Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.

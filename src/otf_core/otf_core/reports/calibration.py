@@ -313,8 +313,8 @@ EFFECTS_FILE = 'effects_taken_off'
 
 def calibration_sections(facts: Facts) -> list[Section]:
     """All sections of one calibration; pictures are drawn when a page asks for them."""
-    found = (section(facts) for section in SECTIONS)
-    return [section for section in found if section is not None]
+    sections = (section(facts) for section in SECTIONS)
+    return [section for section in sections if section is not None]
 
 
 def calibration_html(facts: Facts) -> str:
@@ -582,8 +582,8 @@ def facts_of(
         runs=result.origin,
         coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
     )
-    found = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
-    return Facts(result, tuple(found), about)
+    budget = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
+    return Facts(result, tuple(budget), about)
 
 
 def write_with_effects(

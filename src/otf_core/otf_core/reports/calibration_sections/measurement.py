@@ -96,7 +96,7 @@ def path_section(facts: Facts) -> Section:
 
 def _path_pictures(facts: Facts) -> Sequence[Picture]:
     runs = facts.result.runs
-    found = []
+    pictures = []
     for number, run in enumerate(runs[:DRAWN_RUNS], start=1):
         name = f'Run {number}. ' if len(runs) > 1 else ''
         space = Picture(
@@ -112,10 +112,10 @@ def _path_pictures(facts: Facts) -> Sequence[Picture]:
             columns=2,
             title='Over time' if number == 1 else '',
         )
-        found += [space, time]
+        pictures += [space, time]
     if len(runs) > DRAWN_RUNS:
-        found.append(Picture((), f'{len(runs) - DRAWN_RUNS} further runs are not drawn.'))
-    return found
+        pictures.append(Picture((), f'{len(runs) - DRAWN_RUNS} further runs are not drawn.'))
+    return pictures
 
 
 def _path_in_space(facts: Facts, run: RunResult) -> str:
@@ -228,7 +228,7 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
     )
     middle = np.array([pieces.time[a:b].mean() for a, b in bounds])
     edges = np.linspace(0.0, float(pieces.time.max()) + 1e-9, DRIFT_PARTS + 1)
-    found = []
+    changes = []
     for low, high in pairwise(edges):
         own = (middle >= low) & (middle < high)
         total = gram[own].sum(axis=0)
@@ -239,17 +239,17 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
         rest = right[own] - gram[own] @ value
         cover = np.linalg.inv(total)
         cover = cover @ (rest.T @ rest) @ cover * own.sum() / (own.sum() - 1)
-        found.append((float(middle[own].mean()), value, np.sqrt(np.diag(cover))))
-    if not found:
+        changes.append((float(middle[own].mean()), value, np.sqrt(np.diag(cover))))
+    if not changes:
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
-    time, value, u = (np.array(part) for part in zip(*found, strict=True))
+    time, value, u = (np.array(part) for part in zip(*changes, strict=True))
     return time, value, u
 
 
 def drift_section(facts: Facts) -> Section:
     """Drift between start and end of a run, as the residuals show it."""
     rows: list[tuple[str, ...]] = []
-    data, found = [], []
+    data, directions = [], []
     for number, run in enumerate(facts.result.runs, start=1):
         time, value, u = drift(run)
         name = f'{number} {run.name}'.strip()
@@ -259,11 +259,11 @@ def drift_section(facts: Facts) -> Section:
         change, wide = value[-1] - value[0], 2.0 * np.hypot(u[-1], u[0])
         parts = [f'{1e6 * c:.2f} +/- {1e6 * w:.2f}' for c, w in zip(change, wide, strict=True)]
         rows.append((name, *parts, f'{time[-1] - time[0]:.0f}'))
-        found += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
+        directions += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
                   if abs(c) > w]  # fmt: skip
         data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
                      'time': float(time[-1] - time[0])})  # fmt: skip
-    verdict = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
+    verdict = f'Larger than U: along {listed(directions)}.' if directions else 'No drift beyond U.'
     words = (
         verdict,
         _moved_words(facts),

@@ -75,8 +75,8 @@ class Scale:
             return list(self.named)
         if self.logarithmic:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-            found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
-            inside = [(m, v) for m, v in found if self.low <= v <= self.high]
+            marks = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
+            inside = [(m, v) for m, v in marks if self.low <= v <= self.high]
             if len(inside) < MIN_MARKS:
                 fine = [m * 10.0**k for k in powers for m in FINE]
                 return [(v, f'{v:g}') for v in fine if self.low <= v <= self.high]
@@ -480,9 +480,9 @@ Key = Sequence[tuple[str, str]]
 
 
 def _size(picture: str) -> tuple[float, float]:
-    found = SIZE.match(picture)
-    assert found is not None, 'not of drawing.panel.svg'
-    return float(found[1]), float(found[2])
+    match = SIZE.match(picture)
+    assert match is not None, 'not of drawing.panel.svg'
+    return float(match[1]), float(match[2])
 
 
 def _placed(picture: str, x: float, y: float) -> str:

@@ -205,14 +205,14 @@ def _overlap(a: Box, b: Box) -> float:
 def _crowd(items: Sequence[Item], centre: Array, size: float) -> Array:
     """Places (n, 2), px, that labels should leave free: along lines and arrows, and dots."""
     share = np.linspace(0.0, 1.0, 7)[:, None]
-    found = [np.zeros((0, 3))]
+    points = [np.zeros((0, 3))]
     for item in items:
         if isinstance(item, Dots):
-            found.append(item.points)
+            points.append(item.points)
         elif isinstance(item, Strokes):
             a, b = item.ends[:, None, 0], item.ends[:, None, 1]
-            found.append((a + share * (b - a)).reshape(-1, 3))
-    return _projected((np.concatenate(found) - centre) / size)
+            points.append((a + share * (b - a)).reshape(-1, 3))
+    return _projected((np.concatenate(points) - centre) / size)
 
 
 def _spot(

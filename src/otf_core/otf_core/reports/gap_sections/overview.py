@@ -84,9 +84,9 @@ def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
 def _meaning_tables(diagnosis: Diagnosis) -> tuple[Table, ...]:
     """What the parameters stand for, effect by effect."""
     named = dict.fromkeys(c.effect for c in diagnosis.causes)
-    found = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
+    meanings = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
     head = ('Cause', 'Displacement of the target', 'Parameters')
-    return (Table(head, tuple(found), title='What the parameters are'),) if found else ()
+    return (Table(head, tuple(meanings), title='What the parameters are'),) if meanings else ()
 
 
 def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
