@@ -216,7 +216,7 @@ def test_room_for_the_results_is_left_on_the_disk(journal, monkeypatch):
     monkeypatch.setattr(journal_module.os, 'statvfs', lambda place: room)
     put(journal, 100, 250)
     wait(lambda: journal.trouble)
-    assert 'disk full but for 2.0 MB, kept for the results' in journal.trouble
+    assert 'disk full except for 2.0 MB reserved for the results' in journal.trouble
     assert readable(journal.folder, 100)
     room.f_bavail = 600
     wait(lambda: readable(journal.folder, 250))
