@@ -210,6 +210,7 @@ def test_full_disk_is_said_and_nothing_is_missing_once_there_is_room(journal, mo
 
 
 def test_room_for_the_results_is_left_on_the_disk(journal, monkeypatch):
+    journal.message(PATH, path_cdr())
     put(journal, 0, 100)
     wait(lambda: readable(journal.folder, 100))
     room = SimpleNamespace(f_blocks=1000, f_frsize=4096, f_bavail=500)  # half of it is kept
