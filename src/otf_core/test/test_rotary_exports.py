@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exports of machines with rotary axes, read back and applied by transforms of their own."""
+
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_joints import constant, machine_of
+
+from otf_core.errors import ConfigError
+from otf_core.exports import HOMES, export_format
+from otf_core.exports.format import Request, remaining_error
+from otf_core.model.kinematics import exact_position, nominal_position
+from otf_core.model.tables import TablesFile
+from otf_core.sim.cell import random_tables
+
+CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
+
+
+def five_axes(chain=CHAINS[0], seed=3):
+    """A machine whose centres lie off the origin and whose C turns the other way."""
+    machine = machine_of(chain, None)
+    rng = np.random.default_rng(seed)
+    axes = dict(machine.axes)
+    for name in machine.rotary_names:
+        x, y, z = axes[name].direction
+        sense = -1.0 if name == 'C' else 1.0
+        centre = tuple(rng.uniform(-0.1, 0.1, 3))
+        axes[name] = replace(
+            axes[name], direction=(sense * x, sense * y, sense * z), centre=centre
+        )
+    return replace(machine, axes=axes)
+
+
+def exported(name, tables, sign='error', **extra):
+    chosen = export_format(name)
+    sign = sign if chosen.sign_is_asked else None
+    return chosen.export(Request(TablesFile(tables, extra), 'cell.txt', sign))
+
+
+def places(machine, count=60):
+    rng = np.random.default_rng(5)
+    return rng.uniform(machine.lower, machine.upper, (count, len(machine.axis_names)))
+
+
+# A reader of ISG CSV that knows what the manual and the head of the file say, and no more.
+
+
+def shift(x, y, z):
+    out = np.eye(4)
+    out[:3, 3] = x, y, z
+    return out
+
+
+def turn(vector):
+    """Rotation by a vector, by the series of the matrix exponential."""
+    x, y, z = vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0.0]])
+    total, term = np.eye(3), np.eye(3)
+    for k in range(1, 25):
+        term = term @ cross / k
+        total = total + term
+    out = np.eye(4)
+    out[:3, :3] = total
+    return out
+
+
+def about(point, transform):
+    return shift(*point) @ transform @ shift(*-np.asarray(point))
+
+
+class IsgReader:
+    """Position of the target relative to the table by a CSV, mm and degrees."""
+
+    def __init__(self, text, sign='error'):
+        lines = text.splitlines()
+        head = '\n'.join(line for line in lines if line.startswith('//'))
+        blocks = [[]]
+        for line in lines:
+            if line == '#':
+                blocks.append([])
+            elif not line.startswith('//'):
+                blocks[-1].append(line.split('\t'))
+        factor = 1.0 if sign == 'error' else -1.0
+        self.constant = dict(zip(blocks[0][0], map(float, blocks[0][1]), strict=True))
+        self.constant = {n: v if n[0] == 'P' else factor * v for n, v in self.constant.items()}
+        self.columns = {}
+        for (argument, *names), *rows in blocks[1:]:
+            values = np.array(rows, float)
+            for k, name in enumerate(names, start=1):
+                assert name[2] == argument
+                self.columns[name] = values[:, 0], factor * values[:, k]
+        self.chain = re.search(r'chain (\S+),', head)[1]
+        vector = r'\((\S+), (\S+), (\S+)\)'
+        self.target = np.array(re.search(rf'target offset {vector} mm', head).groups(), float)
+        self.direction = {
+            name: np.array(xyz, float)
+            for name, *xyz in re.findall(
+                rf'([ABC]): .* relative to the table about {vector}', head
+            )
+        }
+
+    def six(self, axis, at):
+        values = [np.interp(at, *self.columns[f'E{d}{axis}']) for d in 'XYZABC']
+        return shift(*values[:3]), turn(values[3:])
+
+    def link(self, axis, at, exact):
+        """Transform of one axis: programmed, or with its errors."""
+        if axis in 'XYZ':
+            direction = np.eye(3)['XYZ'.index(axis)]
+            if exact and axis == 'Y':
+                direction -= np.array([self.constant['C0Y'], 0, 0])
+            if exact and axis == 'Z':
+                direction += np.array([self.constant['B0Z'], -self.constant['A0Z'], 0])
+            return shift(*at * direction)
+        centre = np.array([self.constant[f'P{d}{axis}'] for d in 'XYZ'])
+        moved = about(centre, turn(np.radians(at) * self.direction[axis]))
+        if not exact:
+            return moved
+        line = [self.constant.get(f'{d}0{axis}', 0.0) for d in 'XYZABC']
+        line = shift(*line[:3]) @ about(centre, turn(line[3:]))
+        return line @ moved @ np.linalg.inv(line)
+
+    def error(self, axis, at):
+        translation, rotation = self.six(axis, at)
+        if axis in 'XYZ':
+            return translation @ rotation
+        centre = np.array([self.constant[f'P{d}{axis}'] for d in 'XYZ'])
+        return translation @ about(centre, rotation)
+
+    def position(self, letters, q, exact=True):
+        """Where the target is relative to the table, mm, for one position of the axes."""
+        at = dict(zip(letters, q, strict=True))
+        table, _, tool = self.chain[2:-2].replace('-', '').partition('b')
+        total = np.eye(4)
+        for side, axes in ((0, table), (1, tool)):
+            for axis in axes:
+                own = self.link(axis, at[axis], exact)
+                error = self.error(axis, at[axis]) if exact else np.eye(4)
+                before = (axis in 'XYZ') == (side == 0)  # linear: at the carriage; rotary: at b
+                total = total @ error @ own if before else total @ own @ error
+        return (total @ [*self.target, 1.0])[:3]
+
+    def corrected(self, letters, q):
+        """Commands whose linear axes bring the target where it belongs, as the control would."""
+        wanted, found = self.position(letters, q, exact=False), np.array(q, float)
+        for _ in range(2):
+            slope = np.zeros((3, 3))
+            for k in range(3):
+                step = np.zeros(len(q))
+                step[k] = 1.0
+                slope[:, k] = self.position(letters, found + step, exact=False)
+                slope[:, k] -= self.position(letters, found, exact=False)
+            left = wanted - self.position(letters, found)
+            found[:3] += np.linalg.solve(slope, left)
+        return found
+
+
+def units(machine):
+    return np.array(
+        [np.degrees(1.0) if machine.axes[a].rotary else 1e3 for a in machine.axis_names]
+    )
+
+
+def left_by_isg(tables, q, sign='error'):
+    """Position errors before and after the linear axes were corrected by the file, m."""
+    machine = tables.machine
+    text = exported('isg', tables, sign).files['cell.txt'].decode()
+    reader, scale = IsgReader(text, sign), units(machine)
+    command = np.array([reader.corrected(machine.axis_names, row * scale) for row in q]) / scale
+    wanted = nominal_position(machine, q)
+    before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
+    return before, np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
+
+
+@pytest.mark.parametrize('chain', CHAINS)
+def test_isg_csv_takes_the_position_error_off_in_five_axes(chain):
+    tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
+    before, after = left_by_isg(tables, places(tables.machine))
+    assert before.mean() > 4e-5
+    assert after.mean() < 0.05 * before.mean()
+    assert after.max() < 0.05 * before.max()
+
+
+@pytest.mark.parametrize(
+    'name', ['X0C', 'B0C', 'Z0A', 'C0A', 'EXC', 'EBC', 'ECC', 'EAA', 'EZA', 'A0Z']
+)
+def test_every_column_of_isg_csv_has_its_sign(name):
+    size = 1e-4
+    tables = constant(five_axes(), size, name)
+    for sign, factor in (('error', 1.0), ('correction', -1.0)):
+        text = exported('isg', tables, sign).files['cell.txt'].decode()
+        rows = [line.split('\t') for line in text.splitlines() if not line.startswith('//')]
+        (head, row) = next((h, r) for h, r in itertools.pairwise(rows) if name in h)
+        unit = 1e3 if name[1 if name[0] == 'E' else 0] in 'XYZ' else 1.0
+        assert float(row[head.index(name)]) == pytest.approx(factor * size * unit)
+        before, after = left_by_isg(tables, places(tables.machine, 10), sign)
+        assert after.max() < 0.02 * before.max()
+
+
+def test_isg_csv_states_units_frame_and_that_orientation_keeps_its_error():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    made = exported('isg', tables)
+    text = made.files['cell.txt'].decode()
+    assert 'only the position of the tool is corrected' in text
+    assert any('only the position' in remark for remark in made.remarks)
+    rows = [line.split('\t') for line in text.splitlines()]
+    start = next(k for k, row in enumerate(rows) if row[0] == 'C')
+    nodes = np.degrees(tables.motions['ECC'].position)
+    assert [float(row[0]) for row in rows[start + 1 : start + 1 + len(nodes)]] == pytest.approx(
+        nodes
+    )
+    assert 'X0C' in text and 'PXC' in text
+    left = remaining_error(tables, made.held)
+    assert left.after_mean < 1e-3 * left.before_mean
+
+
+def test_unseen_errors_of_rotary_axes_are_named_in_the_file():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    location = dict(tables.location)
+    location['A0C'] = replace(location['A0C'], value=0.0, identifiable=False)
+    motions = dict(tables.motions)
+    motions['ECC'] = replace(motions['ECC'], value=0.0 * motions['ECC'].value, identifiable=False)
+    made = exported('isg', replace(tables, location=location, motions=motions))
+    (words,) = [r for r in made.remarks if 'does not determine' in r]
+    assert 'A0C' in words and 'ECC' in words
+    assert words in made.files['cell.txt'].decode()
+
+
+@pytest.mark.parametrize('name', [n for n in HOMES if not export_format(n).takes_rotary])
+def test_a_format_of_three_axes_refuses_rotary_axes(name):
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    with pytest.raises(ConfigError, match=rf'--format {name}: holds three linear axes only.*A, C'):
+        exported(name, tables)
