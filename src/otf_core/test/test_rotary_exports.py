@@ -12,8 +12,9 @@ from test_joints import constant, machine_of
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
 from otf_core.exports.format import Request, remaining_error
+from otf_core.exports.pivot import moved_lines
 from otf_core.model.kinematics import exact_position, nominal_position
-from otf_core.model.tables import TablesFile
+from otf_core.model.tables import LocationError, TablesFile
 from otf_core.sim.cell import random_tables
 
 CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
@@ -234,3 +235,138 @@ def test_a_format_of_three_axes_refuses_rotary_axes(name):
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
     with pytest.raises(ConfigError, match=rf'--format {name}: holds three linear axes only.*A, C'):
         exported(name, tables)
+
+
+# New pivot points: a control that knows the moved lines drives as if there were no location error.
+
+
+def location_only(machine, rng, tilts=True):
+    tables = constant(machine)
+    location = {
+        n: LocationError(rng.uniform(-1e-4, 1e-4) if tilts or n[0] in 'XYZ' else 0.0)
+        for n in machine.location
+    }
+    return replace(tables, location=location)
+
+
+@pytest.mark.parametrize('chain', [*CHAINS, 'w-X-Y-b-Z-B-t'])
+def test_moved_lines_take_the_place_of_location_errors(chain):
+    tables = location_only(five_axes(chain), np.random.default_rng(1))
+    q = places(tables.machine)
+    found = nominal_position(moved_lines(tables), q)
+    assert np.abs(exact_position(tables, q) - found).max() < 1e-11  # tables to 1 nm, 1 nrad apart
+    assert np.abs(exact_position(tables, q) - nominal_position(tables.machine, q)).max() > 2e-5
+
+
+def trunnion(tilting):
+    """A trunnion whose tables turn right-handed, as LinuxCNC has it, target in the spindle."""
+    machine = five_axes(f'w-C-{tilting}-b-Y-X-Z-t')
+    axes = dict(machine.axes)
+    for name, direction in (('C', (0.0, 0.0, -1.0)), ('A', (-1.0, 0, 0)), ('B', (0, -1.0, 0))):
+        if name in axes:
+            axes[name] = replace(axes[name], direction=direction)
+    return replace(machine, axes=axes, target_offset=np.array([0.0, 0.0, -0.15]))
+
+
+def trt_position(tilting, pin, q, length):
+    """What the trunnion kinematics of LinuxCNC say of joints (mm, rad), from their description.
+
+    The tool stands on a table C that a table A or B carries: turned back by both tables about
+    their centres, C at the rot-points, the other by the offsets (and the tool) from there.
+    """
+    out = []
+    for x, y, z, tilt, turning in q:
+        turned = np.array([pin['x-rot-point'], pin['y-rot-point'], pin['z-rot-point'] + length])
+        offset = [pin.get('x-offset', 0.0), pin.get('y-offset', 0.0), pin['z-offset']]
+        axis = np.eye(3)['AB'.index(tilting)]
+        tilted = turned + offset
+        point = turn(-tilt * axis)[:3, :3] @ (np.array([x, y, z]) - tilted) + tilted
+        out.append(turn([0, 0, -turning])[:3, :3] @ (point - turned) + turned)
+    return np.array(out)
+
+
+@pytest.mark.parametrize('tilting', ['A', 'B'])
+def test_pins_of_linuxcnc_put_the_tool_where_the_moved_lines_say(tilting):
+    machine = trunnion(tilting)
+    tables = location_only(machine, np.random.default_rng(2), tilts=False)
+    text = exported('pivot', tables).files['cell.txt'].decode()
+    pin = dict(re.findall(rf'setp xyz{tilting.lower()}c-trt-kins\.(\S+) (\S+)', text))
+    pin = {k: float(v) for k, v in pin.items()}
+    q = places(machine)
+    order = [machine.column(a) for a in ('X', 'Y', 'Z', tilting, 'C')]
+    found = trt_position(tilting, pin, q[:, order] * [1e3, 1e3, 1e3, 1, 1], 150.0)
+    wanted = 1e3 * (exact_position(tables, q) - machine.target_offset)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)  # mm; pins to six decimals
+
+
+def test_machines_that_trunnion_kinematics_do_not_hold_are_told():
+    text = exported('pivot', location_only(five_axes(), np.random.default_rng(2))).files
+    assert 'not this machine' in text['cell.txt'].decode()
+
+
+@pytest.mark.parametrize(('chain', 'kind'), list(zip(CHAINS, 'PMT', strict=True)))
+def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
+    tables = location_only(five_axes(chain), np.random.default_rng(3))
+    text = exported('pivot', tables).files['cell.txt'].decode()
+    assert f'$TC_CARR23[n]="{kind}"' in text
+    numbers = {int(k): float(v) for k, v in re.findall(r'(?m)^\$TC_CARR(\d+)\[n\]=(\S+)', text)}
+    first = {'I1': 1, 'I2': 4, 'V1': 7, 'V2': 10, 'I3': 15, 'I4': 18}
+    vector = {
+        n: np.array([numbers.get(k + j, np.nan) for j in range(3)]) for n, k in first.items()
+    }
+    moved = moved_lines(tables)
+    one, two = {'P': 'AC', 'M': 'BC', 'T': 'CA'}[kind]
+    if kind == 'P':
+        reached = vector['I2'], vector['I2'] + vector['I3']
+        np.testing.assert_allclose(vector['I2'] + vector['I3'] + vector['I4'], 0, atol=2e-6)
+    elif kind == 'T':
+        reached = vector['I3'] + vector['I2'], vector['I3']
+        np.testing.assert_allclose(vector['I1'] + vector['I2'] + vector['I3'], 0, atol=2e-6)
+    else:
+        reached = vector['I2'], vector['I3']
+        np.testing.assert_allclose([vector['I1'], vector['I4']], [-vector['I2'], -vector['I3']])
+    for axis, centre, direction in zip((one, two), reached, ('V1', 'V2'), strict=True):
+        np.testing.assert_allclose(centre, 1e3 * np.array(moved.axes[axis].centre), atol=2e-6)
+        np.testing.assert_allclose(vector[direction], moved.axes[axis].direction, atol=1e-9)
+
+
+def test_new_centre_is_old_and_the_location_error():
+    machine = five_axes()
+    tables = replace(
+        constant(machine, 1e-4, 'X0C'),
+        location={n: LocationError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
+    )
+    made = exported('pivot', tables)
+    text = made.files['cell.txt'].decode()
+    assert '+ (0.100000, 0.000000, 0.000000)' in text
+    assert 'C: X0C +0.100000 mm' in text
+    assert 'centre of C: add (0.100000, 0.000000, 0.000000)' in text
+    assert 'HEIDENHAIN, FANUC: not checked in a manual' in text
+    assert remaining_error(tables, made.held).after_max < 1e-9
+
+
+def test_a_machine_without_rotary_axis_has_no_pivot():
+    with pytest.raises(ConfigError, match='has no rotary axis'):
+        exported('pivot', random_tables(machine_of('w-b-X-Y-Z-t'), 5e-5, np.random.default_rng(1)))
+
+
+def test_columns_of_heidenhain_hold_rotary_axes_in_degrees_and_their_positioning_apart():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    for sign, factor in (('error', 1.0), ('correction', -1.0)):
+        text = exported('heidenhain', tables, sign).files['cell.txt'].decode()
+        header, *rows = [r.split(',') for r in text.splitlines() if not r.startswith('#')]
+        assert header == ['AXIS', 'AXISPOS', *(f'C{k}' for k in range(1, 7)), 'OWN']
+        for axis in 'AC':
+            own = np.array([row[1:] for row in rows if row[0] == axis], float)
+            at = np.radians(own[:, 0])
+            for k, direction in enumerate('XYZABC'):
+                column = 7 if direction == axis else 1 + k
+                scale = 1e-3 if direction in 'XYZ' else 1.0
+                wanted = factor * tables.motions[f'E{direction}{axis}'].at(at)
+                np.testing.assert_allclose(scale * own[:, column], wanted, atol=1e-9)
+            assert not own[:, 1 + 'XYZABC'.index(axis)].any()
+        found = re.search(r'X0C (\S+) mm.* A0C (\S+) rad', text)
+        wanted = [1e3 * tables.location['X0C'].value, tables.location['A0C'].value]
+        np.testing.assert_allclose(
+            [float(v) for v in found.groups()], np.multiply(factor, wanted), atol=1e-6
+        )

@@ -19,6 +19,7 @@ HOMES = {
     'sinumerik-cec': 'sinumerik_cec',
     'isg': 'isg',
     'heidenhain': 'heidenhain',
+    'pivot': 'pivot',
     'qif': 'qif',
     'lattice-csv': 'lattice_csv',
     'lattice-npz': 'lattice_npz',

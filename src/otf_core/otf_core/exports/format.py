@@ -58,7 +58,7 @@ ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
 
 
-ROTARY_FORMATS = ('isg',)
+ROTARY_FORMATS = ('isg', 'heidenhain', 'pivot')
 """Formats to name where one cannot hold rotary axes."""
 
 
