@@ -64,7 +64,7 @@ def causes_section(diagnosis: Diagnosis) -> Section:
             f'Including the causes in the calibration changes the predicted volumetric error by'
             f' {diagnosis.table_change_um:.2f} um on average over the volume.',
         )
-    words = (*words, *held)
+    words = (*words, *held, *_unnamed_words(diagnosis))
     rows = tuple(_cause_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
     head = ('', 'Cause', 'Axes', 'Parameters, U with k = 2', 'Gap (um)', 'Confidence')
     tables = (Table(head, rows, numbers=(4,)), *_meaning_tables(diagnosis))
@@ -95,8 +95,9 @@ def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
     if unnamed is None:
         return ()
     low, high = unnamed.shrink_interval_percent
+    what = 'What the causes leave' if diagnosis.causes else 'It'
     return (
-        f'It {unnamed.words}.',
+        f'{what} {unnamed.words}.',
         f'An empirical effect of these inputs reduces the gap from {unnamed.before_um:.2f} um to '
         f'{unnamed.after_um:.2f} um on legs not used for its fit (95 % interval of the reduction: '
         f'{low:.0f} % to {high:.0f} %). It is in effects.yaml for simulate and calibrate.',
