@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from export_readers import evenly, sinumerik_values
 from test_joints import constant, machine_of
 
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
 from otf_core.exports.format import Request, remaining_error
+from otf_core.exports.lattice import linear_tables
 from otf_core.exports.pivot import moved_lines
 from otf_core.model.kinematics import exact_position, nominal_position
-from otf_core.model.tables import LocationError, TablesFile
+from otf_core.model.tables import LocationError, MotionTable, TablesFile
 from otf_core.sim.cell import random_tables
 
 CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
@@ -370,3 +372,70 @@ def test_columns_of_heidenhain_hold_rotary_axes_in_degrees_and_their_positioning
         np.testing.assert_allclose(
             [float(v) for v in found.groups()], np.multiply(factor, wanted), atol=1e-6
         )
+
+
+# Positioning of rotary axes in SINUMERIK ENC_COMP.
+
+
+def encoder_correction(text, machine, q):
+    """What the control adds to commands: values move an axis in the negative direction."""
+    values, other = sinumerik_values(text, 'AA_ENC_COMP')
+    change = np.zeros_like(q)
+    for k, axis in enumerate(machine.axis_names):
+        scale = np.degrees(1.0) if machine.axes[axis].rotary else 1e3
+        own = sorted((int(key[1]), v) for key, v in values.items() if key[2] == f'{axis}1')
+        low, high, step = (float(other[f'_{w}', f'{axis}1']) for w in ('MIN', 'MAX', 'STEP'))
+        change[:, k] = -evenly([v for _, v in own], low, high, step, scale * q[:, k]) / scale
+    return change
+
+
+@pytest.mark.parametrize('chain', CHAINS)
+@pytest.mark.parametrize('letter', ['A', 'C'])
+def test_encoder_tables_take_the_angular_positioning_off(chain, letter):
+    letter = letter if letter in chain else 'B'
+    machine = five_axes(chain)
+    nodes = np.linspace(-2.0, 2.0, 9)
+    value = 1e-4 * np.sin(nodes)
+    name = f'E{letter}{letter}'
+    curve = MotionTable(nodes, value, np.zeros(9))
+    others = {
+        m: MotionTable(np.linspace(-0.3, 0.3, 3), np.zeros(3), np.zeros(3))
+        if m.axis in 'XYZ'
+        else MotionTable(nodes, np.zeros(9), np.zeros(9))
+        for m in machine.motions
+    }
+    tables = replace(constant(machine), motions={**others, name: curve})
+    made = exported('sinumerik-enc', tables)
+    text = made.files['cell.txt'].decode()
+    q = places(machine)
+    wanted = nominal_position(machine, q)
+    before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
+    command = q + encoder_correction(text, machine, q)
+    after = np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
+    assert before.max() > 5e-6
+    assert after.max() < 0.01 * before.max()
+    assert remaining_error(tables, made.held).after_max < 0.01 * before.max()
+    assert 'angular positioning' in text
+
+
+def test_an_endless_axis_joins_its_ends_in_the_encoder_table():
+    machine = five_axes()
+    turning = replace(machine.axes['C'], min=0.0, max=2 * np.pi, endless=True)
+    machine = replace(machine, axes={**machine.axes, 'C': turning})
+    tables = random_tables(machine, 5e-5, np.random.default_rng(1))
+    text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
+    assert '$AA_ENC_COMP_IS_MODULO[0,C1]=1' in text
+    assert '$AA_ENC_COMP_IS_MODULO[0,A1]=0' in text
+    assert '$AA_ENC_COMP_MAX[0,C1]=360.000000' in text
+    values = sinumerik_values(text, 'AA_ENC_COMP')[0]
+    last = max(int(key[1]) for key in values if key[2] == 'C1')
+    assert values['0', '0', 'C1'] == pytest.approx(values['0', str(last), 'C1'], abs=2e-6)
+
+
+def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(1))
+    text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
+    alone = exported('sinumerik-enc', linear_tables(tables)).files['cell.txt'].decode()
+    tables_of = [line for line in alone.splitlines() if line.startswith('$')]
+    assert [line for line in text.splitlines() if line in set(tables_of)] == tables_of
+    assert 'rotary axes at zero' in text

@@ -58,7 +58,7 @@ ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
 
 
-ROTARY_FORMATS = ('isg', 'heidenhain', 'pivot')
+ROTARY_FORMATS = ('isg', 'heidenhain', 'sinumerik-enc', 'pivot')
 """Formats to name where one cannot hold rotary axes."""
 
 
