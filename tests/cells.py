@@ -24,6 +24,11 @@ MACHINE = {
     'target_offset': [0.01, 0.0, -0.12],
     'tracker': {'u_range': 0.5e-6, 'u_angle': 2.0e-6},
 }
+SMALL = {
+    axis: {'min': low, 'max': high, 'table_pitch': 0.05}
+    for axis, low, high in (('X', 0.0, 0.15), ('Y', 0.0, 0.12), ('Z', -0.1, 0.0))
+}
+"""Axes of a machine that a run crosses in seconds."""
 SHORT = {'passes': 1, 'levels': 2}
 """Parameters of the planner for a short path."""
 FAST = {'simulated.rate': 100.0, 'time_scale': 40.0}

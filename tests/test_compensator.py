@@ -16,6 +16,7 @@ from otf_core.model.machine import load_machine
 from otf_core.model.tables import ErrorTables, MotionTable, tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import Compensation
+from otf_msgs.msg import ErrorTables as ErrorTablesMessage
 from otf_msgs.srv import Compensate
 from otf_ros import qos
 
@@ -124,6 +125,13 @@ def test_compensator_answers_only_while_it_is_active(graph, truth, tmp_path):
         lambda: found and {s.hardware_id for s in found[-1].status} == {truth.machine.name},
         'diagnostics of the machine',
     )
+    published = graph.ear().create_publisher(
+        ErrorTablesMessage, 'calibrator/error_tables', qos.RESULT
+    )
+    other = {'run_id': 'another', 'machine': truth.machine.name, 'passed': True}
+    published.publish(ErrorTablesMessage(**other))
+    stated = f'run another of {truth.machine.name} is published and not in use'
+    graph.wait(lambda: any(stated in s.message for s in found[-1].status), 'the calibration')
     changed = graph.set_parameter('compensator', 'tables_file', str(tmp_path / 'none.json'))
     assert changed.successful and 'at the next compensator/reload' in changed.reason
     assert graph.transition('deactivate', 'compensator')

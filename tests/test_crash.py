@@ -12,7 +12,7 @@ from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import Temperature
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.signals import read_signals
+from otf_core.bags.bag_signals import read_signals
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.provenance import origin_of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import MACHINE, write_truth
+from cells import MACHINE, SMALL, write_machine, write_truth
 from graph import PATIENCE, offline_diagnosis, without_date
 
 from otf_calibrator.children import Diagnosis, Failure
@@ -28,6 +28,12 @@ FASTEST = {'simulated.rate': 100.0, 'time_scale': 40.0}
 """Parameters of the driver for a few samples in a short time."""
 PIECE_LENGTH = 0.02
 """m; longer than by default: fewer rows"""
+
+
+@pytest.fixture
+def machine_file(tmp_path):
+    """machine.yaml of an even smaller machine."""
+    return write_machine(tmp_path, axes=SMALL)
 
 
 def start_all(graph, machine_file):

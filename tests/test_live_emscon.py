@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from cells import SHORT, share_left, write_truth
+from cells import SHORT, SMALL, share_left, write_machine, write_truth
 from emulated import DRIFT, emulator
 
 from otf_core.config import PlannerConfig
@@ -17,7 +17,8 @@ DRIVEN = 150.0
 """s; more than twice the time on the path, at its real pace."""
 
 
-def test_tracker_behind_a_bad_network_gives_the_true_errors(graph, machine_file, tmp_path):
+def test_tracker_behind_a_bad_network_gives_the_true_errors(graph, tmp_path):
+    machine_file = write_machine(tmp_path, axes=SMALL)
     truth = write_truth(tmp_path, machine_file)
     machine, tables = load_machine(machine_file), load_tables(truth).tables
     cell = Cell(machine, PlannerConfig(**PATH), 1, DRIFT, tables)

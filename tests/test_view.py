@@ -70,7 +70,7 @@ def start_cell(graph, machine_file, truth):
     graph.start('path_planner', machine_file=machine_file, passes=2, levels=2)
     given = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
     graph.start('calibrator', **given, **ASKED)
-    simulated = {'simulated.truth_tables': truth, **FAST}
+    simulated = {'simulated.truth_tables': truth, **FAST, 'time_scale': 20.0}
     graph.start('tracker_driver', machine_file=machine_file, **simulated)
 
 

@@ -17,9 +17,9 @@ from otf_calibrator.collector import PathTaken
 from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
+from otf_core.bags.bag_signals import topic_of
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import GAP, STATUS
-from otf_core.bags.signals import topic_of
 from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import OtfError
 from otf_core.model.declared_signals import PLAIN, SignalSpec

@@ -18,11 +18,11 @@ from otf_calibrator.collector import Collector, PathTaken
 from otf_calibrator.losses import lost_words
 from otf_calibrator.publishers import Choice, SequenceWatch
 from otf_calibrator.request import Request
+from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import GAP, OTHER_POINT, PATH, POINT, STATUS
 from otf_core.bags.sample_order import judged
-from otf_core.bags.signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples

@@ -10,7 +10,8 @@ from otf_compensator.params import CompensatorConfig
 from otf_compensator.tables import Tables
 from otf_core.errors import InputError, OtfError
 from otf_core.threads import one_thread
-from otf_ros import app, services
+from otf_msgs.msg import ErrorTables
+from otf_ros import app, qos, services
 from otf_ros.diagnostics import PERIOD as DIAGNOSED_EVERY
 from otf_ros.diagnostics import Diagnostics, Finding, Level, memory
 from otf_ros.lifecycle import SteadyLifecycleNode
@@ -41,6 +42,9 @@ class Compensator(SteadyLifecycleNode):
         self._active = False
         self._answered_before = 0
         self._error: OtfError | None = None
+        self._published: ErrorTables | None = None
+        topic = 'calibrator/error_tables'
+        self.create_subscription(ErrorTables, topic, self._on_calibrated, qos.RESULT)
         self._answers = Answers(self, self._in_use)
         services.offer(self, 'compensator/reload', self._reload)
         Diagnostics(self, self._machine, {'tables': self._look_at_tables, 'memory': memory})
@@ -98,7 +102,24 @@ class Compensator(SteadyLifecycleNode):
         values = {'state': self.lifecycle_state, 'answers [1/s]': rate}
         if self._tables is None or not self._active:
             return Finding(Level.WARN, f'nothing is answered: {INACTIVE}', values)
-        return Finding(Level.OK, self._tables.words, values)
+        return Finding(Level.OK, self._tables.words + self._another(self._tables), values)
+
+    def _on_calibrated(self, message: ErrorTables) -> None:
+        """Take note of a calibration; its tables are used only once somebody has them read."""
+        self._published = message
+        if self._tables and (words := self._another(self._tables)):
+            self.get_logger().info(words.removeprefix('; '))
+
+    def _another(self, tables: Tables) -> str:
+        """State that another calibration of the same machine is published; else ''."""
+        other = self._published
+        if not other or other.machine != tables.machine or other.run_id == tables.run_id:
+            return ''
+        verdict = '' if other.passed else ', which fails a quality gate,'
+        return (
+            f'; run {other.run_id} of {other.machine}{verdict} is published and not in use: '
+            f'compensator/reload reads tables_file again'
+        )
 
     def _read(self) -> Tables:
         return Tables(self._settings.read(CompensatorConfig).tables_file)

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from otf_core.errors import ConfigError
+from otf_core.model.tables import load_tables
 from otf_core.prediction.predict import check_points
 from otf_core.prediction.predictor import Predictor
 
@@ -39,6 +40,8 @@ class Tables:
     ----------
     machine : str
         Name of the machine.
+    run_id : str
+        Of the calibration; empty where the file has none.
     words : str
         What they are, in a sentence.
 
@@ -53,7 +56,9 @@ class Tables:
             raise ConfigError(
                 'parameter tables_file: missing; give the path of an error_tables.json'
             )
-        self._predictor = Predictor.of(file)
+        content = load_tables(file)
+        self._predictor = Predictor.of(content)
+        self.run_id = str(content.extra.get('run_id', ''))
         self.machine = self._predictor.tables.machine.name
         self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 

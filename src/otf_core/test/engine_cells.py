@@ -147,3 +147,12 @@ def log_bayes_factor(columns, size, y, variance=1.0):
         without = multivariate_normal(cov=noise_only)
         scores.append(with_effect.logpdf(seen) - without.logpdf(seen))
     return float(logsumexp(scores) - np.log(3))
+
+
+def dense_base(rows):
+    """Whitened columns of all unknowns that are projected out, shape (r, b)."""
+    found = np.zeros((len(rows.deviation), len(rows.use)))
+    for run in rows.touched:
+        for some in run:
+            found[np.ix_(some.rows, some.unknowns)] = some.base
+    return found

@@ -179,4 +179,8 @@ def read_lattice_npz(files, q, sign):
         return trilinear(axes, held['error'], q)
 
 
-READERS = {name: globals()['read_' + name.replace('-', '_')] for name in HOMES}
+ROTARY_ONLY = ('pivot',)
+"""Formats of machines with rotary axes alone."""
+READERS = {
+    name: globals()['read_' + name.replace('-', '_')] for name in HOMES if name not in ROTARY_ONLY
+}

@@ -5,7 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine_cells import cause_of, coloured, holding, noise, rms_um, solved_rows, trace_of
+from engine_cells import (
+    cause_of,
+    coloured,
+    dense_base,
+    holding,
+    noise,
+    rms_um,
+    solved_rows,
+    trace_of,
+)
 from scipy.stats import binom
 
 from otf_core.diagnosis.engine.gap_sizes import (
@@ -162,7 +171,8 @@ def test_legs_of_a_fold_have_no_say_in_the_coefficients_they_are_judged_with(fol
     own = rows.fold == fold
     white = np.zeros(len(own))
     wild = cause.option.own[own] @ np.full(3, 2e-4)  # as if they had backlash of 200 um more
-    white[own] = wild - rows.base[own] @ np.linalg.lstsq(rows.base[own], wild, rcond=None)[0]
+    base = dense_base(rows)[own]
+    white[own] = wild - base @ np.linalg.lstsq(base, wild, rcond=None)[0]
     extra = coloured(rows, white)
     changed = holding(rows.plain_deviation + extra)
     before, after = (residuals_with(r, [cause]).rows for r in (rows, changed))

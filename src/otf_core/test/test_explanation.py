@@ -233,7 +233,7 @@ def test_what_makes_held_out_legs_worse_is_no_knowledge():
 def of_variance(variance, seed, extra=0.0):
     """Rows whose noise has this variance per degree of freedom, and further deviations."""
     rows, plain = solved_rows(), noise(seed)
-    free = len(rows.deviation) - rows.base.shape[1]
+    free = len(rows.deviation) - len(rows.use)
     found = np.sum(holding(plain).residual ** 2) / free
     return holding(np.sqrt(variance / found) * plain + extra)
 

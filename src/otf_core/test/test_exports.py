@@ -14,7 +14,7 @@ from core_cells import error_of, some_machine
 from export_readers import READERS
 
 from otf_core.errors import ConfigError
-from otf_core.exports import HOMES, export_format, lattice
+from otf_core.exports import export_format, lattice
 from otf_core.exports.format import Request, remaining_error
 from otf_core.exports.lattice import sampled_lattice, tables_from_lattice
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -26,7 +26,7 @@ from otf_core.sim.cell import random_tables
 FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
 PARTS = ('linuxcnc', 'sinumerik-enc', 'sinumerik-cec')
 ASKED = ('sinumerik-cec', 'isg', 'heidenhain')
-NAMES = tuple(HOMES)
+NAMES = tuple(READERS)
 
 
 @pytest.fixture(scope='module')

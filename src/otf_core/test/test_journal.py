@@ -4,6 +4,7 @@
 import errno
 import os
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,6 +207,20 @@ def test_full_disk_is_said_and_nothing_is_missing_once_there_is_room(journal, mo
     wait(lambda: not journal.trouble)
     wait(lambda: readable(journal.folder, 400))
     assert_holds(read_bag(journal.folder))
+
+
+def test_room_for_the_results_is_left_on_the_disk(journal, monkeypatch):
+    journal.message(PATH, path_cdr())
+    put(journal, 0, 100)
+    wait(lambda: readable(journal.folder, 100))
+    room = SimpleNamespace(f_blocks=1000, f_frsize=4096, f_bavail=500)  # half of it is kept
+    monkeypatch.setattr(journal_module.os, 'statvfs', lambda place: room)
+    put(journal, 100, 250)
+    wait(lambda: journal.trouble)
+    assert 'disk full except for 2.0 MB reserved for the results' in journal.trouble
+    assert readable(journal.folder, 100)
+    room.f_bavail = 600
+    wait(lambda: readable(journal.folder, 250))
 
 
 def test_what_the_disk_never_took_is_counted(journal, monkeypatch):

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from engine_cells import LIMIT, coloured, holding, noise, solved_rows
+from engine_cells import LIMIT, coloured, dense_base, holding, noise, solved_rows
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag, cholesky
 
@@ -120,10 +120,10 @@ def test_noise_as_assumed_has_unit_variance_and_no_memory(rows):
 def test_columns_less_tables_and_poses_are_dense_least_squares(rows):
     rng = np.random.default_rng(4)
     columns = rng.standard_normal((len(rows.deviation), 4))
-    stacked = np.concatenate([rows.base, cholesky(rows.ridge)])
+    stacked = np.concatenate([dense_base(rows), cholesky(rows.ridge)])
     given = np.concatenate([columns, np.zeros((len(rows.ridge), 4))])
     fit = np.linalg.lstsq(stacked, given, rcond=None)[0]
-    np.testing.assert_allclose(rows.project(columns), columns - rows.base @ fit, atol=1e-9)
+    np.testing.assert_allclose(rows.project(columns), columns - dense_base(rows) @ fit, atol=1e-9)
     left = rows.project(rows.deviation[:, None])[:, 0]
     np.testing.assert_allclose(rows.residual, left, atol=1e-12)
 
@@ -143,7 +143,7 @@ def test_base_is_the_trace_of_a_unit_of_every_unknown(rows):
     unknowns = rows.done.unknowns
     design = np.concatenate([s.system.design.toarray() for s in rows.done.runs])
     gauge = unknowns.gauge.toarray()[:, rows.use]
-    np.testing.assert_allclose(rows.base, rows.whiten(design @ gauge * LIMIT), atol=1e-9)
+    np.testing.assert_allclose(dense_base(rows), rows.whiten(design @ gauge * LIMIT), atol=1e-9)
 
 
 @pytest.mark.parametrize('number', [0, 1])
@@ -275,7 +275,7 @@ def test_shapes_in_time_multiplied_together_are_those_of_their_columns(rows, eff
 
 def test_lines_are_sorted_by_the_unknowns_that_they_touch(rows):
     for base, whitener, some in zip(
-        rows.by_run(rows.base), rows.whiteners, rows.touched, strict=True
+        rows.by_run(dense_base(rows)), rows.whiteners, rows.touched, strict=True
     ):
         left = base.copy()
         for one in some:

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from otf_core.bags.bag import BagContent, read_bag, write_bag
-from otf_core.bags.signals import read_signals
+from otf_core.bags.bag_signals import read_signals
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.diagnosis.cause_parameters import fitted_causes
 from otf_core.diagnosis.engine.search import search, tried_effects

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine_cells import holding, noise, options_of, solved_rows, trace_of
+from engine_cells import dense_base, holding, noise, options_of, solved_rows, trace_of
 
 from otf_core.diagnosis.engine.search import (
     Cause,
@@ -104,8 +104,8 @@ def test_smallest_effect_is_five_standard_deviations(effect):
     )
     trace = trace_of(Cause(option, 0.0, 0.0, ()), c=visible['made'].smallest / rms)
     white = rows.whiten(np.column_stack([trace, option.plain[:, 0]]))
-    without = np.linalg.lstsq(rows.base, white[:, 0], rcond=None)[1][0]
-    stacked = np.column_stack([rows.base, white[:, 1]])
+    without = np.linalg.lstsq(dense_base(rows), white[:, 0], rcond=None)[1][0]
+    stacked = np.column_stack([dense_base(rows), white[:, 1]])
     coefficients = np.linalg.lstsq(stacked, white[:, 0], rcond=None)[0]
     with_it = np.sum((white[:, 0] - stacked @ coefficients) ** 2)
     assert without - with_it == pytest.approx(25.0, rel=1e-3)

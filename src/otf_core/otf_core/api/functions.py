@@ -300,8 +300,10 @@ def calibrate(
     with giving_back():
         if effects is None:
             return calibrate_runs(runs, config, progress, METHODS[method])
-        done = calibrate_with_effects(runs, str(effects), twin_recording, config, progress, method)
-        return done.result
+        result = calibrate_with_effects(
+            runs, str(effects), twin_recording, config, progress, method
+        )
+        return result.result
 
 
 def diagnose(

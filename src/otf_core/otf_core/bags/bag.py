@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 
 from otf_core.bags.bag_reading import BagReading, Reading, advice_of, path_of, received_of
+from otf_core.bags.bag_signals import signal_messages
 from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
 from otf_core.bags.rosbag2_metadata import (
     AXES,
@@ -30,7 +31,6 @@ from otf_core.bags.rosbag2_metadata import (
     metadata_text,
 )
 from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order, usable_path
-from otf_core.bags.signals import signal_messages
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import LeftOut
 from otf_core.files.writing import unwritable
@@ -164,10 +164,10 @@ def _driven(
     path: NominalPath | None, axis_paths: Sequence[AxisPath], stamp_ns: int
 ) -> list[tuple[Topic, bytes]]:
     """Messages that say what was driven."""
-    found = [(AXES, encode_axes(p.axes, p.positions, stamp_ns, p.target)) for p in axis_paths]
+    messages = [(AXES, encode_axes(p.axes, p.positions, stamp_ns, p.target)) for p in axis_paths]
     if path is not None:
-        found.insert(0, (PATH, encode_path(path.points, stamp_ns, PATH.frame)))
-    return found
+        messages.insert(0, (PATH, encode_path(path.points, stamp_ns, PATH.frame)))
+    return messages
 
 
 def _in_order(

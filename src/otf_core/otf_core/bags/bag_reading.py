@@ -168,9 +168,9 @@ class BagReading:
         self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,), AXES.name: (AXES.type,)}
-        found = locate(source)
-        self._files = len(found.files)
-        for block in found.messages(types, self.topics, self.remarks, recover=recover):
+        location = locate(source)
+        self._files = len(location.files)
+        for block in location.messages(types, self.topics, self.remarks, recover=recover):
             try:
                 self._add(block)
             except InputError as error:
@@ -231,12 +231,12 @@ class BagReading:
         )
         self._stamp_ns.add(points.stamp_ns)
         self._xyz.add(points.xyz)
-        kept = slice(None) if points.kept is None else points.kept
-        self._log_time.add(block.log_time[kept])
+        rows = slice(None) if points.kept is None else points.kept
+        self._log_time.add(block.log_time[rows])
         if block.channel is None or self._files > 1:
             self._channel = None
         elif self._channel is not None:
-            self._channel.add(block.channel[kept])
+            self._channel.add(block.channel[rows])
         self.foreign.update(points.foreign)
         self._points += block.start.size
 
@@ -339,18 +339,19 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
     received = part.received()
     if part.publisher is None:
         return received
-    found = publishers_of(received)
-    if found is None:
+    publishers = publishers_of(received)
+    if publishers is None:
         raise ConfigError(
             f'--publisher: {where}: {part.point.name} has one publisher, or several that neither '
             f'channels nor clocks nor places distinguish; omit the option'
         )
-    if not 1 <= part.publisher <= len(found.words):
-        raise ConfigError(f'--publisher {part.publisher}: {where}: there are {found}')
-    mine = found.label == part.publisher
+    if not 1 <= part.publisher <= len(publishers.words):
+        raise ConfigError(f'--publisher {part.publisher}: {where}: there are {publishers}')
+    mine = publishers.label == part.publisher
     remarks.append(
-        f'{len(found.words)} publishers on {part.point.name}, distinguished by {found.by}; using '
-        f'{part.publisher}: {found.words[part.publisher - 1]}'
+        f'{len(publishers.words)} publishers on {part.point.name}, distinguished by '
+        f'{publishers.by}; using '
+        f'{part.publisher}: {publishers.words[part.publisher - 1]}'
     )
     channel = None if received.channel is None else received.channel[mine]
     return Received(received.stamp_ns[mine], received.xyz[mine], received.log_time[mine], channel)
@@ -358,8 +359,8 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
 
 def advice_of(parts: Sequence[Received]) -> str:
     """Return what to type where publishers are mixed; empty where none are told apart."""
-    found = publishers_of(parts[0]) if len(parts) == 1 else None
-    return f'; distinguished by {found.by}, {found}' if found else ''
+    publishers = publishers_of(parts[0]) if len(parts) == 1 else None
+    return f'; distinguished by {publishers.by}, {publishers}' if publishers else ''
 
 
 def _words(received: Received, mine: NDArray[np.bool_]) -> str:

@@ -81,13 +81,13 @@ class BagSource:
         if self.packed:
             yield from _general_messages(self.path, wanted, topics)
             return
-        found: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for file in self.files:
             for block in _file_messages(file, wanted, topics, remarks, recover=recover):
-                found[block.topic] += block.start.size
+                counts[block.topic] += block.start.size
                 yield block
         if self.files[0].suffix == '.db3':  # of MCAP the file itself says it
-            self._compare(found, topics.keys() & wanted.keys(), remarks)
+            self._compare(counts, topics.keys() & wanted.keys(), remarks)
 
     def _compare(self, found: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
         """Refuse files that have lost messages; say that metadata.yaml does not know them."""
@@ -151,14 +151,15 @@ def _storage(path: Path) -> str:
 def _locate_in_folder(folder: Path) -> BagSource:
     if (folder / 'metadata.yaml').is_file():
         return _from_metadata(folder)
-    found = sorted(p for p in folder.iterdir() if is_storage(p) and p.is_file())
-    if len(found) == 1:
-        return BagSource(found[0], (found[0],))
-    if found and _are_parts(found):  # rosbag2 writes metadata.yaml when it ends
-        return BagSource(folder, tuple(sorted(found, key=_part)))
-    if found:
+    storages = sorted(p for p in folder.iterdir() if is_storage(p) and p.is_file())
+    if len(storages) == 1:
+        return BagSource(storages[0], (storages[0],))
+    if storages and _are_parts(storages):  # rosbag2 writes metadata.yaml when it ends
+        return BagSource(folder, tuple(sorted(storages, key=_part)))
+    if storages:
         raise InputError(
-            f'{folder}: holds {len(found)} recordings ({_names(found)}) and no metadata.yaml; '
+            f'{folder}: holds {len(storages)} recordings ({_names(storages)}) and no '
+            f'metadata.yaml; '
             f"name one of them, or run 'ros2 bag reindex' if they are parts of one"
         )
     inside = sorted(p for p in folder.iterdir() if p.is_dir() and (p / 'metadata.yaml').is_file())

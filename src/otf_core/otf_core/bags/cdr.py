@@ -227,7 +227,7 @@ def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
     try:
         reader = CdrReader(data)
         _, nanosec = reader.numbers('iI')
-        found = reader.text()
+        frame = reader.text()
         child = None if form.child is None else reader.text()
         reader.numbers(f'{3 + form.after // 8}d')
         reader.finish()
@@ -236,7 +236,7 @@ def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
     if nanosec >= SECOND_NS:
         text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
         raise InputError(text)
-    return found if child == form.child else f'{found}, child {child}'
+    return frame if child == form.child else f'{frame}, child {child}'
 
 
 def frame_shown(frame: str) -> str:

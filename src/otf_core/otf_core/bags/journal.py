@@ -280,10 +280,10 @@ class JournalFile:
 
 
 def _write_all(file: int, data: bytes, at: int) -> None:
-    left = memoryview(data)
-    while left:
-        written = os.pwrite(file, left, at)
-        left, at = left[written:], at + written
+    remainder = memoryview(data)
+    while remainder:
+        written = os.pwrite(file, remainder, at)
+        remainder, at = remainder[written:], at + written
 
 
 def _sync_folder(folder: Path) -> None:
@@ -419,8 +419,8 @@ def set_state(folder: Path, state: str) -> None:
 
 def unfinished(directory: Path) -> list[Path]:
     """Runs that are still to be calibrated, the newest last."""
-    found = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
-    return [p for p in found if state_of(p) == RECORDING or not (p / METADATA).exists()]
+    runs = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
+    return [p for p in runs if state_of(p) == RECORDING or not (p / METADATA).exists()]
 
 
 @dataclass(frozen=True)
@@ -458,12 +458,12 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     arrived = []
     own = {t.name for t in (*TOPICS, GAP)}
     for file in files:
-        found = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
-        arrived.append(tuple(_in_order([b for b in found if b.topic in own])))
-        if found:
-            times = np.concatenate([b.log_time for b in found])
+        messages = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
+        arrived.append(tuple(_in_order([b for b in messages if b.topic in own])))
+        if messages:
+            times = np.concatenate([b.log_time for b in messages])
             counts: Counter[Topic] = Counter()
-            for block in found:
+            for block in messages:
                 counts[_topic(block, definitions.all)] += block.start.size
             parts.append(Part(file.name, int(times.min()), int(times.max()), counts))
         else:
@@ -732,10 +732,11 @@ class Journal:
             disk = os.statvfs(self.directory)
         except FileNotFoundError:  # removed by somebody; made again with the run
             return
-        kept = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
-        if disk.f_bavail * disk.f_frsize - size < kept:
+        reserve = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
+        if disk.f_bavail * disk.f_frsize - size < reserve:
             raise OSError(
-                errno.ENOSPC, f'disk full except for {kept / 1e6:.1f} MB reserved for the results'
+                errno.ENOSPC,
+                f'disk full except for {reserve / 1e6:.1f} MB reserved for the results',
             )
 
 

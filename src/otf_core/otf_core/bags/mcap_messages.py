@@ -338,11 +338,11 @@ class McapMessages:
     def _check_data_crc(self, data: Bytes, end: int, stated: int) -> None:
         if not stated:
             return
-        found = 0
+        checksum = 0
         for at in range(0, end, CRC_BLOCK):
-            found = zlib.crc32(data[at : min(at + CRC_BLOCK, end)].data, found)
+            checksum = zlib.crc32(data[at : min(at + CRC_BLOCK, end)].data, checksum)
             self._give_back()
-        if found != stated:
+        if checksum != stated:
             self._damaged_end('the checksum of the data section is wrong')
 
     def _register(self, opcode: int, record: Bytes) -> None:

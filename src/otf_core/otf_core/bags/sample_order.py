@@ -125,19 +125,19 @@ def of_one_clock(
     if not np.any(np.maximum.accumulate(stamp_ns) - stamp_ns > MAX_OFF_NS):
         return None
     clock: Clock[int] = Clock(left_out)
-    kept: list[int] = []
+    rows: list[int] = []
     for i, stamp in enumerate(stamp_ns.tolist()):
         if clock.take(stamp, i):
-            kept.append(i)
+            rows.append(i)
         elif clock.persists and clock.off_ns > 0:
-            kept += [at for _, at in clock.release()]
-    if clock.persists and len(kept) < CLOCK_CHANGE_SAMPLES:
-        left_out(stamp_ns[kept].tolist(), clock.held[-1][0])
-        kept = []
+            rows += [at for _, at in clock.release()]
+    if clock.persists and len(rows) < CLOCK_CHANGE_SAMPLES:
+        left_out(stamp_ns[rows].tolist(), clock.held[-1][0])
+        rows = []
     if clock.persists or clock.off_ns > 0:
-        kept += [at for _, at in clock.release()]
+        rows += [at for _, at in clock.release()]
     clock.drop()
-    return np.array(kept, np.int64)
+    return np.array(rows, np.int64)
 
 
 # How stamps that repeat were made.
@@ -352,15 +352,15 @@ def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
     ndarray of uint8, shape (n,)
         ``NO_BEAM``, ``NOT_FINITE``, ``FAR`` or 0.
     """
-    found = np.zeros(len(xyz), np.uint8)
+    kinds = np.zeros(len(xyz), np.uint8)
     with np.errstate(invalid='ignore'):  # signalling nan
         x, y, z = xyz.T
-        found[(x == 0) & (y == 0) & (z == 0)] = NO_BEAM
+        kinds[(x == 0) & (y == 0) & (z == 0)] = NO_BEAM
         if not (xyz.max(initial=0.0) < MAX_RANGE and xyz.min(initial=0.0) > -MAX_RANGE):
             reach = np.abs(xyz).max(axis=1, initial=0.0)
-            found[~(reach < MAX_RANGE)] = FAR
-            found[~np.isfinite(reach)] = NOT_FINITE
-    return found
+            kinds[~(reach < MAX_RANGE)] = FAR
+            kinds[~np.isfinite(reach)] = NOT_FINITE
+    return kinds
 
 
 class Screening:
@@ -406,31 +406,31 @@ class Screening:
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
         """
-        found, before = judged(xyz), self.total - self._count[FOREIGN]
+        kinds, before = judged(xyz), self.total - self._count[FOREIGN]
         self.total += len(xyz)
         if self._start_ns is None and len(xyz):
             self._start_ns = int(stamp_ns[0])
-        if not found.any():
+        if not kinds.any():
             return None
         for kind in (NO_BEAM, NOT_FINITE, FAR):
-            (at,) = np.nonzero(found == kind)
+            (at,) = np.nonzero(kinds == kind)
             if at.size:
                 i = int(at[0])
                 seconds = (int(stamp_ns[i]) - (self._start_ns or 0)) * 1e-9
                 first = f'sample {before + i}, {seconds:.6f} s after the start: {xyz[i].tolist()}'
                 self._first.setdefault(kind, first)
                 self._count[kind] += at.size
-        return np.asarray(found == 0)
+        return np.asarray(kinds == 0)
 
     def remarks(self) -> list[str]:
         """What was left out, in words."""
-        said = []
+        lines = []
         for kind, count in sorted(self._count.items()):
             if not count:
                 continue
             first = f'the first is {self._first[kind]}' if kind in self._first else self._shown()
-            said.append(f'dropped {count} of {self.total} points {WORDS[kind]}; {first}')
-        return said
+            lines.append(f'dropped {count} of {self.total} points {WORDS[kind]}; {first}')
+        return lines
 
     def check(self, where: str) -> None:
         """Raise InputError where so much was left out that it is no accident."""
@@ -553,8 +553,8 @@ def _screened(
     if good is not None:
         stamp_ns, xyz = stamp_ns[good], xyz[good]
     stamp_ns = continued(stamp_ns, xyz, remarks)
-    kept = of_one_clock(stamp_ns, screening.off)
-    return (stamp_ns, xyz) if kept is None else (stamp_ns[kept], xyz[kept])
+    rows = of_one_clock(stamp_ns, screening.off)
+    return (stamp_ns, xyz) if rows is None else (stamp_ns[rows], xyz[rows])
 
 
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:

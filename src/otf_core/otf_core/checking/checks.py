@@ -168,10 +168,10 @@ def _followed(seen: Seen, refused: _Refusals) -> Seen:
             return replace(seen, run=run, findings=findings, nodes=nodes, alignment=run.alignment)
     with refused.of('following', name):
         check_samples(samples, path)
-        found = align(samples, path, config)
-        seen = replace(seen, alignment=found)
-        pose = found.T_machine_tracker
-        check_partial(samples, path, pose, found.coverage, config.match_tolerance)
+        alignment = align(samples, path, config)
+        seen = replace(seen, alignment=alignment)
+        pose = alignment.T_machine_tracker
+        check_partial(samples, path, pose, alignment.coverage, config.match_tolerance)
     return seen
 
 
@@ -338,9 +338,9 @@ def _check_clock(seen: Seen) -> Checked:
     first = moment(int(samples.stamp_ns[0]))
     words = f'starts {first}' if first else 'stamps count from an epoch of their own'
     steps = _clock_steps(seen.received)
-    said = ''
+    doubt = ''
     if len(steps):
-        said = (
+        doubt = (
             f'the clock of the stamps was set {len(steps)} times relative to that of the '
             f'recorder, first'
             f' {steps[0]:.1f} s after the start: let the driver stamp with a clock that is '
@@ -357,7 +357,7 @@ def _check_clock(seen: Seen) -> Checked:
     return Checked(
         f'{words}, intervals scatter by {100 * jitter:.1f} %',
         {'first_stamp': first, 'clock_set': len(steps), 'jitter': jitter},
-        errors(seen.why('stamps')) + warnings(said, uneven),
+        errors(seen.why('stamps')) + warnings(doubt, uneven),
     )
 
 
@@ -413,14 +413,14 @@ LEGS_LISTED = 3
 
 
 def _check_path(seen: Seen) -> Checked:
-    found = seen.alignment
-    coverage = 0.0 if found is None else found.coverage
+    alignment = seen.alignment
+    coverage = 0.0 if alignment is None else alignment.coverage
     facts = {'coverage': coverage, 'legs_missing': 0}
     reasons = dict.fromkeys(seen.why(step) for step in ('following', 'run'))  # often the same
     problems = errors(*reasons)
-    if found is None or seen.samples is None or seen.path is None:
+    if alignment is None or seen.samples is None or seen.path is None:
         return Checked('', facts, problems)
-    missing = _missing(seen.samples, seen.path, found, seen.config.corner_exclusion)
+    missing = _missing(seen.samples, seen.path, alignment, seen.config.corner_exclusion)
     facts['legs_missing'] = len(missing)
     if coverage < COMPLETE_PATH:
         corners = 1e3 * seen.path.corners()[0]
@@ -434,7 +434,7 @@ def _check_path(seen: Seen) -> Checked:
             f'{legs if missing else ""}; drive the rest, into the same recording or another one'
         )
         problems += errors(text) if coverage < MIN_COVERAGE else warnings(text)
-    end = '' if found.last_leg_driven or coverage < COMPLETE_PATH else ', but not its end'
+    end = '' if alignment.last_leg_driven or coverage < COMPLETE_PATH else ', but not its end'
     return Checked(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
 
 
@@ -507,27 +507,27 @@ def _check_forecast(seen: Seen) -> Checked:
         return Checked()
     setup = Setup.of(run.machine, run.pose.translation, run.noise)
     with one_thread():
-        found = forecast_of_pieces(
+        outlook = forecast_of_pieces(
             run.pieces, run.pose, dict(seen.nodes), run.path.points, setup, run.pieces.end
         )
-        expected = planned_systematic(solution_of_pieces(run, found), found).expected
-    unseen = found.not_identifiable
+        expected = planned_systematic(solution_of_pieces(run, outlook), outlook).expected
+    unseen = outlook.not_identifiable
     facts = {
-        'mean_grid_u_um': 1e6 * found.mean_grid_u,
+        'mean_grid_u_um': 1e6 * outlook.mean_grid_u,
         **expected.to_dict(),
         'not_identifiable': list(unseen),
         'mean_u': {
             name: float(np.sqrt(np.mean(u**2)))
-            for name, u in found.u.items()
+            for name, u in outlook.u.items()
             if name not in unseen
         },
     }
     words = f'{expected.expanded_words}\n{expected.forecast_words}'
     if unseen:
         words += f'\nnot shown by this path: {", ".join(map(str, unseen))}'
-    loose = ', '.join(map(str, found.loose_nodes))
-    said = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
-    return Checked(words, {'forecast': facts}, warnings(said))
+    loose = ', '.join(map(str, outlook.loose_nodes))
+    doubt = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
+    return Checked(words, {'forecast': facts}, warnings(doubt))
 
 
 FORECAST = Check('forecast', _check_forecast)
@@ -563,7 +563,7 @@ class CheckReport:
     @property
     def problems(self) -> tuple[tuple[str, Problem], ...]:
         """Names of checks and what they found, errors first."""
-        every = [(name, p) for name, found in self.checked.items() for p in found.problems]
+        every = [(name, p) for name, result in self.checked.items() for p in result.problems]
         return tuple(sorted(every, key=lambda item: item[1].severity != ERROR))
 
     @property
@@ -574,8 +574,8 @@ class CheckReport:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         facts: dict[str, Any] = {}
-        for found in self.checked.values():
-            facts |= found.facts
+        for result in self.checked.values():
+            facts |= result.facts
         problems = [
             {'check': name, 'severity': p.severity, 'what': p.what} for name, p in self.problems
         ]
@@ -623,8 +623,8 @@ def format_check(report: CheckReport) -> str:
     lines += [''] if report.problems else []
     width = max(len(name) for name in report.checked)
     lines += [
-        f'{name:<{width}}  {found.words}'
-        for name, found in report.checked.items()
-        if found.words and name != FORECAST.name
+        f'{name:<{width}}  {result.words}'
+        for name, result in report.checked.items()
+        if result.words and name != FORECAST.name
     ]
     return '\n'.join(lines)

@@ -64,34 +64,33 @@ def run_export(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'--points: {arguments.points}; at least 2')
     source, out = tables_file(arguments.dir), Path(arguments.out)
     content = load_tables(source)
-    refuse_rotary(content.tables.machine, 'export')
     chosen = export_format(arguments.format)
     request = Request(content, out.name, arguments.sign, arguments.points)
-    made = chosen.export(request)
+    export = chosen.export(request)
     targets = [
         (OutputFile(
             out.parent / name, is_export, overwrite=arguments.overwrite, inputs=(source,)
         ), packed)
-        for name, packed in made.files.items()
+        for name, packed in export.files.items()
     ]  # fmt: skip
     for target, packed in reversed(targets):
         with target.filled() as partial:
             partial.write_bytes(packed)
-    left = remaining_error(content.tables, made.held, content.extra.get('headline'))
+    remainder = remaining_error(content.tables, export.held, content.extra.get('headline'))
     data: dict[str, Any] = {
         'schema': 'otf-export/1',
         'format': chosen.name,
         'files': [str(target.path) for target, _ in targets],
         'sign': chosen.sign_words(request),
         'lacks': chosen.lacks,
-        'remaining': left.to_dict(),
-        'remarks': list(made.remarks),
+        'remaining': remainder.to_dict(),
+        'remarks': list(export.remarks),
     }
     lines = [
         f'sign: {data["sign"]}',
         f'not in the file: {chosen.lacks}',
-        left.words,
-        *made.remarks,
+        remainder.words,
+        *export.remarks,
         f'written: {", ".join(map(str, data["files"]))}',
     ]
     answer(arguments, '\n'.join(lines), data)
@@ -118,13 +117,13 @@ def run_import(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
     refuse_rotary(machine, 'import')
-    found = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
-    sizes = {'size_rms_um': 1e6 * found.size_rms, 'left_rms_um': 1e6 * found.left_rms}
+    imported = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
+    sizes = {'size_rms_um': 1e6 * imported.size_rms, 'left_rms_um': 1e6 * imported.left_rms}
     block = provenance(
         'import', machines=[machine], files={'lattice': arguments.lattice},
         coverage='no uncertainty: u of the lattice is not carried over',
     )  # fmt: skip
-    content = tables_to_dict(found.tables) | {'imported': sizes, 'provenance': block}
+    content = tables_to_dict(imported.tables) | {'imported': sizes, 'provenance': block}
     with out.filled('import') as folder:
         write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
     words = (

@@ -173,13 +173,13 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
         refuse_rotary(recordings[0].machine, 'calibrate --effects')
-        done = calibrate_with_effects(
+        calibration = calibrate_with_effects(
             recordings, arguments.effects, twin_recording, config, progress, arguments.method
         )
         progress('writing', 0.0)
         with out.filled('calibrate') as folder:
             files = write_with_effects(
-                done,
+                calibration,
                 folder,
                 residuals_csv=arguments.residuals_csv,
                 report=arguments.report,
@@ -187,8 +187,8 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
                 missing=out.missing,
             )
     _note_missing(out)
-    _answer_calibration(arguments, facts_of(done.result), files)
-    return _judged(arguments, done.result)
+    _answer_calibration(arguments, facts_of(calibration.result), files)
+    return _judged(arguments, calibration.result)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
@@ -359,10 +359,10 @@ def run_info(arguments: argparse.Namespace) -> int:
     """Identify a file and summarise its contents."""
     from otf_core.info.explain import explain
 
-    kind, found = explain(arguments.file)
-    width = max([len(name) for name, _ in found.rows] + [0])
+    kind, explanation = explain(arguments.file)
+    width = max([len(name) for name, _ in explanation.rows] + [0])
     lines = [f'{arguments.file}: {kind.name}', kind.what, '']
-    lines += [f'{name:<{width}}  {text}' for name, text in found.rows]
+    lines += [f'{name:<{width}}  {text}' for name, text in explanation.rows]
     about = {'file': arguments.file, 'kind': kind.name, 'what': kind.what}
-    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(found.facts)})
+    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(explanation.facts)})
     return 0

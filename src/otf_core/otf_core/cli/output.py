@@ -234,11 +234,11 @@ class _Line:
                 note(f'otf: {stage} ...')
             return
         words = f'{stage}  {passed:.0f} s'
-        left = self._left.estimate('job', share, now)
+        time_left = self._left.estimate('job', share, now)
         if share > 0:
             words += f'  {100 * share:.0f} %'
-        if about(left):
-            words += f'  {about(left)}'
+        if about(time_left):
+            words += f'  {about(time_left)}'
         own_line(words[: shutil.get_terminal_size().columns - 1])
 
 

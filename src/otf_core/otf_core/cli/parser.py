@@ -54,11 +54,11 @@ def asked(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
     if word and not word.startswith('-') and word not in verbs:
         hint = did_you_mean(word, verbs) or ';'
         parser.error(f'unknown command {word!r}{hint} commands: {", ".join(verbs)}')
-    arguments, left = parser.parse_known_args(argv)
-    if left:
+    arguments, unknown = parser.parse_known_args(argv)
+    if unknown:
         verb = verbs[arguments.verb]
         assert isinstance(verb, Parser)
-        name = left[0].split('=')[0]
+        name = unknown[0].split('=')[0]
         known = did_you_mean(name, verb.options) if name.startswith('-') else ''
         verb.error(f'unknown {"option" if name.startswith("-") else "argument"} {name}{known}')
     return arguments
@@ -131,6 +131,6 @@ def run_completion(arguments: argparse.Namespace) -> int:
     """Print the script of a shell."""
     from otf_core.cli import _parser
 
-    made = fish_script if arguments.shell == 'fish' else script
-    say(made(_parser()))
+    writer = fish_script if arguments.shell == 'fish' else script
+    say(writer(_parser()))
     return 0

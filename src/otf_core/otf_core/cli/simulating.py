@@ -283,13 +283,13 @@ def run_validate(arguments: argparse.Namespace) -> int:
         SimulatedLaboratory(),
         scale(arguments.quick, arguments.first_cell, arguments.cells),
     )
-    found = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
-    truth = found.cells[0].reference.truth
-    direct = laboratory.measure_directly(truth, found.seeds[0])
+    comparisons = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
+    truth = comparisons.cells[0].reference.truth
+    direct = laboratory.measure_directly(truth, comparisons.seeds[0])
     with out.filled('validate') as folder:
-        files = write_validation(found, direct, folder)
-    answer_from(arguments, format_rows(found.rows) + '\n', files, 'validation.json')
-    return told_limits(found.rows)
+        files = write_validation(comparisons, direct, folder)
+    answer_from(arguments, format_rows(comparisons.rows) + '\n', files, 'validation.json')
+    return told_limits(comparisons.rows)
 
 
 def told_limits(rows: Sequence[Row]) -> int:
@@ -323,8 +323,8 @@ def add_closing_verbs(verb: AddVerb) -> None:
 
 def run_loop(arguments: argparse.Namespace) -> int:
     """The whole circle on LinuxCNC."""
-    asked = parameters(LoopConfig, arguments)
-    given = dataclasses.asdict(asked)
+    config = parameters(LoopConfig, arguments)
+    given = dataclasses.asdict(config)
     planning = PlannerConfig(passes=1, feed=given.pop('feed'), corner_dwell=0.05, end_dwell=2.0)
     out = output_folder(arguments, arguments.machine)
     from otf_core.loop.circle import go_round
@@ -357,8 +357,8 @@ def run_loop(arguments: argparse.Namespace) -> int:
             from otf_core.sim.twin import twin_recording
 
             progress('diagnoses')
-            found = diagnose([circle.recordings['fit']], twin_recording)
-            files += write_diagnosis(found, folder / 'diagnosis')
+            diagnosis = diagnose([circle.recordings['fit']], twin_recording)
+            files += write_diagnosis(diagnosis, folder / 'diagnosis')
         names = [f.relative_to(folder) for f in files]
     answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
     gates = failed_gates(circle)
@@ -530,11 +530,11 @@ def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) 
         OutputFolder(folder, overwrite=overwrite).clear()
     run = run_leave_one_out if arguments.leave_one_out else run_trial
     try:
-        found = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
-        files = [write_outcomes(BLIND, folder, found.ended), folder / 'score.txt']
+        trial = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
+        files = [write_outcomes(BLIND, folder, trial.ended), folder / 'score.txt']
     finally:
         list_files(folder)
-    failed = any(not ended.done for ended in found.ended.values())
-    words = f'{found.words}\n\n{format_fleet(BLIND, found.ended)}' if failed else found.words
+    failed = any(not ended.done for ended in trial.ended.values())
+    words = f'{trial.words}\n\n{format_fleet(BLIND, trial.ended)}' if failed else trial.words
     answer_from(arguments, words, files, 'score.json')
     return QUALITY_GATE_FAILED if failed else 0

@@ -30,7 +30,7 @@ _COLUMN = re.compile(r'(position|E[XYZABC])_(\w+)')
 
 def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
     """Place and factor to SI of the columns of numbers."""
-    found = {}
+    places = {}
     for place, name in enumerate(header):
         match = _COLUMN.fullmatch(name)
         if match is None:
@@ -38,15 +38,15 @@ def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
         units = ANGLE if match[1][1] in 'ABC' else LENGTH
         if match[2] not in units:
             raise ConfigError(f'{where}: {name}: unit not known; possible: {", ".join(units)}')
-        found[match[1]] = (place, units[match[2]])
+        places[match[1]] = (place, units[match[2]])
     lacking = [n for n in ('axis', 'run', 'direction') if n not in header]
-    lacking += [] if 'position' in found else ['position_m']
-    if lacking or len(found) < 2:
+    lacking += [] if 'position' in places else ['position_m']
+    if lacking or len(places) < 2:
         raise ConfigError(
             f'{where}: header: {lacking[0] if lacking else "EX_m"}: missing; expected '
             f'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad'
         )
-    return found
+    return places
 
 
 def _readings(

@@ -227,15 +227,16 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
 
 def known_words(causes: Sequence[NamedCause], unnamed: Unnamed | None) -> str:
     """What explains the gap, in words; empty if nothing does."""
+    parts = [f'as of {_spoken(causes)}'] if causes else []
     if unnamed is not None:
-        return f'it {unnamed.words}'
-    return f'as of {_spoken(causes)}' if causes else ''
+        parts.append(f'{"the rest" if causes else "it"} {unnamed.words}')
+    return '; '.join(parts)
 
 
 def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
     """Size of the gap without and with the causes; noise as found belongs to what is simulated."""
     simulated_after = explained.simulated_um * (1.0 if noise is None else noise.level)
-    before, after = explained.steps[0], explained.steps[-1]
+    before, after = explained.steps[0], explained.last
     after_um = gap_um(after.rms_um, simulated_after)
     return Gap(
         measured_um=before.rms_um,
@@ -260,8 +261,9 @@ def sentence_of(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )
     if unnamed is not None:
+        rest = 'What they leave' if causes else 'It'
         sentence += (
-            f' It {unnamed.words}. An empirical effect of these inputs leaves '
+            f' {rest} {unnamed.words}. An empirical effect of these inputs leaves '
             f'{unnamed.after_um:.2f} um.'
         )
     return sentence if noise is None else f'{sentence} Tracker noise: {noise.words}.'

@@ -94,9 +94,11 @@ def diagnose(
         ahead.begin(assemble, solved.solution, config, solved.findings)
         without_reversal = _without_reversal(recordings, solved, config)
         searched = _search(without_reversal, twin, exclude, config, progress, own)
-        progress('diagnosing', 0.7)
+        progress('diagnosing', 0.65)
         explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
+        progress('diagnosing', 0.7)
         weighed = _weigh(searched, explained, config, exclude)
+        progress('diagnosing', 0.95)
         plain = ahead(assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
     causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
@@ -171,14 +173,16 @@ def _search(
 ) -> _Searched:
     """Search what the calibration leaves for effects."""
     nodes, solution = observed.nodes, observed.solution
+    progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
     straight = partial(straight_rows, done=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
-    progress('diagnosing', 0.0)
+    progress('diagnosing', 0.2)
     with Ahead() as ahead:
         ahead.begin(simulated_residual_um, rows, nodes, config, twin)
         lines = spectral_lines(rows)
         found = search_catalogue(rows, exclude, own, lines)
+        progress('diagnosing', 0.5)
         for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
             other = changed(rows, found.causes)
             if other is not None:
@@ -206,7 +210,9 @@ def _weigh(
     rows = searched.rows
     judged = judge(rows, explained, config, exclude)
     explained, nameless = judged.explained, judged.nameless
-    fitted, gap = fitted_causes(explained.causes, rows), gap_of(explained, judged.noise)
+    besides = nameless.structures if nameless and explained.causes else ()
+    every = fitted_causes([*explained.causes, *(s.cause for s in besides)], rows)
+    fitted, gap = every[: len(explained.causes)], gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
     where, shape = where_and_shape(
         run_views(rows, explained),
@@ -273,7 +279,9 @@ def _answer(
         contradictions=qualify_moves(examined.findings, said),
         table_change_um=_table_change_um(calibration),
         unnamed=said,
-        applied=nameless.applied if nameless else applied,
+        applied=tuple(
+            (*own, *(nameless.applied[k] if nameless else ())) for k, own in enumerate(applied)
+        ),
         calibration=calibration,
         origin=calibration.plain.origin,
         shown=Shown(_shown_views(rows, explained), _conditions(examined, calibration.plain)),

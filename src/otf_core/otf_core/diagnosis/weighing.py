@@ -33,12 +33,14 @@ from otf_core.diagnosis.engine.gap_sizes import (
     residuals_with,
     shrink_interval,
     shrink_percent,
+    wave_um,
 )
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
 from otf_core.diagnosis.engine.time_courses import DECOY_NAMES
 from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import EVERYWHERE, NO_STRUCTURE, describe_structure
+from otf_core.diagnosis.standing_causes import Standing, standing_causes, structures_of
 from otf_core.effects import AppliedEffect, Effect
 from otf_core.effects.action import (
     RIGID_TABLE,
@@ -155,6 +157,8 @@ class Explanation:
         True if neighbouring pieces share more of the residual than noise explains.
     decoyed : bool
         True if shapes outside the catalogue explain more than the causes.
+    besides : Residuals, optional
+        With all causes and an empirical effect beside them (held out).
     """
 
     causes: tuple[Cause, ...]
@@ -166,6 +170,12 @@ class Explanation:
     known_rest: Residuals
     structured: bool
     decoyed: bool
+    besides: Residuals | None = None
+
+    @property
+    def last(self) -> Residuals:
+        """With all causes, and with what has no name beside them (held out)."""
+        return self.besides or self.steps[-1]
 
     @property
     def before_um(self) -> float:
@@ -175,7 +185,7 @@ class Explanation:
     @property
     def after_um(self) -> float:
         """Gap with all causes, on legs they were not fitted on, um."""
-        return gap_um(self.steps[-1].rms_um, self.simulated_um)
+        return gap_um(self.last.rms_um, self.simulated_um)
 
     def doubted(self, rival: Rival) -> Explanation:
         """The same with confidences that count something else and nothing."""
@@ -185,7 +195,9 @@ class Explanation:
     def without_causes(self, simulated_um: float) -> Explanation:
         """The same with nothing named: where no effect explains the gap."""
         first = self.steps[0]
-        return replace(self, causes=(), simulated_um=simulated_um, steps=(first,), fitted=first)
+        return replace(
+            self, causes=(), simulated_um=simulated_um, steps=(first,), fitted=first, besides=None
+        )
 
 
 def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
@@ -245,6 +257,7 @@ def _material(
     for cause in found:
         after = residuals_with(rows, [*causes, cause])
         trace = float(np.sqrt(max(0.0, steps[-1].rms_um ** 2 - after.rms_um**2)))
+        trace = max(trace, wave_um(cause, rows))
         least = Effect.material_um if all_alike else cause.option.effect.material_um
         if trace > max(least, MATERIAL_SHARE * gap):
             causes.append(cause)
@@ -262,7 +275,7 @@ def noise_level(rows: Rows, found: Sequence[Cause]) -> float:
     for cause in found:
         residual = fit_out(cause.option, residual)
     structure = _structure(rows, residual)
-    variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - rows.base.shape[1])
+    variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - len(rows.use))
     if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
         return 1.0
     return float(np.sqrt(variance))
@@ -363,6 +376,7 @@ class Nameless:
     applied: tuple[tuple[AppliedEffect, ...], ...]
     simulated_um: float
     """Residual of the simulation, its noise corrected by what the structures leave."""
+    structures: tuple[Structure, ...] = ()
 
 
 def find_unnamed(
@@ -419,12 +433,18 @@ def _with_more(
     return found
 
 
-def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -> Nameless:
-    causes = [s.cause for s in structures]
-    before, after = explained.steps[0], residuals_with(rows, causes)
+def _said(
+    rows: Rows,
+    explained: Explanation,
+    structures: Sequence[Structure],
+    known: Sequence[Cause] = (),
+) -> Nameless:
+    """Structures beside known causes, in words and as effects."""
+    causes = [*known, *(s.cause for s in structures)]
+    before, after = explained.steps[len(known)], residuals_with(rows, causes)
     simulated = explained.twin_um * noise_level(rows, causes)
     sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
-    parts = fitted_causes(causes, rows)
+    parts = fitted_causes(causes, rows)[len(known) :]
     curves = [curves_of(part) for part in parts]
     words = [_words(s, own) for s, own in zip(structures, curves, strict=True)]
     said = Unnamed(
@@ -439,7 +459,7 @@ def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -
     )
     runs = range(len(rows.runs))
     applied = tuple(tuple(part.applied(k) for part in parts) for k in runs)
-    return Nameless(said, applied, simulated)
+    return Nameless(said, applied, simulated, tuple(structures))
 
 
 def input_words(name: str) -> str:
@@ -510,28 +530,112 @@ def judge(
     noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
     left, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    explained, nameless = _or_something_else(rows, explained, verdict)
-    verdict = 'unknown' if nameless else verdict
-    if verdict == 'unknown':
+    weighed = _or_something_else(rows, explained, verdict, exclude)
+    explained, nameless = weighed.explained, weighed.nameless
+    if weighed.verdict == 'unknown':
         known = nameless.simulated_um if nameless else explained.simulated_um
         explained = explained.without_causes(known)
-    elif noise and verdict == 'none':
-        verdict = 'explained'
-    return Judged(verdict, explained, noise, left, nameless)
+    elif noise and weighed.verdict == 'none':
+        weighed = replace(weighed, verdict='explained')
+    return Judged(weighed.verdict, explained, noise, left, nameless)
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A verdict with the causes that it stands on, and what has no name."""
+
+    verdict: str
+    explained: Explanation
+    nameless: Nameless | None = None
 
 
 def _or_something_else(
-    rows: Rows, explained: Explanation, verdict: str
-) -> tuple[Explanation, Nameless | None]:
-    """Doubt the names for what else may explain the gap; that, where it is to be said instead."""
+    rows: Rows, explained: Explanation, verdict: str, exclude: Sequence[str]
+) -> _Weighed:
+    """Doubt the names for what else may explain the gap; keep those that stand beside that."""
     if explained.causes:
         tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
         rival = rival_of(explained.causes, tried)
     elif verdict == 'unknown':
         tried, rival = try_structures(rows, SCREENED), Rival()
     else:
-        return explained, None
-    return explained.doubted(rival), find_unnamed(rows, explained, verdict, tried, rival)
+        return _Weighed(verdict, explained)
+    doubted = explained.doubted(rival)
+    alone = find_unnamed(rows, doubted, verdict, tried, rival)
+    if verdict == 'explained' and alone is None:
+        return _Weighed(verdict, doubted)
+    standing = _standing(rows, explained, alone, tried, verdict, exclude)
+    if standing is not None:
+        return standing
+    if alone or _leaves_most(explained, explained.last):
+        return _Weighed('unknown', doubted, alone)
+    return _Weighed(verdict, doubted)
+
+
+def _standing(
+    rows: Rows,
+    explained: Explanation,
+    alone: Nameless | None,
+    tried: Structures,
+    verdict: str,
+    exclude: Sequence[str],
+) -> _Weighed | None:
+    """Causes that stand beside what has no name; None where the gap has no name at all."""
+    least = MATERIAL_SHARE * explained.before_um
+    found = standing_causes(rows, explained.causes, least)
+    without = Standing.of(rows, (), structures_of(rows, tried)) if alone else None
+    if found and without:  # both for the noise that the better of them leaves
+        found, without = (
+            Standing.of(rows, s.causes, s.structures, t.variance)
+            for s, t in ((found, without), (without, found))
+        )
+    if found is None or (without and without.evidence > found.evidence):
+        found = without
+    if found is None or not _describes(found, explained, verdict):
+        return None
+    found = found.with_names(exclude)
+    if not found.causes:
+        return None
+    causes = tuple(
+        replace(c, confidence=found.confidence(k, without)) for k, c in enumerate(found.causes)
+    )
+    every = [*causes, *(s.cause for s in found.structures)]
+    explained = replace(
+        explained,
+        causes=causes,
+        steps=tuple(residuals_with(rows, causes[:k]) for k in range(len(causes) + 1)),
+        fitted=residuals_with(rows, every, held_out=False),
+        besides=found.residuals,
+    )
+    nameless = _said(rows, explained, found.structures, causes) if found.structures else None
+    if nameless and nameless.said.shrink_percent < LEAST_SHRINK:
+        nameless, explained = None, replace(explained, besides=None)
+    return _Weighed(_verdict_beside(explained, nameless), explained, nameless)
+
+
+def _describes(found: Standing, explained: Explanation, verdict: str) -> bool:
+    """Tell whether causes and what has no name describe the gap well enough to be believed.
+
+    A right cause leaves the other cause, which has a structure of its own. What imitates a cause
+    that no smooth function describes leaves a part of it.
+    """
+    if _leaves_most(explained, found.residuals):
+        return False
+    return bool(found.structures) or verdict != 'unknown'
+
+
+def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
+    """Tell whether most of a gap is left."""
+    known = max(KNOWN_SHARE * explained.before_um, NO_GAP_SHARE * explained.simulated_um)
+    return gap_um(rest.rms_um, explained.simulated_um) > known
+
+
+def _verdict_beside(explained: Explanation, nameless: Nameless | None) -> str:
+    """Whether causes that stand explain the gap to the end."""
+    left = explained.after_um if matters(explained.after_um, explained.simulated_um) else 0.0
+    if nameless or left > EXPLAINED_SHARE * explained.before_um:
+        return 'partly_explained'
+    return 'explained'
 
 
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:

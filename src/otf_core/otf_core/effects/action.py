@@ -49,6 +49,17 @@ def _rigid(state: State, arm: Array) -> Terms:
     return Terms(names, ('m',) * 3 + ('rad',) * 3, ('',) * 6, columns)
 
 
+def turned_by_axis(state: State, shape: Shape) -> Terms:
+    """Turns about the tracker, tilt_X_by_X ... tilt_Z_by_Z: those of each axis that moves."""
+    turned = [np.cross(e, state.beam) for e in np.eye(3)]
+    axes = state.machine.axis_names
+    names = tuple(f'tilt_{k}_by_{a}' for k in XYZ for a in axes)
+    columns = np.stack([turn for turn in turned for _ in axes], axis=2)
+    return Terms(names, ('rad',) * 9, axes * 3, columns)
+
+
+RIGID_MOTIONS: tuple[Acting, ...] = (vector, rigid_tracker, rigid_table, turned_by_axis)
+"""Ways to act that shift or turn tracker, table or target as a whole."""
 ACTING: dict[str, Acting] = {
     VECTOR: vector,
     RIGID_TRACKER: rigid_tracker,

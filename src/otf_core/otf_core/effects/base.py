@@ -123,6 +123,10 @@ class Effect(ABC):
     many_alike: ClassVar[bool] = False
     """True if it has so many coefficients, named MOTION@..., that the data hardly see some: they
     are estimated with the size that makes the data most likely."""
+    rigid: ClassVar[bool] = False
+    """True if it is a rigid motion of tracker or table by functions of one input each."""
+    couples: ClassVar[bool] = False
+    """True if it displaces point by point, as a function of several positions."""
     belongs_to: ClassVar[BelongsTo] = BelongsTo.EFFECTS
     """The part of a calibration that takes it up."""
     material_um: ClassVar[float] = 0.2

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 
-from otf_core.effects.action import Acting
+from otf_core.effects.action import RIGID_MOTIONS, Acting
 from otf_core.effects.inputs import SIGNAL
 from otf_core.effects.switching import Switching
 from otf_core.effects.terms import BelongsTo, Terms
@@ -57,6 +57,11 @@ class Free:
     def shaped(self) -> bool:
         """True if it has the shape parameters of the effect."""
         return self.acts is None or self.of_shape
+
+    @property
+    def rigid(self) -> bool:
+        """True for a rigid motion of tracker, table or target by a function of one input."""
+        return len(self.inputs) == 1 and self.acts in RIGID_MOTIONS
 
     @property
     def numbers(self) -> tuple[tuple[int, ...], ...]:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.effects.action import Acting
+from otf_core.effects.action import ACTING, Acting, Along
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.free import AXIS, TERM, Free, follower
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
@@ -25,7 +25,7 @@ from otf_core.effects.located_inputs import TURNS, head_of
 
 _TAKEN_OVER = (
     'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
-    'own_per_run', 'belongs_to', 'stays_in_place', 'material_um',
+    'own_per_run', 'rigid', 'couples', 'belongs_to', 'stays_in_place', 'material_um',
 )  # fmt: skip
 _OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
 
@@ -63,6 +63,16 @@ class FreeForm(Effect):
     def changes_within_pieces(self) -> bool:
         """As of the formula, or where it depends on a cycle along an axis."""
         return self.wave is not None or any(head_of(n) in TURNS for n in self.form.inputs)
+
+    @property
+    def is_structure(self) -> bool:
+        """Whether a diagnosis found it, with a name or without; False for what effects declare.
+
+        Files have it as a table.
+        """
+        form = self.form
+        acts = isinstance(form.acts, Along) or form.acts in ACTING.values()
+        return acts and not form.least and not form.zero_at
 
     @property
     def _key(self) -> tuple[str, Free, dict[str, Span]]:

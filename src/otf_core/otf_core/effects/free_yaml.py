@@ -25,7 +25,7 @@ from otf_core.effects import REGISTRY
 from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
 from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Effect
-from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
+from otf_core.effects.empirical import EMPIRICAL, of_table, tabulated
 from otf_core.effects.free import Free, follower, switched
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL, Span, known_input
@@ -158,7 +158,7 @@ def free_entry(one: AppliedEffect, machine: Machine) -> dict[str, Any]:
     """Return a free form or an empirical effect as plain data."""
     effect = one.effect
     assert isinstance(effect, FreeForm)
-    if isinstance(effect.parent, Empirical):
+    if effect.is_structure:
         nodes, values = tabulated(one)
         entry: dict[str, Any] = {'effect': EMPIRICAL}
         if effect.name != EMPIRICAL:

@@ -19,6 +19,7 @@ HOMES = {
     'sinumerik-cec': 'sinumerik_cec',
     'isg': 'isg',
     'heidenhain': 'heidenhain',
+    'pivot': 'pivot',
     'qif': 'qif',
     'lattice-csv': 'lattice_csv',
     'lattice-npz': 'lattice_npz',
@@ -28,8 +29,8 @@ HOMES = {
 
 def export_format(name: str) -> Format:
     """Return the format of a name in ``HOMES``."""
-    made: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
-    return made
+    definition: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
+    return definition
 
 
 __all__ = ['HOMES', 'export_format']

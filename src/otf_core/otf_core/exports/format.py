@@ -15,9 +15,9 @@ from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import covered_grid, lattice, without_rigid_motion
 from otf_core.model.expanded import figure
-from otf_core.model.kinematics import displacement
+from otf_core.model.kinematics import displacement, nominal_position
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness, TablesFile
 from otf_core.prediction.absorbed import offset_bound
 from otf_core.prediction.driven_volume import table_ranges
@@ -35,10 +35,14 @@ def rounded_tables(tables: ErrorTables) -> ErrorTables:
             tables.motions[m],
             value=tables.motions[m].value.round(LENGTH if m.is_translation else ANGLE),
         )
-        for m in MOTIONS
+        for m in tables.machine.motions
     }
     square = {k: Squareness(round(s.value, ANGLE), s.u) for k, s in tables.squareness.items()}
-    return replace(tables, motions=motions, squareness=square)
+    location = {
+        k: replace(v, value=round(v.value, LENGTH if unit_of(k) == 'm' else ANGLE))
+        for k, v in tables.location.items()
+    }
+    return replace(tables, motions=motions, squareness=square, location=location)
 
 
 # What an export is: the bytes of its files, and the error that its values hold.
@@ -52,6 +56,10 @@ MARK_BYTES = 4000
 """Bytes at either end of a file in which the mark stands."""
 ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
+
+
+ROTARY_FORMATS = ('isg', 'heidenhain', 'sinumerik-enc', 'pivot')
+"""Formats to name where one cannot hold rotary axes."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +91,18 @@ class Request:
     def unseen_words(self) -> tuple[str, ...]:
         """Say which errors are zero because the calibration could not see them; empty if none."""
         listed = self.content.extra.get('not_identifiable')
-        squareness = [n for n in SQUARENESS if isinstance(listed, list) and n in listed]
-        motions = (m for m in MOTIONS if not self.content.tables.motions[m].identifiable)
-        names = [*squareness, *motions]
+        tables = self.content.tables
+        machine = tables.machine
+        scalars = [
+            n for n in machine.scalars
+            if (isinstance(listed, list) and n in listed)
+            or (n in tables.location and not tables.location[n].identifiable)
+        ]  # fmt: skip
+        motions = (m for m in machine.motions if not tables.motions[m].identifiable)
+        names = [*scalars, *motions]
         if not names:
             return ()
-        bound = offset_bound(self.content.tables.machine, names).sentence
+        bound = '' if machine.rotary_names else offset_bound(machine, names).sentence
         return (
             f'zero because the calibration does not determine them: {", ".join(names)}; their '
             f'influence with another tool is unknown',
@@ -147,6 +161,8 @@ class Format(ABC):
         What a value is: that of a table, or a mean over the volume.
     takes_points : bool
         True where it samples the tables anew, with as many points per axis as are asked for.
+    takes_rotary : bool
+        True where it holds rotary axes, or says what of them it leaves out.
     """
 
     name: str
@@ -154,6 +170,7 @@ class Format(ABC):
     value_words: str
     sign_is_asked: bool = False
     takes_points: bool = False
+    takes_rotary: bool = False
 
     @abstractmethod
     def sign_words(self, request: Request) -> str:
@@ -164,13 +181,19 @@ class Format(ABC):
         """Make the files; ConfigError if the format cannot hold these tables."""
 
     def check(self, request: Request) -> None:
-        """Refuse a missing or a needless sign, and points that mean nothing or are too few.
+        """Refuse rotary axes it cannot hold, a missing or needless sign, points that mean nothing.
 
         Raises
         ------
         ConfigError
             Says what to give.
         """
+        rotary = request.content.tables.machine.rotary_names
+        if rotary and not self.takes_rotary:
+            raise ConfigError(
+                f'--format {self.name}: holds three linear axes only, and the machine has '
+                f'{", ".join(rotary)}; use {" or ".join(ROTARY_FORMATS)}'
+            )
         if self.sign_is_asked and request.sign is None:
             raise ConfigError(
                 f'--sign: {self.name} needs it: its manual does not state whether the control '
@@ -206,10 +229,36 @@ def offset_words(machine: Machine) -> str:
 
 def lever_words(machine: Machine) -> str:
     """Say what rotations of motions act about, for formats that hold them."""
+    whose = ' of linear axes' if machine.rotary_names else ''
     return (
-        'rotations act about the machine zero carried along by the axes; target at '
+        f'rotations{whose} act about the machine zero carried along by the axes; target at '
         f"{offset_words(machine)} from it at the axes' zero"
     )
+
+
+def rotary_words(machine: Machine) -> list[str]:
+    """Lines that say how errors of rotary axes act; none without any."""
+    if not machine.rotary_names:
+        return []
+    lines = [
+        'only the position of the tool is corrected, by the linear axes; its orientation keeps '
+        'its error',
+        'errors are those of the target relative to the table, at the programmed angle, in the '
+        'directions X, Y, Z of the side of the axis towards the bed, and act about the centre',
+        'location errors move the line of the axis: X0C along X, A0C about X through the centre',
+    ]
+    for name in machine.rotary_names:
+        axis = machine.axes[name]
+        assert axis.direction is not None
+        direction, centre = (
+            ', '.join(f'{v + 0.0:.9g}' for v in values)
+            for values in (axis.direction, [1e3 * v for v in axis.centre])
+        )
+        lines.append(
+            f'{name}: for a growing angle the target turns right-handed relative to the table '
+            f'about ({direction}), about the line through ({centre}) mm (all axes at zero)'
+        )
+    return lines
 
 
 def printable(text: str) -> str:
@@ -238,6 +287,8 @@ def is_export(path: Path) -> bool:
 
 POINTS_BETWEEN = 13
 """Points per axis between those of the volumetric error; they share few positions with nodes."""
+ROTARY_BETWEEN = 6
+"""The same of machines with rotary axes, whose lattice grows by the power of the axes."""
 
 
 @dataclass(frozen=True)
@@ -299,13 +350,19 @@ def remaining_error(
     headline : mapping, optional
         Entry of error_tables.json; decides how many digits are stated.
     """
-    q = lattice(tables.machine)
-    finer = covered_grid(tables.machine, np.array(table_ranges(tables)), POINTS_BETWEEN)
+    machine = tables.machine
+    q = lattice(machine)
+    count = ROTARY_BETWEEN if machine.rotary_names else POINTS_BETWEEN
+    finer = covered_grid(machine, np.array(table_ranges(tables)), count)
+
+    def lengths(field: Array, q: Array) -> Array:
+        rest = without_rigid_motion(field, nominal_position(machine, q))
+        return np.asarray(np.linalg.norm(rest, axis=1))
+
     error = displacement(tables, q)
-    before = np.linalg.norm(without_rigid_motion(error, q), axis=1)
-    after = np.linalg.norm(without_rigid_motion(error - held(q), q), axis=1)
-    left = displacement(tables, finer) - held(finer)
-    between = np.linalg.norm(without_rigid_motion(left, finer), axis=1)
+    before = lengths(error, q)
+    after = lengths(error - held(q), q)
+    between = lengths(displacement(tables, finer) - held(finer), finer)
     wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
     return Remaining(
         len(q),

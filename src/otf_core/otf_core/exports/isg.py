@@ -3,9 +3,10 @@
 
 Source: Beckhoff Information System, TF5280 Volumetric Compensation, "ISG CSV format", "Units of
 measure", "List of parameters supported": a header names arguments and ISO 230 parameters, rows
-follow, ``//`` begins a comment line, ``#`` a new block; lengths in mm, angles in rad. The manual
-does not say in words whether values are errors or corrections (there is a switch ``negate``):
-the user names the sign.
+follow, ``//`` begins a comment line, ``#`` a new block; values in mm and rad, arguments in mm, of
+rotary axes in degrees; PXC, PYC, PZC are the centre of rotation of C. The manual does not say in
+words whether values are errors or corrections (there is a switch ``negate``), nor in which frame
+errors of rotary axes act: the user names the sign, and the file says the frame.
 """
 
 from __future__ import annotations
@@ -19,21 +20,23 @@ from otf_core.exports.format import (
     Request,
     asked_sign_words,
     lever_words,
+    rotary_words,
     rounded_tables,
 )
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
-from otf_core.model.motions import DIRECTIONS, SQUARENESS
+from otf_core.model.motions import DIRECTIONS, unit_of
 from otf_core.model.tables import ErrorTables
 
 
 class Isg(Format):
-    """All 18 motions and three squareness errors in ISO 230 names."""
+    """All motions, squareness and location errors in ISO 230 names."""
 
     name = 'isg'
     value_words = TABLE_WORDS
     lacks = 'differences between the directions of travel; uncertainties'
     sign_is_asked = True
+    takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
@@ -43,23 +46,39 @@ class Isg(Format):
         """Make the CSV; its configuration is in the remarks."""
         self.check(request)
         tables = rounded_tables(request.content.tables)
+        machine = tables.machine
+        constants = {
+            name: request.factor * tables.scalar(name) * (1e3 if unit_of(name) == 'm' else 1.0)
+            for name in machine.scalars
+        }
+        for axis in machine.rotary_names:
+            centre = zip('XYZ', machine.axes[axis].centre, strict=True)
+            constants |= {f'P{d}{axis}': 1e3 * v for d, v in centre}
         lines = [f'// {line}' for line in request.header(self)]
+        lines += [f'// {line}' for line in (lever_words(machine), *rotary_words(machine))]
         lines += [
-            f'// {lever_words(tables.machine)}',
-            '\t'.join(SQUARENESS),
-            '\t'.join(f'{request.factor * tables.squareness[k].value:.9f}' for k in SQUARENESS),
+            '\t'.join(constants),
+            '\t'.join(f'{v:.9f}' for v in constants.values()),
         ]
-        for axis in tables.machine.axis_names:
+        for axis in machine.axis_names:
             lines += ['#', *_block(tables, axis, request.factor)]
         return Exported(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
-            (_configuration(tables.machine, request.name, len(lines)), *request.unseen_words),
+            (
+                _configuration(machine, request.name, len(lines)),
+                *rotary_words(machine)[:1],
+                *request.unseen_words,
+            ),
         )
 
 
 def _block(tables: ErrorTables, axis: str, factor: float) -> list[str]:
-    """Header and rows of one axis; motions with other nodes are sampled at all of them."""
+    """Header and rows of one axis; motions with other nodes are sampled at all of them.
+
+    Positions in mm, of a rotary axis in degrees.
+    """
+    digits, scale = (9, np.degrees(1.0)) if tables.machine.axes[axis].rotary else (6, 1e3)
     motions = [tables.motions[f'E{d}{axis}'] for d in DIRECTIONS]
     nodes = np.unique(np.concatenate([m.position for m in motions]).round(12))
     lines = ['\t'.join([axis, *(f'E{d}{axis}' for d in DIRECTIONS)])]
@@ -67,7 +86,7 @@ def _block(tables: ErrorTables, axis: str, factor: float) -> list[str]:
         values = [round(float(m.at(q)) * factor, 9) for m in motions]
         texts = [f'{1e3 * v + 0.0:.6f}' for v in values[:3]]
         texts += [f'{v + 0.0:.9f}' for v in values[3:]]
-        lines.append('\t'.join([f'{1e3 * q:.6f}', *texts]))
+        lines.append('\t'.join([f'{scale * q:.{digits}f}', *texts]))
     return lines
 
 

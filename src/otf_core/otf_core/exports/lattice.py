@@ -11,8 +11,9 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.files.text_table import unit_hint, unit_words
+from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement, has_constant_lever
-from otf_core.model.machine import Machine
+from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness, TablesFile
@@ -64,8 +65,10 @@ def axis_positions(tables: ErrorTables, axis: int, points: int | None = None) ->
     low, high = (float(v[axis]) for v in table_ranges(tables))
     if points is not None and high > low:
         return np.linspace(low, high, points).round(12)
+    own = tables.machine.axis_names[axis]
     nodes = np.concatenate(
-        [tables.motions[m].position for m in MOTIONS if m.place == axis] + [[low, high]]
+        [tables.motions[m].position for m in tables.machine.motions if m.axis == own]
+        + [[low, high]]
     )
     return np.unique(nodes[(nodes >= low) & (nodes <= high)].round(12))
 
@@ -160,6 +163,55 @@ def even_terms(
         for pair, term in line_terms(tables, pairs, positions).items()
         if len(term.position) > 1
     }
+
+
+def linear_tables(tables: ErrorTables) -> ErrorTables:
+    """Tables of the linear axes alone: what a machine does whose rotary axes stand at zero."""
+    machine = tables.machine
+    if not machine.rotary_names:
+        return tables
+    links = [link for link in str(machine.chain).split('-') if link not in machine.rotary_names]
+    linear = replace(
+        machine,
+        chain=Chain.parse('-'.join(links)),
+        axes={a: v for a, v in machine.axes.items() if not v.rotary},
+    )
+    motions: dict[str, MotionTable] = {m: tables.motions[m] for m in linear.motions}
+    return replace(tables, machine=linear, motions=motions, location={})
+
+
+def rotary_term(
+    tables: ErrorTables, axis: str, points: int | None, most: int, decimals: int
+) -> LineTerm | None:
+    """Positioning error of a rotary axis at even spacings, rad; None where it did not move.
+
+    Positive in the sense of the programmed angle: the part of its rotations about its direction.
+
+    Parameters
+    ----------
+    points : int, optional
+        As fine as the nodes if not given.
+    decimals : int
+        Of values in degrees.
+    """
+    machine = tables.machine
+    column = machine.column(axis)
+    at = axis_positions(tables, column, points or even_points(tables, column, most))
+    if len(at) < 2:
+        return None
+    turns = np.stack([tables.motions[f'E{d}{axis}'].at(at) for d in 'ABC'], axis=1)
+    error = turns @ np.array(machine.axes[axis].direction)
+    error -= np.interp(reference_position(tables, column), at, error)
+    return LineTerm(at, np.radians(np.degrees(error).round(decimals)))
+
+
+def moved_by(machine: Machine, terms: Mapping[str, LineTerm], q: Array) -> Array:
+    """Displacement (n, 3), m, in the frame of the table, of axes that are off by their terms."""
+    off = np.zeros_like(q)
+    for axis, term in terms.items():
+        column = machine.column(axis)
+        off[:, column] = np.interp(machine.wrapped(q)[:, column], term.position, term.value)
+    return np.asarray(np.einsum('nij,nj->ni', Sight.of_tool(machine).at(q).velocity, off))
 
 
 def without_table(tables: ErrorTables) -> tuple[str, ...]:
@@ -405,9 +457,9 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     seen = values > SINGULAR_VALUE_RATIO * values[-1]
     basis = vectors[:, seen]
     solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
-    left = wanted - matrix @ solved
+    remainder = wanted - matrix @ solved
     tables = _tables(machine, nodes, solved, hidden)
-    return ImportedTables(tables, float(_rms(wanted)), float(_rms(left)))
+    return ImportedTables(tables, float(_rms(wanted)), float(_rms(remainder)))
 
 
 def _check_size(lattice: Lattice, machine: Machine) -> None:

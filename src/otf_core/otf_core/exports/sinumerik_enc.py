@@ -4,13 +4,25 @@
 Source: Siemens, Function Manual Extended Functions 6FC5397-1BP40, K3 Compensations, 4.4.3: one
 table per axis, $AA_ENC_COMP[0,N,AXIS] at MIN + N STEP, straight lines between. A positive value
 moves the axis in the negative direction: the values are errors. The table has to be zero at the
-reference position, and is loaded while MD32700 is 0.
+reference position, and is loaded while MD32700 is 0. Of a rotary axis positions and values are in
+degrees; IS_MODULO joins the ends of a full turn.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
 from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
-from otf_core.exports.lattice import OWN_PAIRS, LineTerm, even_terms, held_by, without_table
+from otf_core.exports.lattice import (
+    OWN_PAIRS,
+    LineTerm,
+    even_terms,
+    linear_tables,
+    moved_by,
+    rotary_term,
+    without_table,
+)
+from otf_core.model.machine import FULL_TURN, Machine
 
 MAX_POINTS = 5000
 DECIMALS = 6
@@ -26,6 +38,7 @@ class SinumerikEnc(Format):
         'directions of travel'
     )
     takes_points = True
+    takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
@@ -38,35 +51,57 @@ class SinumerikEnc(Format):
         """Make the file."""
         self.check(request)
         tables = request.content.tables
-        terms = even_terms(tables, OWN_PAIRS, request.points, MAX_POINTS, DECIMALS)
-        lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
-        axes = tables.machine.axis_names
-        for (_, k), term in terms.items():
-            lines += _table(term, f'{axes[k]}1')
-        counts = ', '.join(f'{axes[k]}1 {len(term.position)}' for (_, k), term in terms.items())
+        machine = tables.machine
+        linear = even_terms(linear_tables(tables), OWN_PAIRS, request.points, MAX_POINTS, DECIMALS)
+        terms = {machine.axis_names[k]: term for (_, k), term in linear.items()}
+        for axis in machine.rotary_names:
+            turning = rotary_term(tables, axis, request.points, MAX_POINTS, DECIMALS)
+            if turning is not None:
+                terms[axis] = turning
+        lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self))]
+        lines += [*(f'; {line}' for line in _rotary_words(machine)), 'CHANDATA(1)']
+        for axis, term in terms.items():
+            lines += _table(machine, axis, term)
+        counts = ', '.join(f'{axis}1 {len(term.position)}' for axis, term in terms.items())
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
-            lambda q: held_by(terms, q),
+            lambda q: moved_by(machine, terms, q),
             (
                 f'needs MD38000 of at least {counts}; load with MD32700 = 0, then set it to 1 '
                 f'and reference; axis names are those of the manual (X1, Y1, Z1)',
+                *_rotary_words(machine),
                 *without_table(tables),
             ),
         )
 
 
-def _table(term: LineTerm, axis: str) -> list[str]:
-    low, high = 1e3 * term.position[0], 1e3 * term.position[-1]
+def _rotary_words(machine: Machine) -> tuple[str, ...]:
+    if not machine.rotary_names:
+        return ()
+    own = ', '.join(f'E{a}{a}' for a in machine.rotary_names)
+    return (
+        f'of {", ".join(machine.rotary_names)} only the angular positioning ({own}) in degrees, '
+        'positive in the sense of the programmed angle; tables of the linear axes hold with the '
+        'rotary axes at zero; location errors: see pivot',
+    )
+
+
+def _table(machine: Machine, axis: str, term: LineTerm) -> list[str]:
+    own = machine.axes[axis]
+    scale = np.degrees(1.0) if own.rotary else 1e3
+    modulo = own.endless and np.ptp(term.position) > FULL_TURN - 1e-6
+    name = f'{axis}1'
+    low, high = scale * term.position[0], scale * term.position[-1]
     step = (high - low) / (len(term.position) - 1)
     return [
         *(
-            f'$AA_ENC_COMP[0,{n},{axis}]={1e3 * value:.{DECIMALS}f}'
+            f'$AA_ENC_COMP[0,{n},{name}]={scale * value:.{DECIMALS}f}'
             for n, value in enumerate(term.value)
         ),
-        f'$AA_ENC_COMP_STEP[0,{axis}]={step:.9f}',
-        f'$AA_ENC_COMP_MIN[0,{axis}]={low:.6f}',
-        f'$AA_ENC_COMP_MAX[0,{axis}]={high:.6f}',
-        f'$AA_ENC_COMP_IS_MODULO[0,{axis}]=0',
+        f'$AA_ENC_COMP_STEP[0,{name}]={step:.9f}',
+        f'$AA_ENC_COMP_MIN[0,{name}]={low:.6f}',
+        f'$AA_ENC_COMP_MAX[0,{name}]={high:.6f}',
+        f'$AA_ENC_COMP_IS_MODULO[0,{name}]={int(modulo)}',
     ]
 
 

@@ -70,8 +70,8 @@ def is_as_listed(path: Path, entries: dict[Path, str]) -> bool:
 
 def written_files(folder: Path) -> list[Path]:
     """All files and links below a folder, manifests left out."""
-    found = (p for p in folder.rglob('*') if p.is_symlink() or not p.is_dir())
-    return sorted(p for p in found if p.name != MANIFEST)
+    files = (p for p in folder.rglob('*') if p.is_symlink() or not p.is_dir())
+    return sorted(p for p in files if p.name != MANIFEST)
 
 
 def foreign(folder: Path) -> list[Path]:

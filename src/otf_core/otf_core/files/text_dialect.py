@@ -72,8 +72,8 @@ class Dialect:
         """Fields of a line, without white space around them; one, if its quotes are damaged."""
         if self.separator is None:
             if self.dated or '"' in line:
-                found = (FIELD if self.dated else PLAIN_FIELD).findall(line)
-                return [_unquoted(field) for field in found]
+                texts = (FIELD if self.dated else PLAIN_FIELD).findall(line)
+                return [_unquoted(field) for field in texts]
             return line.split()
         if '"' in line:
             try:
@@ -382,18 +382,18 @@ def _sure_mark(where: str, lines: Sequence[int], column: _Written) -> str | None
 
 def _open_mark(where: str, lines: Sequence[int], column: _Written, sure: set[str | None]) -> str:
     """Decimal mark of a column whose fields leave it open, as 1,234 does."""
-    found = OPEN.search(column.joined)
-    if found is None:
+    match = OPEN.search(column.joined)
+    if match is None:
         return '.'
-    sign = found[1]
+    sign = match[1]
     fixed = all(OPEN.match(text) or not is_number(text) for text in column.texts)
     if sure == {sign} or (not sure and (fixed or sign == '.')):
         return sign
     if sure and sign not in sure and len(sure) == 1 and not fixed:
         return '.' if sign == ',' else ','  # some are set off, those below 1000 are not
     raise InputError(
-        f'{where}: line {_line_of(lines, column, found.start())}: {column.name}: '
-        f'{shown(found[0])} may hold a thousands separator or decimals, and nothing in the '
+        f'{where}: line {_line_of(lines, column, match.start())}: {column.name}: '
+        f'{shown(match[0])} may hold a thousands separator or decimals, and nothing in the '
         f'column settles it; write the numbers without thousands separators'
     )
 

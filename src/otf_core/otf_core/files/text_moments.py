@@ -148,15 +148,15 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
     MomentError
         If a text is not a time, or if they can be read in two ways; says how.
     """
-    found = []
+    moments = []
     for row, text in enumerate(texts):
         try:
-            found.append(_read(text))
+            moments.append(_read(text))
         except ValueError as error:
             raise MomentError(f'{shown(text)} {error}', row) from None
-    if not found:
+    if not moments:
         return Moments(np.empty(0, np.int64), '')
-    dated = [one.date is not None for one in found]
+    dated = [one.date is not None for one in moments]
     if len(set(dated)) > 1:
         row = dated.index(not dated[0])
         has = (
@@ -165,17 +165,17 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
             else 'has a date, but the first has none'
         )
         raise MomentError(f'{shown(texts[row])} {has}', row)
-    forms = {one.form for one in found}
+    forms = {one.form for one in moments}
     if len(forms) > 1:
-        row = next(k for k, one in enumerate(found) if one.form != found[0].form)
+        row = next(k for k, one in enumerate(moments) if one.form != moments[0].form)
         raise MomentError(f'{shown(texts[row])} has another form than {shown(texts[0])}', row)
-    seconds = np.array([one.seconds for one in found], np.int64) * SECOND_NS
-    words = found[0].form or 'hours, minutes, seconds'
+    seconds = np.array([one.seconds for one in moments], np.int64) * SECOND_NS
+    words = moments[0].form or 'hours, minutes, seconds'
     if dated[0]:
-        days, said = _days([one.date for one in found if one.date], seconds, order)
+        days, order_words = _days([one.date for one in moments if one.date], seconds, order)
         seconds = seconds + days * DAY_NS
-        words = f'date ({said}) and time' if said else 'date and time'
-    stamps, repaired = _with_parts(seconds, [one.part for one in found], found[0].form)
+        words = f'date ({order_words}) and time' if order_words else 'date and time'
+    stamps, repaired = _with_parts(seconds, [one.part for one in moments], moments[0].form)
     if not dated[0] and len(stamps) > 1:
         stamps[1:] += DAY_NS * np.cumsum(np.diff(stamps) < -DAY_NS // 2)  # past midnight
     return Moments(stamps, f'{words}{repaired}')

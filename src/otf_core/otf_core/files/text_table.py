@@ -221,20 +221,20 @@ class LeftOut:
 
 def counted(faults: Mapping[int, str]) -> list[LeftOut]:
     """Reasons for which lines are left out."""
-    found: dict[str, tuple[int, int]] = {}
+    counts: dict[str, tuple[int, int]] = {}
     for line, reason in sorted(faults.items()):
-        often, first = found.get(reason, (0, line))
-        found[reason] = often + 1, first
-    return [LeftOut(reason, often, first) for reason, (often, first) in found.items()]
+        often, first = counts.get(reason, (0, line))
+        counts[reason] = often + 1, first
+    return [LeftOut(reason, often, first) for reason, (often, first) in counts.items()]
 
 
 def fault_words(faults: Mapping[int, str]) -> str:
     """The same in words."""
     parts = [
-        f'{found.lines} lines: {found.reason} (first line {found.first_line})'
-        if found.lines > 1
-        else f'1 line: {found.reason} (line {found.first_line})'
-        for found in counted(faults)
+        f'{group.lines} lines: {group.reason} (first line {group.first_line})'
+        if group.lines > 1
+        else f'1 line: {group.reason} (line {group.first_line})'
+        for group in counted(faults)
     ]
     shown = (
         parts
@@ -450,7 +450,7 @@ class _Reader:
 
     def _grouped(self, names: Sequence[str], at: int) -> tuple[str, ...]:
         """Names with those of their groups, which stand in the lines right above."""
-        found = list(names)
+        grouped = list(names)
         for k in range(at - 1, max(at - 1 - GROUP_LINES, -1), -1):
             above = [] if is_comment(self.every[k]) else self.dialect.fields(self.every[k])
             if len(above) > self.dialect.width and not any(above[self.dialect.width :]):
@@ -461,8 +461,8 @@ class _Reader:
             for place, text in enumerate(above):
                 group = text or group
                 if group and not is_value(group):
-                    found[place] = f'{group} {found[place]}'
-        return tuple(found)
+                    grouped[place] = f'{group} {grouped[place]}'
+        return tuple(grouped)
 
     def _below(self, first: int, at: int) -> tuple[str, ...]:
         """Units below the head; what else stands between head and data is a fault."""
@@ -564,10 +564,10 @@ def _with_parts(columns: list[list[str]]) -> bool:
     True if there is one such pair. The parts have one number of digits and begin again with every
     second, which no other column does.
     """
-    found = [k for k in range(len(columns) - 1) if _are_parts(columns[k], columns[k + 1])]
-    if len(found) != 1:
+    pairs = [k for k in range(len(columns) - 1) if _are_parts(columns[k], columns[k + 1])]
+    if len(pairs) != 1:
         return False
-    k = found[0]
+    k = pairs[0]
     parts = columns.pop(k + 1)
     columns[k] = [f'{a.strip()},{b.strip()}' for a, b in zip(columns[k], parts, strict=True)]
     return True

@@ -119,14 +119,14 @@ def run_job(job: Job) -> JobResult:
         filter(None, [*places, os.environ.get('PYTHONPATH', '')])
     )
     start = time.monotonic()
-    code, said = 0, ''
+    code, message = 0, ''
     for _ in range(TRIES):
         process = subprocess.Popen(
             [*COMMAND, *job.words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, env=environment, cwd=job.folder, text=True, errors='replace',
         )  # fmt: skip
         try:
-            said = process.communicate(timeout=job.limit)[1]
+            message = process.communicate(timeout=job.limit)[1]
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -140,13 +140,13 @@ def run_job(job: Job) -> JobResult:
     result = Path(job.out) / job.result
     worked = code in (0, *JUDGED) and result.exists()
     digest = file_digest(result) if worked else None
-    return JobResult(code, _message(code, said), digest, time.monotonic() - start)
+    return JobResult(code, _message(code, message), digest, time.monotonic() - start)
 
 
 def _clear_half(out: Path) -> None:
     """Remove what a killed process has left beside its folder."""
-    for left in out.parent.glob(f'.{out.name}.*.new'):
-        shutil.rmtree(left, ignore_errors=True)
+    for unfinished in out.parent.glob(f'.{out.name}.*.new'):
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _message(code: int, said: str) -> str:
@@ -453,14 +453,14 @@ def run_fleet(
     outcomes = {name: outcome for name, outcome in known.items() if outcome is not None}
     if outcomes:
         progress(f'{len(outcomes)} of {len(jobs)} runs are already done')
-    left = [job for job in jobs if job.name not in outcomes]
-    to_go = StepsLeft(len(left))
-    for number, (job, outcome) in enumerate(workers(left), start=1 + len(outcomes)):
+    remaining = [job for job in jobs if job.name not in outcomes]
+    to_go = StepsLeft(len(remaining))
+    for number, (job, outcome) in enumerate(workers(remaining), start=1 + len(outcomes)):
         outcomes[job.name] = outcome
         state = {'inputs': job.inputs, 'outcome': asdict(outcome)}
         write_text(folder / STATE / f'{job.name}.json', json.dumps(state) + '\n')
-        said = outcome.message or 'done'
-        progress(f'{number}/{len(jobs)} {job.name}: {said}{to_go.after_one()}')
+        message = outcome.message or 'done'
+        progress(f'{number}/{len(jobs)} {job.name}: {message}{to_go.after_one()}')
     return {job.name: outcomes[job.name] for job in jobs}
 
 
@@ -479,7 +479,7 @@ def _done_before(folder: Path, job: Job) -> JobResult | None:
 
 def fleet_to_dict(verb: str, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
     """Return a fleet as plain data: fleet.json."""
-    done = sum(outcome.done for outcome in outcomes.values())
+    finished = sum(outcome.done for outcome in outcomes.values())
     runs = {
         name: {'exit': o.exit, 'message': o.message, 'sha256': o.sha256}
         for name, o in outcomes.items()
@@ -487,7 +487,7 @@ def fleet_to_dict(verb: str, outcomes: Mapping[str, JobResult]) -> dict[str, Any
     return {
         'schema': SCHEMA,
         'verb': verb,
-        'done': done,
-        'failed': len(outcomes) - done,
+        'done': finished,
+        'failed': len(outcomes) - finished,
         'runs': runs,
     }

@@ -168,8 +168,8 @@ class Drift:
     @property
     def bent(self) -> list[str]:
         """Motions that a straight line does not describe, the worst first."""
-        found = [n for n, p in self.p_line.items() if p < FALSE_ALARM_CHANGE / len(self.p_line)]
-        return sorted(found, key=self.p_line.__getitem__)
+        motions = [n for n, p in self.p_line.items() if p < FALSE_ALARM_CHANGE / len(self.p_line)]
+        return sorted(motions, key=self.p_line.__getitem__)
 
 
 @dataclass(frozen=True)
@@ -267,13 +267,13 @@ def _scatter(series: Series, rate: Array, spread: Array) -> float:
     """Birge ratio of the runs about their line, at least 1."""
     if len(spread) < 3:
         return 1.0
-    left = series.values - series.values.mean(axis=0) - spread[:, None] * rate
-    found = [
+    residuals = series.values - series.values.mean(axis=0) - spread[:, None] * rate
+    ratios = [
         chi_square(x[seen], c[np.ix_(seen, seen)])
-        for x, c in zip(left, series.covariances, strict=True)
+        for x, c in zip(residuals, series.covariances, strict=True)
         for seen in [np.diag(c) > 1e-30]
     ]
-    chi2, dof = sum(f[0] for f in found), sum(f[1] for f in found)
+    chi2, dof = sum(f[0] for f in ratios), sum(f[1] for f in ratios)
     free = dof * (len(spread) - 2) / len(spread)
     return float(np.sqrt(max(1.0, chi2 / max(free, 1.0))))
 
@@ -346,8 +346,8 @@ class Step:
     @property
     def changed(self) -> list[str]:
         """Motions that changed significantly, largest against expectation first."""
-        found = [name for name, change in self.motions.items() if change.significant]
-        return sorted(found, key=lambda n: -self.motions[n].size / self.motions[n].expected)
+        motions = [name for name, change in self.motions.items() if change.significant]
+        return sorted(motions, key=lambda n: -self.motions[n].size / self.motions[n].expected)
 
     @property
     def significant(self) -> bool:

@@ -97,7 +97,7 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
     series = history.series
     vector, _ = drifting(history)
     points = lattice(series.common.machine, LEVELS)
-    here, path, seen, left = 0, [0], None, seconds
+    here, path, seen, remaining_time = 0, [0], None, seconds
     driven, lines = dict[tuple[int, int], int](), dict[tuple[int, int], _Seen]()
     while True:
         best: tuple[float, int, float, _Seen] | None = None
@@ -106,7 +106,7 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
             if there == here:
                 continue
             time = float(leg_time(length, np.array([FEED]), ACCELERATION)[1][0]) + DWELL
-            if time > left:
+            if time > remaining_time:
                 continue
             pair = min(here, there), max(here, there)
             if pair not in lines:
@@ -121,7 +121,7 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
         _, there, time, seen = best
         pair = min(here, there), max(here, there)
         driven[pair] = driven.get(pair, 0) + 1
-        left -= time
+        remaining_time -= time
         here = there
         path.append(there)
 
@@ -182,9 +182,9 @@ def _residuals(run: Run, series: Series) -> tuple[Array, Array]:
         away = points - pieces.origin
         along = np.einsum('ij,ij->i', away, pieces.direction)[:, None] * pieces.direction
         q = pieces.origin + along
-        left = points - displacement(tables, q)
-        pose = pose.moved_by(*line_step(left, pieces.origin, pieces.direction, weight, own))
-    off = left - pieces.origin
+        residual = points - displacement(tables, q)
+        pose = pose.moved_by(*line_step(residual, pieces.origin, pieces.direction, weight, own))
+    off = residual - pieces.origin
     return q, off - np.einsum('ij,ij->i', off, pieces.direction)[:, None] * pieces.direction
 
 
@@ -194,13 +194,13 @@ def _noise_variance(run: Run, rows: slice, across: Array) -> float:
     distance = float(np.linalg.norm(beam))
     duration = float(run.pieces.duration[rows].sum())
     count = float(run.pieces.count[rows].sum())
-    found = []
+    variances = []
     for component, reach in zip(run.noise, (1.0, distance, distance), strict=True):
         slow = min(1.0, 2.0 * component.correlation_time / max(duration, 1e-9))
-        found.append(reach**2 * (component.white**2 / count + component.slow**2 * slow))
+        variances.append(reach**2 * (component.white**2 / count + component.slow**2 * slow))
     unit = across @ (run.pose.rotation @ beam) / distance
     along = float(unit @ unit)  # share of the beam that points across the line
-    return found[0] * along + max(found[1:]) * (2.0 - along)
+    return variances[0] * along + max(variances[1:]) * (2.0 - along)
 
 
 def interim_check(recording: Recording, series: Series) -> InterimCheck:
@@ -218,12 +218,12 @@ def interim_check(recording: Recording, series: Series) -> InterimCheck:
     """
     (run, *_), _ = prepare_runs([recording], CalibrationConfig())
     q, off = _residuals(run, series)
-    left, noise, tables, rigid = [], [], [], []
+    residuals, noise, tables, rigid = [], [], [], []
     for first, last in leg_bounds(run.pieces.leg):
         part = slice(first, last)
         unit = run.pieces.direction[first]
         across = np.eye(3) - np.outer(unit, unit)
-        left.append(float(np.sum(off[part].mean(axis=0) ** 2)))
+        residuals.append(float(np.sum(off[part].mean(axis=0) ** 2)))
         noise.append(_noise_variance(run, part, across))
         tables.append(across @ series.rows(q[part]).mean(axis=0))
         rigid.append(across @ rigid_columns(q[part]).mean(axis=0))
@@ -231,7 +231,9 @@ def interim_check(recording: Recording, series: Series) -> InterimCheck:
     basis = np.linalg.qr(np.concatenate(rigid))[0]
     rows = np.concatenate(tables)
     rows -= basis @ (basis.T @ rows)
-    unsure = float(np.einsum('ij,jk,ik->', rows, series.covariances[-1], rows)) / len(left)
-    free = 1.0 - basis.shape[1] / (2.0 * len(left))
+    unsure = float(np.einsum('ij,jk,ik->', rows, series.covariances[-1], rows)) / len(residuals)
+    free = 1.0 - basis.shape[1] / (2.0 * len(residuals))
     expected = unsure + free * float(np.mean(noise))
-    return InterimCheck(len(left), float(np.sqrt(np.mean(left))), float(np.sqrt(expected)))
+    return InterimCheck(
+        len(residuals), float(np.sqrt(np.mean(residuals))), float(np.sqrt(expected))
+    )

@@ -119,8 +119,8 @@ def measured_at(content: TablesFile) -> str | None:
         return None
     measured = block.get('measured')
     last = measured.get('last') if isinstance(measured, dict) else None
-    found = last or block.get('written')
-    return found if isinstance(found, str) else None
+    date = last or block.get('written')
+    return date if isinstance(date, str) else None
 
 
 def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, bool]:
@@ -341,9 +341,9 @@ def _to_common(source: Source, common: Common) -> Array:
             own[:, start:stop] = 0.0
         start = stop
     parts = vector_rows(common, q).reshape(3 * len(q), -1)
-    left = own - parts[:, :-first] @ matrix
+    remainder = own - parts[:, :-first] @ matrix
     angles = free_rows(parts[:, -first:], q)
-    return np.vstack([matrix, np.linalg.lstsq(angles, free_rows(left, q), rcond=None)[0]])
+    return np.vstack([matrix, np.linalg.lstsq(angles, free_rows(remainder, q), rcond=None)[0]])
 
 
 def series_of(runs: Sequence[StoredRun]) -> Series:

@@ -108,9 +108,9 @@ def _explain_folder(path: Path) -> Explained:
     for file in sorted(f for f in entries if f.parent == path and f.suffix == '.json'):
         kind = next((k for k in JSON_KINDS if k.is_one(file)), None)
         if kind is not None:
-            found = kind.explain(file)
-            rows += [(file.name, kind.what), *((f'  {a}', b) for a, b in found.rows)]
-            facts[file.name] = dict(found.facts)
+            explanation = kind.explain(file)
+            rows += [(file.name, kind.what), *((f'  {a}', b) for a, b in explanation.rows)]
+            facts[file.name] = dict(explanation.facts)
     return Explained(tuple(rows), facts)
 
 
@@ -310,9 +310,10 @@ def _json_kind(schema: str, name: str, explain: Callable[[Data], Explained], wha
     def of(path: Path) -> Explained:
         data = read_json(path)
         try:
-            found = explain(data)
+            explanation = explain(data)
             return Explained(
-                (*found.rows, *_provenance_rows(data)), {'schema': schema, **found.facts}
+                (*explanation.rows, *_provenance_rows(data)),
+                {'schema': schema, **explanation.facts},
             )
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             detail = f'{type(error).__name__}: {error}'
@@ -439,20 +440,20 @@ def _explain_export(path: Path) -> Explained:
         else content[:MARK_BYTES] + b'\n' + content[-MARK_BYTES:]
     )
     text = both.decode('utf-8', errors='replace')
-    found = EXPORT_HEAD.search(text)
-    if found is None:
+    match = EXPORT_HEAD.search(text)
+    if match is None:
         return Explained((('export', 'its header has been changed: format and run are unknown'),))
-    facts = found.groupdict()
+    facts = match.groupdict()
     rows = [
         ('export', f'format {facts["format"]}'),
         ('machine', f'{facts["machine"]}, chain {facts["chain"]}'),
         ('run', f'{facts["run"]}: run_id of the error_tables.json it comes from'),
     ]
-    for line in text[found.end() :].splitlines():
-        said = line.lstrip(' #;/<!-').removesuffix('-->').strip()
+    for line in text[match.end() :].splitlines():
+        words = line.lstrip(' #;/<!-').removesuffix('-->').strip()
         for start, name in EXPORT_LINES.items():
-            if said.startswith(start) and name not in dict(rows):
-                rows.append((name, said.removeprefix(start)))
+            if words.startswith(start) and name not in dict(rows):
+                rows.append((name, words.removeprefix(start)))
     return Explained(tuple(rows), facts)
 
 

@@ -114,8 +114,8 @@ def coordinate_of(heading: str) -> Coordinate | None:
     words = words_of(heading)
     axis, others = '', list[str]()
     for word in reversed(words):  # the last letter is the axis: 'axis x of y'
-        found, rest = ('', [word]) if axis else _axis_of(word)
-        axis = axis or found
+        axes, rest = ('', [word]) if axis else _axis_of(word)
+        axis = axis or axes
         others = rest + others
     if not axis:
         return None
@@ -250,8 +250,8 @@ def _column(place: int, heading: str) -> Column:
 
 def offers(headings: Sequence[str]) -> list[Offer]:
     """Points that headings name, Cartesian; positions only."""
-    found = _offers(headings, keep_fillers=True)
-    return found or _offers(headings, keep_fillers=False)
+    points = _offers(headings, keep_fillers=True)
+    return points or _offers(headings, keep_fillers=False)
 
 
 def _with_last_unit(offer: Offer) -> Offer:
@@ -271,17 +271,17 @@ def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
         if name in FIXED:
             groups[('dval',), ''][FIXED[name]].append(_column(place, heading))
             continue
-        said = coordinate_of(_named(heading))
-        if said is None or said.role == 'none':
+        coordinate = coordinate_of(_named(heading))
+        if coordinate is None or coordinate.role == 'none':
             continue
-        words = said.words if keep_fillers else without_fillers(said.words)
-        groups[words, said.role][said.axis].append(_column(place, heading))
-    found = []
+        words = coordinate.words if keep_fillers else without_fillers(coordinate.words)
+        groups[words, coordinate.role][coordinate.axis].append(_column(place, heading))
+    points = []
     for (_, role), axes in groups.items():
         count = min(len(axes[axis]) for axis in AXES)
         for k in range(count):
-            found.append(Offer((axes['x'][k], axes['y'][k], axes['z'][k]), role))
-    return sorted(found, key=lambda offer: offer.point[0].place)
+            points.append(Offer((axes['x'][k], axes['y'][k], axes['z'][k]), role))
+    return sorted(points, key=lambda offer: offer.point[0].place)
 
 
 def _named(heading: str) -> str:
@@ -295,16 +295,16 @@ def _named(heading: str) -> str:
 
 
 def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str] | None:
-    found: dict[str, list[tuple[str, Column]]] = defaultdict(list)
+    groups: dict[str, list[tuple[str, Column]]] = defaultdict(list)
     kinds = {'hz': 'h', 'az': 'h', 'v': 'v', 'zenith': 'v', 'el': 'v', 'd': 'd'}
     for place, heading in enumerate(headings):
         words = words_of(parted(heading)[0])
         what = POLAR.get(''.join(words)) or (POLAR.get(words[-1]) if words else None)
         if what is not None:
-            found[kinds[what]].append((what, _column(place, heading)))
-    if any(len(found[kind]) != 1 for kind in 'hvd'):
+            groups[kinds[what]].append((what, _column(place, heading)))
+    if any(len(groups[kind]) != 1 for kind in 'hvd'):
         return None
-    (h, across), (v, up), (_, along) = (found[kind][0] for kind in 'hvd')
+    (h, across), (v, up), (_, along) = (groups[kind][0] for kind in 'hvd')
     return (across, up, along), f'{h} {v}'
 
 
@@ -320,7 +320,7 @@ def read_table(path: str | Path, *, named: bool = True) -> TextTable:
 
 def _times(headings: Sequence[str]) -> tuple[Column, ...]:
     """The best time: of the measurement rather than of its reception; s and ns together."""
-    found = []
+    columns = []
     for place, heading in enumerate(headings):
         name, unit = parted(heading)
         words = words_of(name.replace('time stamp', 'timestamp').replace('date time', 'datetime'))
@@ -330,8 +330,8 @@ def _times(headings: Sequence[str]) -> tuple[Column, ...]:
             continue
         if not any(unit in known for known in (TIMES, LONG_TIMES, OTHERS, ORDERS)):
             unit = words[-1] if words[-1] in TIMES else None
-        found.append(Column(place, unit, shown_name(' '.join(heading.split()))))
-    stamps = [c for c in found if 'stamp' in c.name.lower()] or found
+        columns.append(Column(place, unit, shown_name(' '.join(heading.split()))))
+    stamps = [c for c in columns if 'stamp' in c.name.lower()] or columns
     whole = [c for c in stamps if TIMES.get(c.unit or '') == 0]
     parts = [c for c in stamps if TIMES.get(c.unit or '') == -9]
     if whole and parts:
@@ -361,17 +361,17 @@ def columns_of(
         polar = _polar(headings)
         return None if polar is None else Columns(polar[0], time, polar[1])
     wanted, unwanted = ('nominal', 'measured') if nominal else ('measured', 'nominal')
-    taken = [o for o in offered if o.role == wanted] or [o for o in offered if o.role == '']
-    if nominal and not taken:
-        taken = offered
-    if len(taken) == 1:
-        rest = [o for o in offered if o is not taken[0]]
+    chosen = [o for o in offered if o.role == wanted] or [o for o in offered if o.role == '']
+    if nominal and not chosen:
+        chosen = offered
+    if len(chosen) == 1:
+        rest = [o for o in offered if o is not chosen[0]]
         words = '; '.join(
             f'not {o.words}, {o.role or "which is not stated to be it"}' for o in rest
         )
-        remarks = (f'the {wanted} point is {taken[0].words}; {words}',) if rest else ()
-        return Columns(taken[0].point, time, '', remarks)
-    if not taken:
+        remarks = (f'the {wanted} point is {chosen[0].words}; {words}',) if rest else ()
+        return Columns(chosen[0].point, time, '', remarks)
+    if not chosen:
         raise AmbiguousPointError(
             f'{where}: the head names {unwanted} positions only: {offered[0].words}; export the '
             f'measured ones{_choice(headings, offered, time, nominal)}'
@@ -421,13 +421,13 @@ def find_columns(table: TextTable, wanted: str | None, *, nominal: bool = False)
     """
     if wanted is not None:
         return _wanted(table, wanted)
-    found = named_columns(table, nominal=nominal)
-    if found is None:
+    columns = named_columns(table, nominal=nominal)
+    if columns is None:
         raise InputError(
             f'{unnamed_words(table)}; name them with --columns, e.g. --columns '
             f'{_suggestion(table)} (a - leaves a column out)'
         )
-    return found
+    return columns
 
 
 def named_columns(table: TextTable, *, nominal: bool = False) -> Columns | None:
@@ -437,9 +437,9 @@ def named_columns(table: TextTable, *, nominal: bool = False) -> Columns | None:
     if labels is not None:
         return labels
     if table.names is not None:
-        found = columns_of(table.names, table.where, nominal=nominal)
-        if found is not None:
-            return _with_unit_of_head(_with_units_below(found, table.units), table)
+        columns = columns_of(table.names, table.where, nominal=nominal)
+        if columns is not None:
+            return _with_unit_of_head(_with_units_below(columns, table.units), table)
     unnamed = _unnamed(table)
     return None if unnamed is None else _with_unit_of_head(unnamed, table)
 
@@ -497,12 +497,12 @@ NUMBER_SHARE = 0.9
 
 def _value_places(table: TextTable) -> list[int]:
     """Columns that hold numbers in most rows."""
-    found = []
+    places = []
     for place, column in enumerate(table.columns):
         texts = [text.strip() for text in column[:: max(len(column) // 500, 1)]]
         if sum(is_value(t) or is_missing(t) for t in texts) >= NUMBER_SHARE * len(texts):
-            found.append(place)
-    return found
+            places.append(place)
+    return places
 
 
 def counts_rows(texts: Sequence[str]) -> bool:
@@ -588,12 +588,12 @@ def _wanted(table: TextTable, wanted: str) -> Columns:
                 f'z, hz, v, d, az, el, with units as in time_s or x_mm, and - for others'
             )
     try:
-        found = columns_of(headings)
+        columns = columns_of(headings)
     except AmbiguousPointError:
         raise ConfigError(f'--columns: {wanted!r} names x, y or z more than once') from None
-    if found is None:
+    if columns is None:
         raise ConfigError(f'--columns: {wanted!r} does not name x, y and z')
-    return found
+    return columns
 
 
 def _is_known(heading: str) -> bool:

@@ -220,8 +220,8 @@ class DrivenPath:
         if half > abs(radius) + MAX_RADIUS_STEP:
             refuse(self.where, line, word, 'is an arc whose ends lie farther apart than 2 R')
         away = math.sqrt(max(radius * radius - half * half, 0.0))
-        left = np.array([-chord[1], chord[0]]) / (2.0 * half)
-        return 0.5 * (start + end) + left * away * (-1 if clockwise else 1) * (
+        normal = np.array([-chord[1], chord[0]]) / (2.0 * half)
+        return 0.5 * (start + end) + normal * away * (-1 if clockwise else 1) * (
             -1 if radius < 0 else 1
         )
 

@@ -298,15 +298,15 @@ class GCode:
         wrong = [letter for letter in block.centre if letter not in letters]
         if any(block.centre[letter][0] for letter in wrong):
             refuse(self._where, number, word, f'has {wrong[0]} in the plane {self._plane}')
-        found = {}
+        offsets = {}
         for axis, letter in zip(self._plane, letters, strict=True):
             value, mode = block.centre.get(letter, (Decimal(0), ''))
             start = self._path.at[axis]
             absolute = mode == 'AC' or (self._centre_absolute and not mode)
             if absolute and letter not in block.centre:
                 refuse(self._where, number, word, f'has no {letter} for its centre (G90.1)')
-            found[axis] = value * self._unit + (Decimal(0) if absolute else start or Decimal(0))
-        return found
+            offsets[axis] = value * self._unit + (Decimal(0) if absolute else start or Decimal(0))
+        return offsets
 
 
 def _code(value: Decimal) -> str:
@@ -317,7 +317,7 @@ def _code(value: Decimal) -> str:
 
 def without_comments(line: str) -> str | None:
     """Text of a block without comments in brackets and behind a semicolon; None: not closed."""
-    kept: list[str] = []
+    parts: list[str] = []
     depth = at = 0
     while at < len(line):
         sign = line[at]
@@ -327,19 +327,19 @@ def without_comments(line: str) -> str | None:
             at = line.find('"', at + 1)
             if at < 0:
                 return None
-            while kept and kept[-1] in ' (':
-                kept.pop()
+            while parts and parts[-1] in ' (':
+                parts.pop()
             at += len(line[at + 1 :]) - len(line[at + 1 :].lstrip(' )'))
-            kept.append(' ')
+            parts.append(' ')
         elif sign == '(' and (depth or not _calls(line[max(at - 30, 0) : at])):
             depth += 1
         elif sign == ')' and depth:
             depth -= 1
-            kept.append(' ')
+            parts.append(' ')
         elif not depth:
-            kept.append(sign)
+            parts.append(sign)
         at += 1
-    return None if depth else ''.join(kept)
+    return None if depth else ''.join(parts)
 
 
 def _calls(before: str) -> bool:
@@ -428,7 +428,7 @@ class Klartext:
 
     def _path_function(self, number: int, text: str, words: list[str]) -> bool:
         goal: Position = {}
-        found: dict[str, str] = {}
+        fields: dict[str, str] = {}
         for word in words[1:]:
             match = COORDINATE.fullmatch(word)
             if match and match['axis'] in 'XYZ':
@@ -441,18 +441,18 @@ class Klartext:
             elif re.fullmatch(r'R[LR]', word):
                 refuse(self._where, number, word, 'switches cutter compensation on')
             elif words[0] in ('C', 'CR') and re.fullmatch(rf'DR[-+]|R{VALUE}', word):
-                found[word[:2] if word.startswith('DR') else 'R'] = word
+                fields[word[:2] if word.startswith('DR') else 'R'] = word
             elif word in ('M2', 'M02', 'M30') or HARMLESS_M.fullmatch(word):
-                found[word] = word
+                fields[word] = word
             else:
                 refuse(self._where, number, word, 'is not supported')
         if words[0] == 'CC':
             self._take_centre(number, text, goal)
         elif goal or words[0] == 'C':
-            self._move(number, text, words[0], goal, found)
-        if {'M0', 'M00', 'M1', 'M01'} & found.keys():
+            self._move(number, text, words[0], goal, fields)
+        if {'M0', 'M00', 'M1', 'M01'} & fields.keys():
             self._path.stop()
-        return bool({'M2', 'M02', 'M30'} & found.keys())
+        return bool({'M2', 'M02', 'M30'} & fields.keys())
 
     def _goal(self, number: int, word: str, match: re.Match[str]) -> Decimal | None:
         """Where an axis goes, m; None: from where it is not known by so much."""
@@ -586,12 +586,12 @@ def read_program(name: str | Path) -> Program:
 def _words(form: str, path: DrivenPath) -> str:
     """Say what a program was read as."""
     arcs = f' and {path.arcs} arcs, as chords of at most {1e3 * CHORD:g} mm' if path.arcs else ''
-    said = [f'NC program ({form}): {path.lines} straight moves{arcs}']
+    lines = [f'NC program ({form}): {path.lines} straight moves{arcs}']
     offsets = [name for name in path.frames if name != MACHINE]
     if offsets:
-        said.append(
+        lines.append(
             f'positions in {offsets[0]} are treated as {MACHINE}: that offset has to be zero'
         )
     if path.slanted_rapids:
-        said.append(f'{path.slanted_rapids} rapid moves of several axes are treated as straight')
-    return '; '.join([*said, *path.remarks])
+        lines.append(f'{path.slanted_rapids} rapid moves of several axes are treated as straight')
+    return '; '.join([*lines, *path.remarks])

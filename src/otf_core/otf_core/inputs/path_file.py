@@ -114,14 +114,14 @@ def read_points(name: str | Path) -> tuple[Array, str]:
     """
     try:
         table = read_table(name)
-        found = named_columns(table, nominal=True)
-        if found is None:
+        columns = named_columns(table, nominal=True)
+        if columns is None:
             raise ConfigError(
                 f'{unnamed_words(table)}; write there what they are, as in x_mm,y_mm,z_mm'
             )
-        if found.polar:
+        if columns.polar:
             raise ConfigError(f'{name}: holds polar coordinates; expected x, y, z')
-        return _points(table, found)
+        return _points(table, columns)
     except InputError as error:
         raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
 
@@ -221,9 +221,9 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
     names = [c.name for c in columns.point]
     if unit is None and not form and names == ['x', 'y', 'z'] and table.dialect.separator == ',':
         return points, ''
-    said = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
-    said += ''.join(f'; {remark}' for remark in columns.remarks)
-    return points * LENGTHS[unit or 'm'], said
+    words = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
+    words += ''.join(f'; {remark}' for remark in columns.remarks)
+    return points * LENGTHS[unit or 'm'], words
 
 
 # A path from a file: plan.json of otf plan, the NC program that was driven, or corner points.

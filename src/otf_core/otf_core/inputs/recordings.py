@@ -9,8 +9,8 @@ from pathlib import Path
 
 from otf_core.bags.bag import BagContent, content_of
 from otf_core.bags.bag_reading import BagReading
+from otf_core.bags.bag_signals import read_signals
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, called
-from otf_core.bags.signals import read_signals
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
@@ -42,7 +42,7 @@ class Given:
     recover : bool
         Leave out damaged chunks of a bag.
     signals : tuple of str
-        Topics recorded beside the samples, see ``bags.signals``.
+        Topics recorded beside the samples, see ``bags.bag_signals``.
     """
 
     path: str | Path | None = None

@@ -222,15 +222,15 @@ def since_first(texts: Sequence[str]) -> Array:
 
 
 def _numbers(texts: Sequence[str]) -> list[Decimal]:
-    found = []
+    numbers = []
     for row, text in enumerate(texts):
         try:
-            found.append(Decimal(text))
+            numbers.append(Decimal(text))
         except InvalidOperation:
             raise MomentError(f'{shown(text)} is not a time', row) from None
-        if not found[-1].is_finite():
+        if not numbers[-1].is_finite():
             raise MomentError(f'{shown(text)} is not a time', row)
-    return found
+    return numbers
 
 
 def _speed(times: Array, xyz: Array) -> float:
@@ -328,25 +328,25 @@ class TextReading:
         self.publisher: int | None = None
         self._where = str(source)
         table = read_table(source, named=columns is None)
-        found = find_columns(table, columns)
-        chosen = _chosen(table, found)
-        self._xyz, unit, factor = _points(chosen, found)
-        self._stamp_ns, time_words = _stamps(chosen, found, self._xyz, rate)
+        columns_found = find_columns(table, columns)
+        chosen = _chosen(table, columns_found)
+        self._xyz, unit, factor = _points(chosen, columns_found)
+        self._stamp_ns, time_words = _stamps(chosen, columns_found, self._xyz, rate)
         self.left_out = counted(chosen.faults)
         if chosen.faults:
             self.remarks.append(
                 f'left out {len(chosen.faults)} of {len(chosen.lines) + len(chosen.faults)} lines '
                 f'that are no samples: {fault_words(chosen.faults)}'
             )
-        still = _without_noise(chosen, found, factor, self._xyz)
+        still = _without_noise(chosen, columns_found, factor, self._xyz)
         if still:
             self.remarks.append(still)
-        place = ', '.join(c.name for c in found.point)
+        place = ', '.join(c.name for c in columns_found.point)
         form = ' and '.join(sorted({c.form for c in chosen.point if c.form}))
         self.said = [
-            f'{len(self._xyz)} samples; {_what(found)} from {place} in {unit}'
+            f'{len(self._xyz)} samples; {_what(columns_found)} from {place} in {unit}'
             f'{f", {form}" if form else ""}; {time_words}',
-            *found.remarks,
+            *columns_found.remarks,
         ]
 
     def require(self, *wanted: Topic) -> None:
@@ -405,15 +405,15 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
     _refuse_many(table, faults, len(table.lines) - len(bad))
     if not bad:
         return _Chosen(table.where, table.lines, read[:3], times, faults, table.width)
-    kept = [row for row in range(len(table.lines)) if row not in bad]
+    rows = [row for row in range(len(table.lines)) if row not in bad]
     point = [
-        NumberColumn([c.texts[row] for row in kept], c.values[kept], {}, c.form) for c in read[:3]
+        NumberColumn([c.texts[row] for row in rows], c.values[rows], {}, c.form) for c in read[:3]
     ]
     return _Chosen(
         table.where,
-        [table.lines[row] for row in kept],
+        [table.lines[row] for row in rows],
         point,
-        [[column[row] for row in kept] for column in times],
+        [[column[row] for row in rows] for column in times],
         faults,
         table.width,
     )

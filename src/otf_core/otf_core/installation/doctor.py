@@ -58,18 +58,18 @@ def check_python() -> Iterator[State]:
         '.'.join(map(str, numbers))
         for numbers in (sys.version_info[:3], LOWEST_PYTHON, HIGHEST_PYTHON)
     )
-    found = f'Python {here}, {sys.executable}'
+    version = f'Python {here}, {sys.executable}'
     if sys.version_info[:2] < LOWEST_PYTHON:
-        yield State('python', ERROR, found, f'use Python {lowest} or later')
+        yield State('python', ERROR, version, f'use Python {lowest} or later')
     elif struct.calcsize('P') < 8:
-        yield State('python', ERROR, f'{found}, 32 bit', 'use a 64 bit Python')
+        yield State('python', ERROR, f'{version}, 32 bit', 'use a 64 bit Python')
     elif sys.version_info[:2] > HIGHEST_PYTHON:
         yield State(
-            'python', WARNING, found,
+            'python', WARNING, version,
             f'tested up to Python {highest}; use that if something fails',
         )  # fmt: skip
     else:
-        yield State('python', OK, found)
+        yield State('python', OK, version)
 
 
 OLDEST_VERSIONS = {
@@ -93,14 +93,14 @@ def _version_numbers(text: str) -> tuple[int, ...]:
 
 def check_packages() -> Iterator[State]:
     """Check that every package is there and new enough, and that compiled ones load."""
-    found, missing, old = [f'otf_core {__version__}'], [], []
+    versions, missing, old = [f'otf_core {__version__}'], [], []
     for name, least in OLDEST_VERSIONS.items():
         try:
             have = version(name)
         except PackageNotFoundError:
             missing.append(name)
             continue
-        found.append(f'{name} {have}')
+        versions.append(f'{name} {have}')
         if _version_numbers(have) < _version_numbers(least):
             old.append(f'{name} {have} (needed {least})')
     install = "pip install 'otf_core', or ./otf VERB from a copy of the sources"
@@ -109,7 +109,7 @@ def check_packages() -> Iterator[State]:
     if old:
         yield State('packages', WARNING, f'too old: {", ".join(old)}', 'pip install --upgrade')
     if not missing and not old:
-        yield State('packages', OK, ', '.join(found))
+        yield State('packages', OK, ', '.join(versions))
     broken = [] if missing else [text for name in COMPILED if (text := _load_failure(name))]
     if broken:
         yield State(
@@ -138,23 +138,23 @@ def check_disk_and_memory() -> Iterator[State]:
     """Check the room in this folder and in that of temporary files, and the memory."""
     for name, folder in (('here', Path.cwd()), ('temporary files', Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free
-        found = f'{free / 1e9:.1f} GB free for {name} ({folder})'
+        space = f'{free / 1e9:.1f} GB free for {name} ({folder})'
         if not os.access(folder, os.W_OK):
             yield State('disk', WARNING, f'{folder} cannot be written', 'give --out elsewhere')
         elif free < DISK_WARNING:
             severity = ERROR if free < DISK_ERROR else WARNING
-            yield State('disk', severity, found, 'make room, or set TMPDIR to another disk')
+            yield State('disk', severity, space, 'make room, or set TMPDIR to another disk')
         else:
-            yield State('disk', OK, found)
+            yield State('disk', OK, space)
     size = _memory_size()
     if size is None:
         return
-    found = f'{size / 1e9:.1f} GB, {os.cpu_count()} processors'
+    space = f'{size / 1e9:.1f} GB, {os.cpu_count()} processors'
     few = 'close other programs; a diagnosis of long runs may need more'
     yield (
-        State('memory', OK, found)
+        State('memory', OK, space)
         if size >= MEMORY_WARNING
-        else State('memory', WARNING, found, few)
+        else State('memory', WARNING, space, few)
     )
 
 
@@ -177,12 +177,12 @@ def check_locale_and_variables() -> Iterator[State]:
     """Check for UTF-8, and for variables that are rarely set on purpose."""
     preferred = locale.getpreferredencoding(False)
     shown = getattr(sys.stdout, 'encoding', None) or 'none'
-    found = f'files {preferred}, terminal {shown}'
+    encodings = f'files {preferred}, terminal {shown}'
     if 'utf' in preferred.lower() and 'utf' in shown.lower():
-        yield State('locale', OK, found)
+        yield State('locale', OK, encodings)
     else:
         yield State(
-            'locale', WARNING, found,
+            'locale', WARNING, encodings,
             'set LANG=C.UTF-8, on Windows PYTHONUTF8=1: otherwise names with umlauts are garbled',
         )  # fmt: skip
     for name, do in VARIABLES.items():
@@ -241,10 +241,10 @@ def _synchronised() -> bool | None:
         return None
     command = [program, 'show', '-p', 'NTPSynchronized', '--value']
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=2, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return {'yes': True, 'no': False}.get(done.stdout.strip())
+    return {'yes': True, 'no': False}.get(answer.stdout.strip())
 
 
 HIGHEST_DOMAIN = 232

@@ -106,9 +106,9 @@ class TimeLeft:
         if job != self._job or fraction < self._first:
             self._job, self._began, self._end = job, now, math.nan
             self._first = self._last = fraction
-        elapsed, done = now - self._began, fraction - self._first
-        if fraction != self._last and elapsed >= MIN_ELAPSED and done >= MIN_FRACTION:
-            self._last, self._end = fraction, now + elapsed * max(0.0, 1.0 - fraction) / done
+        elapsed, progress = now - self._began, fraction - self._first
+        if fraction != self._last and elapsed >= MIN_ELAPSED and progress >= MIN_FRACTION:
+            self._last, self._end = fraction, now + elapsed * max(0.0, 1.0 - fraction) / progress
         return self._end - now if self._end >= now else math.nan
 
 

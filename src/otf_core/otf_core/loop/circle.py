@@ -376,11 +376,11 @@ class Compensation:
 def compensation(way: str, content: TablesFile) -> Compensation:
     """Make the files of one way of compensating from error tables."""
     if way == AXES_WAY:
-        made = export_format('linuxcnc').export(Request(content, 'compensation.ini'))
-        files = dict(made.files)
-        return Compensation(made.held, files, files.pop('compensation.ini').decode())
-    made = export_format('lattice-csv').export(Request(content, LATTICE))
-    return Compensation(made.held, made.files)
+        export = export_format('linuxcnc').export(Request(content, 'compensation.ini'))
+        files = dict(export.files)
+        return Compensation(export.held, files, files.pop('compensation.ini').decode())
+    export = export_format('lattice-csv').export(Request(content, LATTICE))
+    return Compensation(export.held, export.files)
 
 
 def _program(name: str, plan: Plan, text: str, acceleration: float) -> Program:

@@ -225,8 +225,8 @@ def find_control() -> str:
     ControlMissing
         Says how to get it.
     """
-    found = shutil.which(COMMAND)
-    if found is None or shutil.which('halsampler') is None:
+    program = shutil.which(COMMAND)
+    if program is None or shutil.which('halsampler') is None:
         raise ControlMissing(
             'LinuxCNC is not installed; on Debian 12 or later: sudo apt-get update && '
             'sudo apt-get install -y --no-install-recommends linuxcnc-uspace '
@@ -237,7 +237,7 @@ def find_control() -> str:
             f'{LOCK}: LinuxCNC runs on this computer already, and two would terminate each '
             f'other; stop it, or remove the file if none is running'
         )
-    return found
+    return program
 
 
 @contextmanager
@@ -290,19 +290,19 @@ def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[Drive
         _place_files(folder, {**files, **content}, user)
         assert INI in files and HAL in files
         limit = START_TIME + END_TIME + sum(p.seconds for p in programs)
-        said = _run([command, str(folder / INI)], folder, user, limit)
-        _check(folder, said)
+        output = _run([command, str(folder / INI)], folder, user, limit)
+        _check(folder, output)
         return [_read_samples(folder / str(item['samples'])) for item in order]
 
 
 def _run(command: list[str], folder: Path, user: str | None, limit: float) -> str:
     """Run LinuxCNC to its end in a process group of its own; return what it printed."""
-    kept = {k: v for k, v in os.environ.items() if k in ('PATH', 'LANG', 'LC_ALL')}
+    environment = {k: v for k, v in os.environ.items() if k in ('PATH', 'LANG', 'LC_ALL')}
     log = folder / 'linuxcnc.log'
     with open(log, 'wb') as out:
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=out,
-            env={**kept, 'HOME': str(folder)}, user=user,
+            env={**environment, 'HOME': str(folder)}, user=user,
             group=None if user is None else _account(user).pw_gid,
             extra_groups=None if user is None else [], start_new_session=True,
         )  # fmt: skip
@@ -331,10 +331,10 @@ def _end(process: subprocess.Popen[bytes], user: str | None) -> None:
 
 def _check(folder: Path, said: str) -> None:
     """InputError if the operator did not come to a good end."""
-    told = folder / 'told.json'
+    report = folder / 'told.json'
     problem = 'did not start or did not end in time'
-    if told.exists():
-        problem = json.loads(told.read_text())['error']
+    if report.exists():
+        problem = json.loads(report.read_text())['error']
     if problem:
         last = ' | '.join(line for line in said.splitlines() if line.strip())[-1500:]
         raise InputError(f'LinuxCNC: {problem}; its last words: {last}')

@@ -66,15 +66,15 @@ def error_at(axes: list[Row], table: Table, q: Row) -> Row:
 
 def component() -> Any:
     """Make the component with its pins."""
-    made = hal.component('otf-volume')
+    pins = hal.component('otf-volume')
     for axis in 'xyz':
-        made.newpin(f'believed-{axis}', hal.HAL_FLOAT, hal.HAL_IN)
-        made.newpin(f'offset-{axis}', hal.HAL_FLOAT, hal.HAL_IN)
-        made.newpin(f'counts-{axis}', hal.HAL_S32, hal.HAL_OUT)
-        made.newpin(f'on-{axis}', hal.HAL_BIT, hal.HAL_OUT)
-    made.newpin('fault', hal.HAL_BIT, hal.HAL_OUT)
-    made.newpin('slowest', hal.HAL_FLOAT, hal.HAL_OUT)
-    return made
+        pins.newpin(f'believed-{axis}', hal.HAL_FLOAT, hal.HAL_IN)
+        pins.newpin(f'offset-{axis}', hal.HAL_FLOAT, hal.HAL_IN)
+        pins.newpin(f'counts-{axis}', hal.HAL_S32, hal.HAL_OUT)
+        pins.newpin(f'on-{axis}', hal.HAL_BIT, hal.HAL_OUT)
+    pins.newpin('fault', hal.HAL_BIT, hal.HAL_OUT)
+    pins.newpin('slowest', hal.HAL_FLOAT, hal.HAL_OUT)
+    return pins
 
 
 def look(
@@ -106,14 +106,14 @@ def look(
 def main() -> None:
     """Look at the position until LinuxCNC ends the component."""
     axes, table = read_lattice(sys.argv[1])
-    made = component()
+    pins = component()
     for axis in 'xyz':
-        made[f'on-{axis}'] = True
-    made.ready()
+        pins[f'on-{axis}'] = True
+    pins.ready()
     last: tuple[Row, float] | None = None
     try:
         while True:
-            last = look(made, axes, table, last)
+            last = look(pins, axes, table, last)
             time.sleep(PERIOD)
     except KeyboardInterrupt:
         pass

@@ -60,9 +60,9 @@ def driven(command: Any, stat: Any, errors: Any, name: str, samples: str, second
         until(stat, lambda s: s.interp_state != linuxcnc.INTERP_IDLE, 10, f'{name}: start')
         end = time.monotonic() + seconds
         while stat.interp_state != linuxcnc.INTERP_IDLE:
-            told = errors.poll()
-            if told:
-                raise Failed(f'{name}: {told[1]}')
+            message = errors.poll()
+            if message:
+                raise Failed(f'{name}: {message[1]}')
             if stat.interp_state == linuxcnc.INTERP_PAUSED:
                 command.auto(linuxcnc.AUTO_RESUME)  # the program waits for the recording
             if time.monotonic() > end:
@@ -79,17 +79,17 @@ def main() -> None:
     """Do what order.json asks; tell it in told.json."""
     with open('order.json', encoding='utf-8') as file:
         order = json.load(file)
-    told: dict[str, Any] = {'done': [], 'error': None}
+    report: dict[str, Any] = {'done': [], 'error': None}
     command, stat, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
     try:
         switched_on(command, stat)
         for item in order:
             driven(command, stat, errors, item['program'], item['samples'], item['seconds'])
-            told['done'].append(item['program'])
+            report['done'].append(item['program'])
     except (Failed, linuxcnc.error) as error:
-        told['error'] = str(error)
+        report['error'] = str(error)
     with open('told.json', 'w', encoding='utf-8') as file:
-        json.dump(told, file)
+        json.dump(report, file)
 
 
 if __name__ == '__main__':

@@ -122,12 +122,12 @@ def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str
     coefficients = np.zeros_like(bows)
     coefficients[use] = Positive(matrix[np.ix_(use, use)] + prior).solve(pulled[use])
     largest = max(float(np.max(np.diag(matrix))), 1.0)
-    found = {}
+    shares = {}
     for error, bow, pull, own in zip(errors, bows.T, pulled.T, coefficients.T, strict=True):
         size = float(bow @ pull)
         seen = size > 1e-6 * largest * float(bow @ bow)
-        found[error] = _strongest(result, matrix, own, _IMITATED_SHARE * size) if seen else ()
-    return found
+        shares[error] = _strongest(result, matrix, own, _IMITATED_SHARE * size) if seen else ()
+    return shares
 
 
 def _strongest(
@@ -199,16 +199,16 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, 
         the axis ranges that are not driven.
     """
     mixed = imitators(result, result.not_identifiable, limit)
-    found = [_unseen(result, machine, error, others) for error, others in mixed.items()]
+    unseen = [_unseen(result, machine, error, others) for error, others in mixed.items()]
     for name, positions in result.loose_nodes.items():
-        found.append(_loose(name, positions, len(result.nodes[name.axis])))
-    found += _not_driven(result, machine)
-    return tuple(found)
+        unseen.append(_loose(name, positions, len(result.nodes[name.axis])))
+    unseen += _not_driven(result, machine)
+    return tuple(unseen)
 
 
 def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
-    found = []
+    gaps = []
     for axis in machine.axis_names:
         nodes, spec = result.nodes[axis], machine.axes[axis]
         gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
@@ -218,8 +218,8 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
                 f'up to {1e3 * gap:.1f} mm, the tables are constant and this forecast does not '
                 f'apply'
             )
-            found.append(Unseen(axis, (), words, 'a smaller margin'))
-    return found
+            gaps.append(Unseen(axis, (), words, 'a smaller margin'))
+    return gaps
 
 
 # Before measuring: which effects a plan would show, from which size on, and which not apart.
@@ -230,8 +230,8 @@ INDISTINGUISHABLE_SHARE = 0.97
 
 def forecast_rows(planned: Planned, limit: float) -> Rows:
     """Rows of the pieces that a recording of a plan would give, with zero deviations."""
-    observed, done, _ = planned
-    return rows_of([observed], done, limit)
+    observed, solution, _ = planned
+    return rows_of([observed], solution, limit)
 
 
 @dataclass(frozen=True)

@@ -188,13 +188,13 @@ def candidate_places(machine: Machine, near: float) -> list[tuple[Array, str]]:
     """
     centre = 0.5 * (machine.lower + machine.upper)
     half = 0.5 * (machine.upper - machine.lower)
-    found = []
+    places = []
     for distance, x, y, z in product((near, 2 * near), (-1, 0, 1), (-1, 0, 1), (0, 1)):
         side = np.array([x, y, z])
         if side.any() and (distance == near or np.abs(side).sum() == 1):
             away = distance * side / np.linalg.norm(side)
-            found.append((centre + side * half + away, _words((x, y, z), distance)))
-    return found
+            places.append((centre + side * half + away, _words((x, y, z), distance)))
+    return places
 
 
 def compare_places(
@@ -217,12 +217,12 @@ def compare_places(
     """
     limits = setup.config
     near = max(PLACE_DISTANCE, limits.min_range)
-    found = []
+    ranking = []
     for place, words in candidate_places(setup.machine, near):
         shortest, longest = beam_lengths(plan, place)
         if shortest >= limits.min_range and longest <= limits.max_range:
-            found.append(TrackerPlace(place, words, judge(place), shortest, longest))
-    return sorted(found, key=lambda p: p.mean_grid_u)
+            ranking.append(TrackerPlace(place, words, judge(place), shortest, longest))
+    return sorted(ranking, key=lambda p: p.mean_grid_u)
 
 
 # The shortest further path that answers what a diagnosis left open.
@@ -315,20 +315,20 @@ def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
             f'{folder}/gap.json: not a diagnosis; give a folder written by otf diagnose'
         )
     rivals = {c['effect']: c['indistinguishable_from'] for c in gap['causes']}
-    found = []
+    questions = []
     if any(rivals.values()):
         applied = {a.effect.name: a for a in read_effects(folder / 'effects.yaml', machine)}
-        found = [
+        questions = [
             Question(effect, rival, applied[effect])
             for effect, others in rivals.items()
             for rival in others
             if effect in applied and rival in REGISTRY
         ]
     hidden = [e['effect'] for e in gap.get('not_visible', ()) if e['effect'] in REGISTRY]
-    found += [Question(name) for name in hidden]
-    if not found:
+    questions += [Question(name) for name in hidden]
+    if not questions:
         raise ConfigError(f'{folder}: this diagnosis left nothing open; plan without --after')
-    return found
+    return questions
 
 
 def measured_runs(folder: str | Path) -> list[MeasuredRun]:
@@ -350,8 +350,8 @@ def answered(rows: Rows, question: Question) -> Answer:
         np.einsum('cpk,pk->cp', run.system.axes, own).reshape(-1, 1) for run, own in parts
     ])  # fmt: skip
     trace = rows.project(rows.whiten(plain))[:, 0]
-    left = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
-    log_odds = 0.5 * left
+    remainder = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
+    log_odds = 0.5 * remainder
     words = (
         f'distinguishes {question.effect} from {question.rival}: '
         f'{"yes" if log_odds >= NAMED_LOG_ODDS else "not surely"} (odds of exp({log_odds:.1f}))'
@@ -363,10 +363,10 @@ def _rival_columns(rows: Rows, question: Question) -> Iterator[Array]:
     """What every form of the rival adds beyond tables and poses."""
     effect = REGISTRY[question.rival]
     chosen, stand_in = shapes_of(rows, effect, {})
-    found = tried_shapes(rows, effect, chosen or stand_in)
+    shapes = tried_shapes(rows, effect, chosen or stand_in)
     for form in free_forms(effect, rows.states):
-        found += tried_shapes(rows, form, ({},) if not form.form.shaped else chosen or stand_in)
-    for tried in found:
+        shapes += tried_shapes(rows, form, ({},) if not form.form.shaped else chosen or stand_in)
+    for tried in shapes:
         if tried.takes:
             yield tried.source.option(tried.takes[0]).own
 
@@ -377,8 +377,8 @@ def _left(columns: Array, trace: Array) -> float:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * normal * scale)
     pull = vectors.T @ (scale * (columns.T @ trace))
-    kept = values > 1e-9 * values[-1]
-    return float(trace @ trace - np.sum(pull[kept] ** 2 / values[kept]))
+    positive = values > 1e-9 * values[-1]
+    return float(trace @ trace - np.sum(pull[positive] ** 2 / values[positive]))
 
 
 def _seen(rows: Rows, question: Question) -> Answer:
@@ -405,13 +405,13 @@ def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> li
         )
     timed = [(drive_times(p, setup.config.acceleration).duration, k) for k, p in enumerate(plans)]
     shortest = min(timed)[0]
-    kept = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
-    if not kept:
+    affordable = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
+    if not affordable:
         raise ConfigError(
             f'time_budget: no path takes {budget:g} s or less; the shortest takes '
             f'{math.ceil(shortest)} s'
         )
-    return kept[:COMPARED_PATHS]
+    return affordable[:COMPARED_PATHS]
 
 
 def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Setup]:
@@ -421,14 +421,14 @@ def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Set
     here = setup.at(before[-1].place)
     across = setup.machine.lower + setup.machine.upper - here.place
     other = setup.at(np.array([across[0], across[1], here.place[2]]))
-    found = []
+    places = []
     for one in (here, other):
         try:
             check_place(plan, one)
         except ConfigError:
             continue
-        found.append(one)
-    return found or [setup]
+        places.append(one)
+    return places or [setup]
 
 
 def plan_after(
@@ -462,16 +462,16 @@ def plan_after(
     """
     limit = setup.calibration.unidentifiable_above
     known = [run.observed(setup) for run in before]
-    found: list[tuple[float, Plan, list[Answer], Setup]] = []
+    options: list[tuple[float, Plan, list[Answer], Setup]] = []
     for plan in _candidates(setup, config, budget):
         for there in _places(plan, setup, before):
             planned = planned_solution(plan, there, forecast(plan, there))
             rows = joint_rows(planned, known, limit)
             answers = [answered(rows, q) for q in questions]
             worth = sum(min(a.log_odds, NAMED_LOG_ODDS) for a in answers)
-            found.append((worth, plan, answers, there))
+            options.append((worth, plan, answers, there))
         if all(a.sure for a in answers):
             break
-    most = max(worth for worth, *_ in found)
-    _, plan, answers, there = next(one for one in found if one[0] >= ANSWERED_SHARE * most)
+    most = max(worth for worth, *_ in options)
+    _, plan, answers, there = next(one for one in options if one[0] >= ANSWERED_SHARE * most)
     return plan, answers, there

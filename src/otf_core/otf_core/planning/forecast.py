@@ -92,13 +92,13 @@ class DriveTimes:
         """
         peak, a = self.peak[leg], self.acceleration
         ramp = 0.5 * peak**2 / a
-        left = self.length[leg] - along
+        remainder = self.length[leg] - along
         return np.asarray(
             np.select(
-                [along < ramp, left < ramp],
+                [along < ramp, remainder < ramp],
                 [
                     np.sqrt(2 * np.maximum(along, 0.0) / a),
-                    self.moving[leg] - np.sqrt(2 * np.maximum(left, 0.0) / a),
+                    self.moving[leg] - np.sqrt(2 * np.maximum(remainder, 0.0) / a),
                 ],
                 along / peak + 0.5 * peak / a,
             )
@@ -317,9 +317,15 @@ def _leg_pieces(
     count = np.diff(np.floor(moment * rate)).astype(np.int64)
     inside = np.clip(marks, margin, length - margin)
     middle, mean = 0.5 * (inside[1:] + inside[:-1]), 0.5 * (moment[1:] + moment[:-1])
-    kept = count > 0
+    occupied = count > 0
     width = inside[1:] - inside[:-1]
-    return middle[kept], mean[kept], count[kept] / rate, count[kept], width[kept]
+    return (
+        middle[occupied],
+        mean[occupied],
+        count[occupied] / rate,
+        count[occupied],
+        width[occupied],
+    )
 
 
 def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setup) -> Pieces:
@@ -449,11 +455,11 @@ def grid_uncertainty(
     """
     rows = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
     flat = rows.reshape(-1, rows.shape[2])
-    found = []
+    uncertainties = []
     for part in (flat, free_rows(flat, grid)):
         variance = np.einsum('ij,ij->i', part @ covariance, part)
-        found.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
-    return found[0], found[1]
+        uncertainties.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+    return uncertainties[0], uncertainties[1]
 
 
 # Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.
@@ -483,8 +489,8 @@ def solution_of_pieces(observed: Observed, found: Forecast) -> Planned:
     whitener = Whitener.of(system, found.pieces, observed.noise)
     solved = SolvedRun(observed.pose, system, whitener, np.zeros_like(system.deviation))
     nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
-    done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
-    return observed, done, tables_of(machine, found.unknowns, found.solution)
+    solution = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
+    return observed, solution, tables_of(machine, found.unknowns, found.solution)
 
 
 @dataclass(frozen=True)
@@ -532,13 +538,13 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
     found : Forecast
         Of the same plan.
     """
-    run, done, tables = planned
+    run, solution, tables = planned
     rows = table_rows(found.unknowns, found.nodes)
 
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
         total = np.zeros_like(found.covariance)
-        states = piece_states(runs, done, tables) if sources else []
-        for free in systematic_sensitivities(sources, states, done):
+        states = piece_states(runs, solution, tables) if sources else []
+        for free in systematic_sensitivities(sources, states, solution):
             change = rows @ free
             total += change @ change.T
         return total
@@ -617,9 +623,9 @@ class MeasuredRun:
 
 def joint_rows(planned: Planned, before: Sequence[Observed], limit: float) -> Rows:
     """Rows of a planned run and of those before it, with zero deviations and common tables."""
-    observed, done, _ = planned
+    observed, planned_solution, _ = planned
     runs = [observed, *before]
-    unknowns = layout(done.unknowns.bases, len(runs))
+    unknowns = layout(planned_solution.unknowns.bases, len(runs))
     solved = []
     for number, run in enumerate(runs):
         system = build_system(run.machine, run.pieces, run.pose, unknowns, run=number)
@@ -627,7 +633,11 @@ def joint_rows(planned: Planned, before: Sequence[Observed], limit: float) -> Ro
         solved.append(SolvedRun(run.pose, system, whitener, np.zeros_like(system.deviation)))
     nothing = np.zeros(unknowns.full)
     solution = Solution(
-        nothing, np.outer(nothing, nothing), done.solution.accepted, 0, np.zeros((0, 0))
+        nothing,
+        np.outer(nothing, nothing),
+        planned_solution.solution.accepted,
+        0,
+        np.zeros((0, 0)),
     )
-    joint = replace(done, unknowns=unknowns, solution=solution, runs=tuple(solved))
+    joint = replace(planned_solution, unknowns=unknowns, solution=solution, runs=tuple(solved))
     return rows_of(runs, joint, limit)

@@ -327,11 +327,11 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
         Without any leg if the time does not suffice for one.
     """
     joined = _pairs(lines)
-    matrix, left = np.zeros_like(ideal), time
+    matrix, remaining_time = np.zeros_like(ideal), time
     corners, feeds = [int(np.argmin(lines.points.sum(axis=1)))], []
     while True:
-        worth = judge(lines, matrix + max(left, 0.0) * ideal).gain / lines.cost
-        worth = np.where(passes * lines.cost <= left, worth, -np.inf)
+        worth = judge(lines, matrix + max(remaining_time, 0.0) * ideal).gain / lines.cost
+        worth = np.where(passes * lines.cost <= remaining_time, worth, -np.inf)
         from_here = joined[corners[-1]]
         gain = np.where(from_here >= 0, worth.max(axis=1)[from_here], -np.inf)
         target = int(np.argmax(gain))
@@ -342,8 +342,10 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
         corners.append(target)
         feeds.append(feed)
         matrix += passes * lines.information[line * len(lines.feeds) + feed]
-        left -= passes * float(lines.cost[line, feed])
-    return Walk(tuple(corners), tuple(feeds), passes, time - left, variance(lines, matrix))
+        remaining_time -= passes * float(lines.cost[line, feed])
+    return Walk(
+        tuple(corners), tuple(feeds), passes, time - remaining_time, variance(lines, matrix)
+    )
 
 
 # Plans that make the grid best known in a given time, or known well enough in the least time.
@@ -444,10 +446,10 @@ class PathOptimiser:
         if not walk.feeds:
             return None
         plan = self._plan(walk)
-        found = forecast(plan, self._setup)
-        if self._missing(found):
+        outlook = forecast(plan, self._setup)
+        if self._missing(outlook):
             return None
-        return OptimisedPlan(plan, found, walk.passes, self.ideal_variance(time) / walk.variance)
+        return OptimisedPlan(plan, outlook, walk.passes, self.ideal_variance(time) / walk.variance)
 
     def ideal_variance(self, time: float) -> float:
         """Mean grid variance of an ideal share of the time, as ``Walk.variance``."""
@@ -465,9 +467,9 @@ class PathOptimiser:
             raise ConfigError(
                 f'time_budget: {budget:g} s; no plan is longer than {LONGEST_PLAN:g} s'
             )
-        found = self._attempt(budget)
-        if found is not None:
-            return found
+        attempt = self._attempt(budget)
+        if attempt is not None:
+            return attempt
         enough = max(budget, self._overhead())
         while enough < LONGEST_PLAN:
             enough *= 1.4
@@ -494,14 +496,14 @@ class PathOptimiser:
         short, time = 0.0, min(time + self._overhead(), LONGEST_PLAN)
         best: OptimisedPlan | None = None
         for _ in range(_SEARCHES):
-            found = self._attempt(time)
-            ratio = found.forecast.mean_grid_u / wanted if found else np.inf
+            attempt = self._attempt(time)
+            ratio = attempt.forecast.mean_grid_u / wanted if attempt else np.inf
             if ratio <= 1.0:
-                best, long = found, time
+                best, long = attempt, time
                 if ratio > _CLOSE:
                     break
             elif time >= LONGEST_PLAN:
-                reached = f'then {1e6 * found.forecast.mean_grid_u:.3g} um' if found else ''
+                reached = f'then {1e6 * attempt.forecast.mean_grid_u:.3g} um' if attempt else ''
                 raise ConfigError(
                     f'wanted_uncertainty: {1e6 * wanted:g} um needs more than {LONGEST_PLAN:g} '
                     f's at this feed; {reached}'

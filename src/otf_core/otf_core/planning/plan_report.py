@@ -232,20 +232,20 @@ def make_plan(
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
         progress('forecasting', 0.0)
-        found: Forecast = forecast(plan, setup)
+        outlook: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
-        planned = planned_solution(plan, setup, found)
+        planned = planned_solution(plan, setup, outlook)
         with Ahead() as ahead:
-            ahead.begin(_judged, plan, setup, found, planned)
+            ahead.begin(_judged, plan, setup, outlook, planned)
             progress('looking for effects', 0.0)
             effects = forecast_effects(forecast_rows(planned, limit))
-            places, own, systematic = ahead(_judged, plan, setup, found, planned)
+            places, own, systematic = ahead(_judged, plan, setup, outlook, planned)
     return PlanReport(
         plan,
         how,
         setup,
-        found,
-        findings(found, machine, limit),
+        outlook,
+        findings(outlook, machine, limit),
         tuple(places),
         tuple(advice(places, own)),
         tuple(EffectForecast(e['effect'], e['words'], e) for e in effects),

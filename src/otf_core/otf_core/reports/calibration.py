@@ -140,8 +140,8 @@ def _subject(facts: Facts) -> Section:
     given = {**stated.certificate, **stated.conditions}
     words = {**CERTIFICATE, **{k: TEXTS[k] for k in ('operator', 'place')}}
     parties = [
-        (said, str(given.get(key, BLANK)))
-        for key, said in words.items()
+        (entry, str(given.get(key, BLANK)))
+        for key, entry in words.items()
         if key in given or key in BY_HAND
     ]
     subject = (
@@ -152,13 +152,13 @@ def _subject(facts: Facts) -> Section:
     )
     own = stated.instrument
     instrument = [
-        (said, own.get(key, 'not stated'))
-        for key, said in INSTRUMENT.items()
+        (entry, own.get(key, 'not stated'))
+        for key, entry in INSTRUMENT.items()
         if key in own or key in ('model', 'serial')
     ]
     conditions = [
-        (said, f'{given[key]:g} {unit}')
-        for key, (said, unit, _, _) in NUMBERS.items()
+        (entry, f'{given[key]:g} {unit}')
+        for key, (entry, unit, _, _) in NUMBERS.items()
         if key in given
     ]
     if 'remark' in stated.conditions:
@@ -219,15 +219,18 @@ def _row(facts: Facts, one: ErrorSize) -> tuple[Cell, ...]:
     limit: Cell = '' if one.limit is None else f'{1e6 * one.limit:g}'
     state: Cell = State(one.state, MOODS[one.state]) if one.state else ''
     if one.name in SQUARENESS:
-        said, value = f'squareness of {BETWEEN[one.name]}', facts.tables.squareness[one.name].value
+        label, value = (
+            f'squareness of {BETWEEN[one.name]}',
+            facts.tables.squareness[one.name].value,
+        )
     else:
         motion = ErrorMotion.of(one.name)
-        said, value = f'{role(motion)} of {motion.axis}, span', one.value
+        label, value = f'{role(motion)} of {motion.axis}, span', one.value
     name = f'{one.name}{BOUND}' if one.bound else one.name
     if not one.known:
-        return name, said, 'not known', '', '', limit, state
+        return name, label, 'not known', '', '', limit, state
     wide = 1e6 * one.U
-    return (name, said, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
+    return (name, label, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
             limit, state)  # fmt: skip
 
 
@@ -258,12 +261,12 @@ def _statement(facts: Facts) -> Section:
         f'{about["written"]}; SHA-256 of the recording begins: {named}{more}. '
         f'All values, covariances and whole hashes: error_tables.json.'
     )
-    said = tuple(line for line in words if line)
-    return Section('statement', 'Uncertainty and traceability', said)
+    lines = tuple(line for line in words if line)
+    return Section('statement', 'Uncertainty and traceability', lines)
 
 
 def _signatures() -> Section:
-    lines = ''.join(f'<div>{said}</div>' for said in ('Date', 'Measured by', 'Approved by'))
+    lines = ''.join(f'<div>{role}</div>' for role in ('Date', 'Measured by', 'Approved by'))
     part = f'<div class="signatures">{lines}</div>'
     return Section('signatures', '', draw=lambda: (Picture((part,), ''),))
 
@@ -310,8 +313,8 @@ EFFECTS_FILE = 'effects_taken_off'
 
 def calibration_sections(facts: Facts) -> list[Section]:
     """All sections of one calibration; pictures are drawn when a page asks for them."""
-    found = (section(facts) for section in SECTIONS)
-    return [section for section in found if section is not None]
+    sections = (section(facts) for section in SECTIONS)
+    return [section for section in sections if section is not None]
 
 
 def calibration_html(facts: Facts) -> str:
@@ -579,8 +582,8 @@ def facts_of(
         runs=result.origin,
         coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
     )
-    found = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
-    return Facts(result, tuple(found), about)
+    budget = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
+    return Facts(result, tuple(budget), about)
 
 
 def write_with_effects(

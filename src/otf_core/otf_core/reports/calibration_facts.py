@@ -107,7 +107,7 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
 
 def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str, Any]]:
     """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
-    found: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, Any]] = {}
     by_name = {line.name: line for line in lines}
     for name in NAMES:
         line = by_name.get(name)
@@ -116,12 +116,12 @@ def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str
             wide: Any = k * tables.squareness[name].u
         else:
             wide = (k * tables.motions[name].u).tolist()
-        found[name] = {
+        values[name] = {
             'U': wide,
             'k': k if line else None,
             'dof': whole_dof(line.dof) if line else None,
         }
-    return found
+    return values
 
 
 @dataclass(frozen=True)
@@ -145,14 +145,14 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)
     r = covariance / np.outer(unit, unit)
-    places, found = table_places(tables), []
+    places, pairs = table_places(tables), []
     for one, other in combinations(NAMES, 2):
         part = r[places[one], places[other]]
         at = np.unravel_index(int(np.argmax(np.abs(part))), part.shape)
         if abs(part[at]) >= LISTED_CORRELATION:
             names = [_at_node(tables, n, int(i)) for n, i in zip((one, other), at, strict=True)]
-            found.append(Correlation((names[0], names[1]), float(part[at])))
-    return sorted(found, key=lambda c: -abs(c.r))
+            pairs.append(Correlation((names[0], names[1]), float(part[at])))
+    return sorted(pairs, key=lambda c: -abs(c.r))
 
 
 def _at_node(tables: ErrorTables, name: str, node: int) -> str:
@@ -260,8 +260,8 @@ class Facts:
         if not own.any():
             return 1.0
         values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
-        kept = values[values > 1e-12 * values[-1]]
-        return float(np.sqrt(kept[-1] / kept[0]))
+        positive = values[values > 1e-12 * values[-1]]
+        return float(np.sqrt(positive[-1] / positive[0]))
 
     @property
     def k_volume(self) -> float:

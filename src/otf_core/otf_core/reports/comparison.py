@@ -108,8 +108,8 @@ def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
 
 def _empty_panel(motion: ErrorMotion, unit: str) -> str:
     panel = Panel(Scale(0.1, 0.9, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
-    said = svg_words(190.0, 100.0, 'not determined by both', 'middle soft')
-    return panel.draw([said], f'{motion}: not determined by both', motion)
+    label = svg_words(190.0, 100.0, 'not determined by both', 'middle soft')
+    return panel.draw([label], f'{motion}: not determined by both', motion)
 
 
 def _along(x: Array, motion: ErrorMotion) -> Scale:
@@ -180,7 +180,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     pictures.append(vectors(volume.q, volume.difference, step))
     key = (
         *_colour_key(comparison),
-        *((f'heat h{k}', said) for k, said in heat_words(step, length)),
+        *((f'heat h{k}', label) for k, label in heat_words(step, length)),
     )
     caption = (
         f'Mean length of the error vectors of both sources and of their difference on '
@@ -222,8 +222,8 @@ def all_normalised(result: Comparison) -> Array:
     """E_n of all nodes and squareness errors, those without an uncertainty left out, (n,)."""
     parts = [m.normalised for m in result.motions.values()]
     parts.append(np.array([s.normalised for s in result.squareness.values()]))
-    found = np.concatenate(parts)
-    return np.asarray(found[np.isfinite(found)])
+    values = np.concatenate(parts)
+    return np.asarray(values[np.isfinite(values)])
 
 
 def comparison_html(result: Comparison, convention: str, remarks: Sequence[str], date: str) -> str:
@@ -251,7 +251,7 @@ def comparison_html(result: Comparison, convention: str, remarks: Sequence[str],
 
 def _comparison_heading(result: Comparison, date: str) -> Heading:
     a, b = result.names
-    found, volume = all_normalised(result), result.volume
+    normalised, volume = all_normalised(result), result.volume
     mean = micro(mean_length(volume.difference))
     badge = State('no uncertainty stated', 'open')
     tiles = [
@@ -267,15 +267,15 @@ def _comparison_heading(result: Comparison, date: str) -> Heading:
             ('b - a', f'{mean} um', 'mean length of the difference; rigid motion removed'),
         ]
     sentence = f'They differ by {mean} um on average in the volume.'
-    if found.size:
-        share = agreement(found)
+    if normalised.size:
+        share = agreement(normalised)
         good = share >= AGREEING_SHARE
         badge = State('agree within U', 'good') if good else State('differ beyond U', 'bad')
         sentence += (
             f' {100 * share:.0f} % of the values agree within their expanded uncertainties '
-            f'(E_n up to 1), the largest E_n is {found.max():.2f}.'
+            f'(E_n up to 1), the largest E_n is {normalised.max():.2f}.'
         )
-        tiles.append(('E_n up to 1', f'{100 * share:.0f} %', f'of {found.size} values'))
+        tiles.append(('E_n up to 1', f'{100 * share:.0f} %', f'of {normalised.size} values'))
     title, machine = f'Comparison of {a} and {b}', result.common.machine.name
     return Heading(title, sentence, (badge,), tuple(tiles), f'{machine}, {title}, {date}')
 
@@ -318,11 +318,11 @@ def _errors_section(result: Comparison) -> Section:
             *_agreement_cells(known),
         ))  # fmt: skip
     for name, one in result.squareness.items():
-        found = np.array([one.normalised])
+        normalised = np.array([one.normalised])
         rows.append((
             name, 'urad', micro(one.a), micro(one.b), micro(abs(one.difference)),
             _micro_wide(k * one.u_a), _micro_wide(k * one.u_b),
-            *_agreement_cells(found[np.isfinite(found)]),
+            *_agreement_cells(normalised[np.isfinite(normalised)]),
         ))  # fmt: skip
     words = (
         'a and b: span of an error motion, value of a squareness error, both in the same gauge; '
@@ -350,8 +350,8 @@ def _motion_pictures(result: Comparison) -> Sequence[Picture]:
     axes, a, b = result.common.machine.axis_names, *result.names
     motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
     key = ''.join(
-        f'<span class="{kind}-key"><span class="key"></span>{text(said)}</span> '
-        for kind, said in (('after', f'a: {a}'), ('before', f'b: {b}'))
+        f'<span class="{kind}-key"><span class="key"></span>{text(label)}</span> '
+        for kind, label in (('after', f'a: {a}'), ('before', f'b: {b}'))
     )
     legend = f'<p class="soft keys">{key}</p>'
     return [

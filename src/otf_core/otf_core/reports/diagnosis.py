@@ -94,7 +94,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'considered': [{'effect': e, 'log_odds': s} for e, s in diagnosis.considered],
         'table_change_um': diagnosis.table_change_um,
         'smallest_found_um': dict(diagnosis.smallest_found_um),
-        'contradictions': [asdict(found) for found in diagnosis.contradictions],
+        'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
         'reversal': diagnosis.calibration.plain.reversal.model,
         'run_id': diagnosis.calibration.plain.run_id,
         'provenance': provenance(

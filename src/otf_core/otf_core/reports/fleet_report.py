@@ -83,8 +83,8 @@ def offset_remarks(done: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
             runs.setdefault(offset_words(np.array(one['offset'])), []).append(name)
     if len(runs) == 1:
         return [star]
-    said = '; '.join(f'{offset}: {", ".join(names)}' for offset, names in runs.items())
-    return [star, f'WARNING target offsets differ ({said}): compare these values among runs of '
+    offsets = '; '.join(f'{offset}: {", ".join(names)}' for offset, names in runs.items())
+    return [star, f'WARNING target offsets differ ({offsets}): compare these values among runs of '
             f'one offset only.']  # fmt: skip
 
 
@@ -117,14 +117,14 @@ def fleet_rows(
         'calibrate' or 'diagnose'.
     outcomes : mapping of run to JobResult
     """
-    done = list(listed_results(verb, folder, outcomes))
+    finished = list(listed_results(verb, folder, outcomes))
     if verb == 'calibrate':
-        rows = [_calibrated(name, data, outcomes[name].message) for name, data in done]
-        return TABLE_COLUMNS, rows, offset_remarks(done)
-    rows = [_diagnosed(name, data, outcomes[name].message) for name, data in done]
-    counts = Counter(cause for _, data in done for cause in set(cause_names(data)))
+        rows = [_calibrated(name, data, outcomes[name].message) for name, data in finished]
+        return TABLE_COLUMNS, rows, offset_remarks(finished)
+    rows = [_diagnosed(name, data, outcomes[name].message) for name, data in finished]
+    counts = Counter(cause for _, data in finished for cause in set(cause_names(data)))
     shared = [
-        f'{cause}: {count} of {len(done)} runs'
+        f'{cause}: {count} of {len(finished)} runs'
         for cause, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
         if count > 1
     ]
@@ -136,10 +136,10 @@ def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = 
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
     lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
-    for code, said in JUDGED.items():
+    for code, verdict in JUDGED.items():
         named = [n for n, o in outcomes.items() if o.done and o.exit == code]
         if named and gates:
-            lines.append(f'  {said}: {", ".join(named)}')
+            lines.append(f'  {verdict}: {", ".join(named)}')
     return '\n'.join(lines)
 
 

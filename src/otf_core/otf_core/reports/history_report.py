@@ -437,10 +437,10 @@ def _stated(history: History) -> tuple[float, str] | None:
 
 def _offset_words(history: History) -> list[str]:
     """Which values hold at one target offset only, by the latest tables."""
-    found = history.series.runs[-1].content.extra.get('target_offset_bound')
-    if not isinstance(found, dict) or not found['contains']:
+    bound = history.series.runs[-1].content.extra.get('target_offset_bound')
+    if not isinstance(bound, dict) or not bound['contains']:
         return []
-    return [OffsetBound(np.array(found['offset']), found['contains']).sentence]
+    return [OffsetBound(np.array(bound['offset']), bound['contains']).sentence]
 
 
 def _undeclared(history: History) -> list[str]:

@@ -111,7 +111,7 @@ def _validation_section(data: Mapping[str, Any]) -> Section:
     ]
     head = ('line', 'from (mm)', 'to (mm)', 'mean before (um)', 'after', 'largest before (um)',
             'after')  # fmt: skip
-    left, seen = data['left_um'], data['seen_by_tracker']
+    remainder, seen = data['left_um'], data['seen_by_tracker']
     return Section(
         'validation',
         f'Validation of the compensation ({STANDARD}, 11)',
@@ -122,9 +122,9 @@ def _validation_section(data: Mapping[str, Any]) -> Section:
             f'motion removed; it is the true error, since the machine is simulated.',
             f'Mean {data["before_um"]:.2f} um before, {data["after_um"]:.2f} um after; forecast '
             f'{data["forecast_um"]:.2f} um with the standard uncertainty of the tables in it.',
-            f'Of the remainder, the errors of the tables account for {left["of_tables"]:.2f} '
-            f'um, the export format for {left["of_export"]:.2f} um and the control for '
-            f'{left["of_control"]:.2f} um.',
+            f'Of the remainder, the errors of the tables account for {remainder["of_tables"]:.2f} '
+            f'um, the export format for {remainder["of_export"]:.2f} um and the control for '
+            f'{remainder["of_control"]:.2f} um.',
             f'As measured by a tracker across the lines, including its noise: '
             f'{seen["before_um"]:.2f} um before, {seen["after_um"]:.2f} um after.',
         ),

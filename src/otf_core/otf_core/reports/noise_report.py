@@ -121,12 +121,12 @@ def noise_html(
          f'{measured.left_out} noisier ones left out'),
         ('beam', f'{report.distance:.2f} m long on average'),
     )  # fmt: skip
-    found = tuple(f'{event[:1].upper()}{event[1:]}.' for event in events)
+    sentences = tuple(f'{event[:1].upper()}{event[1:]}.' for event in events)
     words = tuple(f'Warning: {text}.' for text in report.warnings)
     sections = [
         Section('overview', '', words, draw=lambda: _noise_pictures(report)),
         Section('levels', 'Levels', tables=(_level_table(report),)),
-        Section('standstills', 'Standstills', found, tables=(Table(('', ''), facts),)),
+        Section('standstills', 'Standstills', sentences, tables=(Table(('', ''), facts),)),
     ]
     return page_html(heading, sections)
 

@@ -52,8 +52,8 @@ def millimetres(value: float) -> str:
 
 def listed(names: Iterable[str]) -> str:
     """Names with commas and a last 'and'."""
-    found = list(names)
-    return ' and '.join([', '.join(found[:-1]), found[-1]] if len(found) > 1 else found)
+    texts = list(names)
+    return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 # A section of a report: one object for page, terminal and ``--json``.
@@ -238,8 +238,8 @@ def _picture(picture: Picture) -> str:
     title = f'<h3>{text(picture.title)}</h3>' if picture.title else ''
     kind = COLUMNS[picture.columns]
     hint = f' <span class="screen">{text(picture.hint)}</span>' if picture.hint else ''
-    said = text(picture.caption) + hint
-    caption = f'<figcaption>{said}</figcaption>' if said else ''
+    caption_text = text(picture.caption) + hint
+    caption = f'<figcaption>{caption_text}</figcaption>' if caption_text else ''
     long = ' class="long"' if len(picture.parts) > LONG_FIGURE else ''
     parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
     shown = f'<div class="pictures{kind}">{parts}</div>'
@@ -250,9 +250,9 @@ def _tables(tables: Sequence[Table]) -> str:
     """Tables one below the other; those without heads beside each other where there is room."""
     parts = []
     for bare, group in groupby(tables, key=lambda t: not any(t.head) and not t.folded):
-        found = ''.join(map(_table, group))
-        beside = bare and found.count('<table') > 1
-        parts.append(f'<div class="sheet">{found}</div>' if beside else found)
+        content = ''.join(map(_table, group))
+        beside = bare and content.count('<table') > 1
+        parts.append(f'<div class="sheet">{content}</div>' if beside else content)
     return ''.join(parts)
 
 

@@ -84,11 +84,11 @@ def draw_path(report: PlanReport, *, turns: bool = False) -> str:
 
 def draw_grid(report: PlanReport, step: float, *, turns: bool = False) -> str:
     """Uncertainty of the error vector on the grid in classes of ``step``, um."""
-    machine, found = report.setup.machine, report.forecast
-    classes = heat_classes(1e6 * np.linalg.norm(found.grid_u_free, axis=1), step)
+    machine, outlook = report.setup.machine, report.forecast
+    classes = heat_classes(1e6 * np.linalg.norm(outlook.grid_u_free, axis=1), step)
     items = box(machine.lower, machine.upper)
     items += [
-        Dots(f'heat big h{level}', found.grid[classes == level])
+        Dots(f'heat big h{level}', outlook.grid[classes == level])
         for level in range(LEVELS)
         if np.any(classes == level)
     ]
@@ -97,18 +97,18 @@ def draw_grid(report: PlanReport, step: float, *, turns: bool = False) -> str:
 
 def draw_error_bars(report: PlanReport, unit: str) -> str:
     """Bars of all errors of a unit."""
-    found, words = report.forecast, MILLIONTHS[unit]
+    outlook, words = report.forecast, MILLIONTHS[unit]
     rows = []
     for name in (*SQUARENESS, *MOTIONS):
         if unit_of(name) != unit:
             continue
-        if name not in found.solution.accepted:
+        if name not in outlook.solution.accepted:
             rows.append(Bar(name, (), 'not shown by this path'))
             continue
-        u = found.u[name]
+        u = outlook.u[name]
         mean, most = float(u.mean()), float(u.max())
-        said = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
-        rows.append(Bar(name, ((1e6 * mean, 'after'),), said, 1e6 * most))
+        label = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
+        rows.append(Bar(name, ((1e6 * mean, 'after'),), label, 1e6 * most))
     return bars(rows, f'uncertainty of errors in {words}', width=480.0)
 
 
@@ -116,7 +116,7 @@ def write_plan_picture(report: PlanReport, folder: Path) -> Path:
     """Write plan.svg into a folder."""
     size = np.linalg.norm(report.forecast.grid_u_free, axis=1)
     step = heat_step(1e6 * size)
-    key = [(f'heat h{level}', f'u {said}') for level, said in heat_words(step, size)]
+    key = [(f'heat h{level}', f'u {label}') for level, label in heat_words(step, size)]
     pictures = [draw_path(report), draw_grid(report, step)]
     pictures += [draw_error_bars(report, unit) for unit in MILLIONTHS]
     title = f'Plan for {report.setup.machine.name}: {report.how}'
@@ -143,7 +143,7 @@ def _expected_volume(report: PlanReport) -> Expected:
 
 
 def _plan_heading(report: PlanReport, date: str) -> Heading:
-    plan, found = report.plan, report.forecast
+    plan, outlook = report.plan, report.forecast
     expected = _expected_volume(report)
     wide, largest = (micro_significant(expected.expanded[size]) for size in ('mean', 'max'))
     noise, most = (micro_significant(expected.observed[size]) for size in ('mean', 'max'))
@@ -161,7 +161,7 @@ def _plan_heading(report: PlanReport, date: str) -> Heading:
         ('Expected after compensation', wide,
          f'mean U over the volume (k = {expected.k:.3g}), largest {largest}; {label}'),
         ('Noise of the tracker alone', noise, f'the same mean, largest {most}'),
-        ('Drive', f'{found.duration:.0f} s', f'{plan.path.length:.1f} m, '
+        ('Drive', f'{outlook.duration:.0f} s', f'{plan.path.length:.1f} m, '
          f'{len(plan.path.points)} points'),
     )  # fmt: skip
     name = report.setup.machine.name
@@ -274,7 +274,7 @@ def _errors(found: Forecast) -> dict[str, Any]:
 
 def report_to_dict(report: PlanReport) -> dict[str, Any]:
     """Return a report as plain data in the layout of plan.json."""
-    plan, found, setup = report.plan, report.forecast, report.setup
+    plan, outlook, setup = report.plan, report.forecast, report.setup
     return {
         'schema': SCHEMA,
         'machine': setup.machine.to_dict(),
@@ -283,7 +283,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
         'feed': plan.feed.tolist(),
         'dwell': plan.dwell.tolist(),
         'length': plan.path.length,
-        'duration': found.duration,
+        'duration': outlook.duration,
         'margin': _margin(report),
         'assumed': {
             'tracker_place': setup.place.tolist(),
@@ -292,17 +292,17 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
             'acceleration': setup.config.acceleration,
         },
         'forecast': {
-            'pieces': len(found.pieces),
-            'unknowns': found.solution.unknowns,
-            'rank': found.solution.rank,
+            'pieces': len(outlook.pieces),
+            'unknowns': outlook.solution.unknowns,
+            'rank': outlook.solution.rank,
             'holds': 'noise',
-            'mean_grid_u': found.mean_grid_u,
-            'mean_grid_u_in_gauge': float(np.linalg.norm(found.grid_u, axis=1).mean()),
-            'errors': _errors(found),
+            'mean_grid_u': outlook.mean_grid_u,
+            'mean_grid_u_in_gauge': float(np.linalg.norm(outlook.grid_u, axis=1).mean()),
+            'errors': _errors(outlook),
             'grid': {
-                'point': found.grid.tolist(),
-                'u': found.grid_u_free.tolist(),
-                'u_in_gauge': found.grid_u.tolist(),
+                'point': outlook.grid.tolist(),
+                'u': outlook.grid_u_free.tolist(),
+                'u_in_gauge': outlook.grid_u.tolist(),
             },
         },
         'systematic': report.systematic.to_dict() if report.systematic else None,
@@ -326,13 +326,14 @@ def _error_lines(found: Forecast) -> list[str]:
 
 def first_lines(report: PlanReport) -> list[str]:
     """What is expected, what it takes, what it does not show."""
-    plan, found = report.plan, report.forecast
+    plan, outlook = report.plan, report.forecast
     feeds = ', '.join(map(str, np.unique(np.rint(60e3 * plan.feed)).astype(int)))
     expected = report.systematic.expected if report.systematic else None
     return [
         *((expected.expanded_words, expected.forecast_words) if expected else ()),
         f'Plan: {report.how}',
-        f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s; feeds '
+        f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {outlook.duration:.0f} s; '
+        f'feeds '
         f'{feeds} mm/min; at least {1e3 * _margin(report):.1f} mm inside the axis ranges',
     ]
 
@@ -359,8 +360,8 @@ def plan_summary(report: PlanReport) -> str:
 
 def format_report(report: PlanReport) -> str:
     """Return the text of forecast.txt; it stands for itself in a terminal."""
-    found, setup = report.forecast, report.setup
-    gauge = np.linalg.norm(found.grid_u, axis=1)
+    outlook, setup = report.forecast, report.setup
+    gauge = np.linalg.norm(outlook.grid_u, axis=1)
     lines = [
         *first_lines(report),
         f'Assumed: tracker at {place(setup.place)} in the machine frame, '
@@ -369,10 +370,10 @@ def format_report(report: PlanReport) -> str:
         *(f'  {part}' for part in str(setup.noise).split('; ')),
         '',
         f'From tracker noise alone, standard uncertainties (k = 1), '
-        f'{found.solution.rank} of {found.solution.unknowns} unknowns determined:',
+        f'{outlook.solution.rank} of {outlook.solution.unknowns} unknowns determined:',
         f'in the gauge of the tables, on the grid: mean {micro_significant(gauge.mean())}, '
         f'largest {micro_significant(gauge.max())}',
-        *_error_lines(found),
+        *_error_lines(outlook),
         '',
         *(['Expected answers to the diagnosis:'] if report.after else []),
         *(f'  {a.words}' for a in report.after),

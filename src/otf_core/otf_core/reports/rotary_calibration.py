@@ -54,7 +54,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json."""
     pose = first_pose(result)
     alignment = {'rotation': pose.rotation.tolist(), 'translation': pose.translation.tolist()}
-    done, machine = result.solution, result.machine
+    _solution, machine = result.solution, result.machine
     data = tables_to_dict(result.tables)
     for name, words in result.advice.items():
         place = 'motions' if name in data['motions'] else None
@@ -68,7 +68,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'alignment': alignment,
         'tracker_link': machine.tracker.link,
         'fit': asdict(result.fit),
-        'runs': [_run_to_dict(result, k) for k in range(len(done.runs))],
+        'runs': [_run_to_dict(result, k) for k in range(len(result.solution.runs))],
         'reversal': {
             'model': CONSTANT if result.reversal else NONE,
             'motions': {

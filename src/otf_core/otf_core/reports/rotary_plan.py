@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf plan`` writes of a machine with rotary axes: plan.json, path.mcap, forecast.txt.
+"""What ``otf plan`` writes of a machine with rotary axes: plan, path, forecast.
 
 plan.json (``otf-rotary-plan/1``), SI units: machine, place of the tracker in the frame of its
 link, parts with target, axis positions at the corners, dwell and duration, and the forecast.
-path.mcap holds the parts as ``/planner/axes`` messages.
+path.csv (``target,x,y,z,a,c``) and path.mcap (``/planner/axes`` messages) hold the parts alone.
 """
 
 from __future__ import annotations
@@ -122,19 +122,30 @@ def plan_words(plan: RotaryPlan) -> str:
     groups = [list(machine.squareness), list(machine.location)]
     groups += [[str(m) for m in machine.motions if m.axis == a] for a in machine.axis_names]
     for group in groups:
-        own = [f'{n} {1e6 * found.u[n]:.2f}' for n in group if n in shown]
-        if own:
-            lines.append('  ' + ', '.join(own))
+        stated = [f'{n} {1e6 * found.u[n]:.2f}' for n in group if n in shown]
+        if stated:
+            lines.append('  ' + ', '.join(stated))
     if found.hidden:
         lines += ['', 'Will not be seen:']
         lines += [f'  {name}: {why}' for name, why in found.hidden.items()]
     return '\n'.join(lines) + '\n'
 
 
+def path_csv(plan: RotaryPlan) -> str:
+    """Return the corners of all parts, m and rad, as ``simulate --path`` reads them."""
+    lines = [','.join(['target', *(a.lower() for a in plan.machine.axis_names)])]
+    for part in plan.parts:
+        for corner in part.path.positions.tolist():
+            lines.append(','.join([part.path.target, *(f'{v:.12g}' for v in corner)]))
+    return '\n'.join(lines) + '\n'
+
+
 def write_plan(plan: RotaryPlan, folder: Path, about: Mapping[str, Any]) -> list[Path]:
-    """Write plan.json, path.mcap and forecast.txt; return their paths."""
-    files = [folder / name for name in ('plan.json', 'path.mcap', 'forecast.txt')]
+    """Write plan.json, path.csv, path.mcap and forecast.txt; return their paths."""
+    names = ('plan.json', 'path.csv', 'path.mcap', 'forecast.txt')
+    files = [folder / name for name in names]
     write_text(files[0], json.dumps(plan_to_dict(plan, about), indent=1) + '\n')
-    write_axis_paths(files[1], [part.path for part in plan.parts])
-    write_text(files[2], plan_words(plan))
+    write_text(files[1], path_csv(plan))
+    write_axis_paths(files[2], [part.path for part in plan.parts])
+    write_text(files[3], plan_words(plan))
     return files

@@ -94,11 +94,11 @@ def draw_residuals(found: Validation, folder: str | Path) -> Path:
     """Figure 4: what compensation leaves on the path and on a grid, against the truth."""
     run = found.example
     solved, tables = run.result.runs[0], run.result.tables
-    left = displacement(run.truth, solved.q) - displacement(tables, solved.q)
+    remainder = displacement(run.truth, solved.q) - displacement(tables, solved.q)
     every = slice(None, None, max(1, len(solved.q) // 1000))
     grid = lattice(run.machine)
     left_grid = displacement(run.truth, grid) - displacement(tables, grid)
-    path = across_path(left, solved.q, solved.axes)[every]
+    path = across_path(remainder, solved.q, solved.axes)[every]
     free = without_rigid_motion(left_grid, grid)
     sizes = [np.linalg.norm(field, axis=1) for field in (path, free)]
     step = heat_step(1e6 * np.concatenate(sizes))
@@ -106,7 +106,7 @@ def draw_residuals(found: Validation, folder: str | Path) -> Path:
     words = (f'mean {1e6 * s.mean():.2f} um, largest {1e6 * s.max():.2f} um' for s in sizes)
     on_path, on_grid = words
     caption = f'Left: across the path, {on_path}. Right: on a grid, {on_grid}.'
-    key = [(f'heat h{k}', said) for k, said in heat_words(step, np.concatenate(sizes))]
+    key = [(f'heat h{k}', label) for k, label in heat_words(step, np.concatenate(sizes))]
     title = 'Errors left after compensation, against the truth'
     return write_sheet(folder, 'figure4-residuals', pictures, 2, title, caption, key)
 

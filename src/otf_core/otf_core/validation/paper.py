@@ -270,8 +270,8 @@ def across_path(field: Array, q: Array, axes: Array) -> Array:
     """
     rows = np.concatenate([np.einsum('ij,ijk->ik', a, rigid_columns(q)) for a in axes])
     right = np.concatenate([np.einsum('ij,ij->i', a, field) for a in axes])
-    left = right - rows @ np.linalg.lstsq(rows, right, rcond=None)[0]
-    return np.asarray(np.einsum('kij,ki->ij', axes, left.reshape(len(axes), -1)))
+    remainder = right - rows @ np.linalg.lstsq(rows, right, rcond=None)[0]
+    return np.asarray(np.einsum('kij,ki->ij', axes, remainder.reshape(len(axes), -1)))
 
 
 def replication(result: CalibrationResult, truth: ErrorTables) -> Replication:

@@ -235,7 +235,7 @@ def validate(
     machine = machine or paper_machine()
     cells: list[Cell] = []
     example: SimulativeRun | None = None
-    left, ahead = StepsLeft(len(scale.seeds)), ''
+    steps, ahead = StepsLeft(len(scale.seeds)), ''
     for number, seed in enumerate(scale.seeds, start=1):
         where = f'cell {number} of {len(scale.seeds)}{ahead}'
         progress(f'{where}: errors of 100 um on path and grid')
@@ -246,7 +246,7 @@ def validate(
         slowest = reference.results[list(reference.results)[1]]
         direct = direct_test(laboratory, reference.truth, slowest, seed)
         cells.append(Cell(run.replication, noiseless.replication, reference, direct))
-        example, ahead = example or run, left.after_one()
+        example, ahead = example or run, steps.after_one()
     assert example is not None
     rows = (*_simulative_rows(cells), *_reference_rows(cells), *_direct_rows(cells))
     return Validation(scale.seeds, rows, tuple(cells), example)
@@ -278,8 +278,8 @@ def _simulative_rows(cells: list[Cell]) -> list[Row]:
 
 def _true_errors(test: ReferenceTest, method: str) -> float:
     q = lattice(test.truth.machine)
-    left = displacement(test.truth, q) - displacement(test.results[method].tables, q)
-    return 1e6 * mean_length(without_rigid_motion(left, q))
+    remainder = displacement(test.truth, q) - displacement(test.results[method].tables, q)
+    return 1e6 * mean_length(without_rigid_motion(remainder, q))
 
 
 def _reference_rows(cells: list[Cell]) -> list[Row]:

@@ -356,7 +356,10 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
         own = source.own(faint)
         normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
     subsets = motion_subsets if one.effect.many_alike else axis_subsets
-    takes = (s[size[s] > NO_TRACE] for s in subsets(one.terms))
+    chosen = subsets(one.terms)
+    if one.effect.rigid:  # a motion by each axis is a cause of its own
+        chosen = chosen[1:] or chosen
+    takes = (s[size[s] > NO_TRACE] for s in chosen)
     return Tried(
         one.effect,
         one.shape,
@@ -459,7 +462,7 @@ class Pool:
         left = {n: list(g) for n, g in self.groups.items()}
         for option in options:
             group = left.pop(option.effect.name, [])
-            if option.effect.wave is not None:  # each axis has a period of its own
+            if option.effect.wave is not None or option.effect.rigid:  # each axis has its own
                 left[option.effect.name] = [_other_axes(t, option.axes) for t in group]
         size = len(self.amount)
         columns = [self.basis.T @ (o.own / np.linalg.norm(o.own, axis=0).max()) for o in options]

@@ -28,7 +28,7 @@ assumed"; they count in its confidence as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 
@@ -47,7 +47,9 @@ from otf_core.diagnosis.engine.search import (
     fit_jointly,
     noise_variance,
 )
+from otf_core.effects import REGISTRY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
+from otf_core.effects.cause_names import name_of
 from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm
@@ -88,6 +90,7 @@ ENOUGH = 0.95
 """Share of the evidence for two inputs that one of them must reach to be enough."""
 ONE_DIRECTION = 0.9
 """Share of the squared displacement along one direction from which that alone is tried."""
+AXES_OF_INPUTS = ('x', 'y', 'z')
 NEEDED = 12.0
 """Logarithm of the odds that a structure needs."""
 
@@ -103,9 +106,29 @@ class Structure:
     ----------
     cause : Cause
         As a cause without a name.
+    price : float
+        Logarithm of the number of structures that it was chosen from.
     """
 
     cause: Cause
+    price: float = 0.0
+
+    def named(self, taken: Collection[str]) -> Cause | None:
+        """The same as an effect of the catalogue; None if none depends and acts so.
+
+        Parameters
+        ----------
+        taken : collection of str
+            Names that it must not have.
+        """
+        form = self.effect.form
+        assert form.acts is not None
+        name, words = name_of(form.inputs, form.acts)
+        if not name or name in taken:
+            return None
+        own = replace(form, words=words, own_per_run=self.effect.own_per_run)
+        effect = FreeForm(REGISTRY[name], own, self.effect.spans)
+        return replace(self.cause, option=replace(self.cause.option, effect=effect))
 
     @property
     def effect(self) -> FreeForm:
@@ -168,7 +191,11 @@ def find_structure(tried: Structures) -> Structure | None:
     inner = [t for t in ranked if set(plain_inputs(t)) <= set(plain_inputs(first))]
     kinds = {inputs_of(t): t for t in sorted(inner, key=lambda t: tried.score(t, variance))}
     ways = [tried.tried(form) for t in kinds.values() for form in _ways(t, variance)]
-    return _clear(tried, _likeliest([first, *ways], variance), variance)
+    best = _likeliest([first, *ways], variance)
+    alike = [tried.tried(form) for form in _along_axes(best)]
+    enough = ENOUGH * _odds(best, variance)
+    simpler = [t for t in alike if _odds(t, variance) > enough]
+    return _clear(tried, _likeliest(simpler or [best], variance), variance)
 
 
 def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
@@ -192,7 +219,8 @@ def _clear(tried: Structures, found: Tried, variance: float) -> Structure | None
     score = tried.score(found, variance)
     if score < NEEDED:
         return None
-    return Structure(Cause(found.made(np.arange(len(found.size)), variance), score, 1.0, ()))
+    option = found.made(np.arange(len(found.size)), variance)
+    return Structure(Cause(option, score, 1.0, ()), tried.looked)
 
 
 def _inputs(rows: Rows) -> list[str]:
@@ -298,6 +326,21 @@ def _ways(first: Tried, variance: float) -> list[Free]:
     if share > ONE_DIRECTION and not first.effect.own_per_run:
         ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
     return [replace(first.effect.form, acts=way) for way in ways]
+
+
+def _along_axes(best: Tried) -> list[Free]:
+    """The same inputs shifting the target along an axis that they belong to."""
+    form = best.effect.form if isinstance(best.effect, FreeForm) else None
+    if form is None or isinstance(form.acts, Along) or best.effect.own_per_run:
+        return []
+    own = {name[-1] for name in form.inputs if name.rpartition('_')[2] in AXES_OF_INPUTS}
+    units = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
+    return [replace(form, acts=Along(units[axis])) for axis in sorted(own)]
+
+
+def _odds(tried: Tried, variance: float) -> float:
+    """Evidence of a structure with all its terms."""
+    return tried.odds(np.arange(len(tried.size)), variance)
 
 
 def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:

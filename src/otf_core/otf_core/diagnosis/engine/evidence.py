@@ -137,6 +137,24 @@ def log_evidence(
     return average(scores)
 
 
+def joint_evidence(options: Sequence[Option], residual: Array, variance: float) -> float:
+    """Bayes factor of options together against nothing, as a logarithm.
+
+    Free forms have their likeliest widths; the coefficients of formulas are averaged over
+    ``SPREADS``, the same for all.
+    """
+    if not options:
+        return 0.0
+    own = np.concatenate([o.own for o in options], axis=1)
+    size = np.maximum(np.concatenate([o.size for o in options]), 1e-300)
+    normal, right = own.T @ own, own.T @ residual
+    widths = [np.concatenate([o.widths for o in options])] * len(SPREADS)
+    widths = [
+        np.where(np.isfinite(w), w, spread) for w, spread in zip(widths, SPREADS, strict=True)
+    ]
+    return average([_evidence(normal, right, w / size, variance) for w in widths])
+
+
 def likeliest_width(
     normal: Array, right: Array, size: Array, variance: float, orders: Array
 ) -> Array:
@@ -203,6 +221,14 @@ def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:
 def motions_of(option: Option) -> set[str]:
     """Motions of the terms that take part: MOTION@... is a term of MOTION."""
     return {_motion(option.terms.names[k]) for k in option.take}
+
+
+def motions_of_takes(
+    names: Sequence[str], takes: Sequence[NDArray[np.int64]]
+) -> list[frozenset[str]]:
+    """Motions of several choices of terms."""
+    motions = [_motion(name) for name in names]
+    return [frozenset(motions[k] for k in take.tolist()) for take in takes]
 
 
 def _motion(name: str) -> str:

@@ -93,6 +93,18 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     return _per_piece(rows, values)
 
 
+def wave_um(cause: Cause, rows: Rows) -> float:
+    """Root mean square displacement by a wave, which means over pieces wash out, um; 0 of others.
+
+    Its coefficients are amplitudes of sine and cosine.
+    """
+    option = cause.option
+    if option.effect.wave is None or option.terms.orders:
+        return 0.0
+    value = estimate(option.own, option.size, rows.residual, option.widths).value
+    return float(1e6 * np.sqrt(0.5 * np.sum(value**2)))
+
+
 def gap_um(measured_um: float, simulated_um: float) -> float:
     """Gap between a measured and a simulated residual (docs/conventions.md, gap.json), um."""
     return float(np.sqrt(max(0.0, measured_um**2 - simulated_um**2)))

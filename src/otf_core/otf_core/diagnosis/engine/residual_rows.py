@@ -22,16 +22,17 @@ as are unknowns that a line does not touch.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, sparse
 
 from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, Shape, State, Terms
@@ -90,42 +91,62 @@ class InTime(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Touched:
-    """Some lines of a run.
+    """Lines of a run that touch the same unknowns.
 
     Attributes
     ----------
     lines : list of int
+    rows : ndarray of int64, shape (c m,)
+        Rows of the m pieces of the lines among those of all runs, component by component.
     unknowns : ndarray of int64, shape (b,)
         Those that the lines touch.
     base : ndarray, shape (c m, b)
-        Their whitened columns on the m pieces of the lines, component by component.
+        Their whitened columns in these rows.
     """
 
     lines: list[int]
+    rows: Index
     unknowns: Index
     base: Array
 
 
-def touched(base: Array, bounds: Sequence[tuple[int, int]]) -> list[Touched]:
-    """Sort lines by the unknowns that they touch.
+def touched(
+    columns: sparse.csr_array, whitener: Whitener, components: int, first: int
+) -> list[Touched]:
+    """Whiten the columns of unknowns line by line, and sort lines by the unknowns they touch.
 
     Parameters
     ----------
-    base : ndarray, shape (c, p, b)
-        Whitened columns of all unknowns on the pieces of a run.
-    bounds : sequence of (int, int)
-        First piece and one past the last of every line.
+    columns : sparse array, shape (c p, b)
+        Of all unknowns on the pieces of a run, component by component.
+    whitener : Whitener
+    components : int
+        Number c of components of a piece.
+    first : int
+        Number of the first row of the run.
     """
+    pieces = columns.shape[0] // components
     alike: dict[bytes, list[int]] = {}
-    for line, touches in enumerate(acts_on_lines(base, bounds)):
+    parts: dict[bytes, list[Array]] = {}
+    for line, (bounds, inverse) in enumerate(zip(whitener.bounds, whitener.inverses, strict=True)):
+        rows = _rows_of(np.arange(*bounds), components, pieces)
+        own = inverse @ columns[rows].toarray().reshape(components, len(rows) // components, -1)
+        touches = (own != 0.0).any(axis=(0, 1))
         alike.setdefault(touches.tobytes(), []).append(line)
+        parts.setdefault(touches.tobytes(), []).append(own[:, :, touches])
     found = []
     for touches, lines in alike.items():
         unknowns = np.flatnonzero(np.frombuffer(touches, np.bool_))
-        pieces = np.concatenate([np.arange(*bounds[line]) for line in lines])
-        own = base[:, pieces[:, None], unknowns]
-        found.append(Touched(lines, unknowns, own.reshape(-1, len(unknowns))))
+        own = np.concatenate(parts.pop(touches), axis=1).reshape(-1, len(unknowns))
+        every = np.concatenate([np.arange(*whitener.bounds[line]) for line in lines])
+        rows = first + _rows_of(every, components, pieces)
+        found.append(Touched(lines, rows, unknowns, own))
     return found
+
+
+def _rows_of(some: Index, components: int, pieces: int) -> Index:
+    """Rows of some pieces of a run, component by component."""
+    return np.concatenate([k * pieces + some for k in range(components)])
 
 
 def acts_on_lines(values: Array, bounds: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
@@ -163,6 +184,10 @@ class Pulled:
     inner: Array
 
 
+OF_THE_PATH = ('touched', 'factor', 'slack', 'ridge', 'sample_states')
+"""What rows hold of the path and the functions of the motions, whatever the deviations."""
+
+
 @dataclass(frozen=True)
 class Rows:
     """Rows of all runs, one run after the other, component by component.
@@ -182,11 +207,11 @@ class Rows:
     fold : ndarray of int, shape (r,)
         Group of legs each row belongs to, for judging on rows that were not fitted.
     limit : float
-        m or rad per unit of ``base``.
+        m or rad per unit of the columns of ``use``.
     use : ndarray of int, shape (b,)
-        Free unknowns in ``base``: those that are solved for, and rotations that only what a
-        spline times the travel is off a spline tells from translations. They are of no use as
-        tables, but their trace must not be taken for something else.
+        Free unknowns that are projected out: those that are solved for, and rotations that only
+        what a spline times the travel is off a spline tells from translations. They are of no use
+        as tables, but their trace must not be taken for something else.
     runs : tuple of Run
         What was observed, with its samples; empty for a plan. Effects that differ from sample to
         sample are then taken at the pieces.
@@ -202,6 +227,13 @@ class Rows:
     limit: float
     use: Index
     runs: tuple[Run, ...] = ()
+
+    def without(self, moved: Array) -> Rows:
+        """The same with displacements across the path (r,), m, taken off the deviations."""
+        rows = replace(self, plain_deviation=self.plain_deviation - moved)
+        known = vars(self)
+        vars(rows).update({name: known[name] for name in OF_THE_PATH if name in known})
+        return rows
 
     @cached_property
     def sample_states(self) -> tuple[State, ...]:
@@ -340,7 +372,7 @@ class Rows:
             pulled = whitener.whiten_transposed(part)
             plain.append(pulled.reshape(-1, white.shape[1]))
             turned.append(np.einsum('cpi,cpq->piq', solved.system.axes, pulled))
-        inner = linalg.cho_solve((self.factor, True), self.base.T @ white)
+        inner = linalg.cho_solve((self.factor, True), self.pull(white))
         return Pulled(white, np.concatenate(plain), tuple(turned), inner)
 
     @cached_property
@@ -359,22 +391,27 @@ class Rows:
         return np.concatenate([p.reshape(-1) for p in left_by(self.done, self.by_run(plain))])
 
     @cached_property
-    def base(self) -> Array:
-        """Whitened columns of the unknowns in ``use``, in units of ``limit``, shape (r, b)."""
-        gauge = self.done.unknowns.gauge[:, self.use] * self.limit
-        found = np.empty((len(self.plain_deviation), len(self.use)))
-        for k, (solved, white) in enumerate(zip(self.done.runs, self.by_run(found), strict=True)):
-            (solved.system.design @ gauge).toarray(out=white.reshape(-1, white.shape[2]))
-            whitener = self.whiteners[k]
-            for line, inverse in zip(whitener.bounds, whitener.inverses, strict=True):
-                white[:, slice(*line)] = inverse @ white[:, slice(*line)]
-        return found
-
-    @cached_property
     def touched(self) -> list[list[Touched]]:
-        """Lines of every run that touch the same unknowns, with what ``base`` has of these."""
-        pairs = zip(self.by_run(self.base), self.whiteners, strict=True)
-        return [touched(own, whitener.bounds) for own, whitener in pairs]
+        """Whitened columns of the unknowns in ``use``, in units of ``limit``, without zeros.
+
+        Those of every run, lines that touch the same unknowns together.
+        """
+        gauge = self.done.unknowns.gauge[:, self.use] * self.limit
+        shapes = [s.system.deviation.shape for s in self.done.runs]
+        first = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
+        return [
+            touched(sparse.csr_array(solved.system.design @ gauge), whitener, shape[0], start)
+            for solved, whitener, shape, start in zip(
+                self.done.runs, self.whiteners, shapes, first[:-1], strict=True
+            )
+        ]
+
+    def pull(self, columns: Array) -> Array:
+        """Products (b, k) of the whitened columns of unknowns with columns (r, k)."""
+        found = np.zeros((len(self.use), columns.shape[1]))
+        for some in chain.from_iterable(self.touched):
+            found[some.unknowns] += some.base.T @ columns[some.rows]
+        return found
 
     @cached_property
     def deviation(self) -> Array:
@@ -383,8 +420,11 @@ class Rows:
 
     @cached_property
     def factor(self) -> Array:
-        """Lower Cholesky factor of the normal matrix of ``base`` with the tie-breaker."""
-        return np.asarray(linalg.cholesky(self.base.T @ self.base + self.ridge, lower=True))
+        """Lower Cholesky factor of the normal matrix of the unknowns with the tie-breaker."""
+        normal = self.ridge.copy()
+        for some in chain.from_iterable(self.touched):
+            normal[np.ix_(some.unknowns, some.unknowns)] += some.base.T @ some.base
+        return np.asarray(linalg.cholesky(normal, lower=True))
 
     @cached_property
     def slack(self) -> Array:
@@ -411,13 +451,15 @@ class Rows:
 
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
-        return self.less(np.array(columns), self.base.T @ columns)
+        return self.less(np.array(columns), self.pull(columns))
 
     def less(self, columns: Array, cross: Array) -> Array:
-        """Do the same in place, for known products (b, k) of ``base`` with the columns."""
+        """Do the same in place, for known products (b, k), see ``pull``."""
         inner = linalg.cho_solve((self.factor, True), cross)
-        for start in range(0, len(columns), ROWS):
-            columns[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
+        for some in chain.from_iterable(self.touched):
+            for start in range(0, len(some.rows), ROWS):
+                part = slice(start, start + ROWS)
+                columns[some.rows[part]] -= some.base[part] @ inner[some.unknowns]
         return columns
 
     @cached_property

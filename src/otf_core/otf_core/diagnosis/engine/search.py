@@ -21,11 +21,13 @@ from otf_core.diagnosis.engine.effect_products import (
     tried_shapes,
 )
 from otf_core.diagnosis.engine.evidence import (
+    TOGETHER,
     Estimate,
     Option,
     average,
     estimate,
     log_evidence,
+    motions_of_takes,
 )
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.signal_lag import (
@@ -43,17 +45,25 @@ from otf_core.diagnosis.engine.time_courses import (
     courses_tried,
 )
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
-from otf_core.effects.free_form import free_forms
+from otf_core.effects.free_form import FreeForm, free_forms
 from otf_core.solving.residuals import check_residuals
 from otf_core.solving.sensitivity import column_size
 
 NEEDED_EVIDENCE = 9.0
 """Logarithm of the odds that an effect needs before it is named (8000 to 1)."""
 CLOSE_EVIDENCE = 5.0
-"""Effects within these odds (150 to 1) of the best are not told from it."""
+"""Effects within these odds (150 to 1) of the best are not told from it, nor those that have more
+than a tenth of its weight (``_weights``)."""
+CLOSE_SHARE = 0.01
+"""Share of the evidence for the best effect that counts as one nat: neighbouring pieces share
+what no model has, so large evidence is known in proportion only."""
 SAME_TRACE = 0.03
 """An effect that can leave all but this share of the squared trace of another is not told
 from it."""
+LIKELIEST_MOTIONS = 6
+"""Motions whose combinations are looked at where there are many alike."""
+LEAST_WEIGHT = 0.1
+"""Weight beside the first from which another effect is named as not told from it."""
 MAX_CAUSES = 4
 MAX_CHANGES = 3
 """Causes that are left out or exchanged at most."""
@@ -65,7 +75,8 @@ DECOY_DOUBT = 10.0
 """Evidence by which a shape outside the catalogue must be better than any effect in it."""
 FREE_DOUBT = 10.0
 """Evidence by which a free form must be better than a formula, of the same effect or of another,
-which is named else."""
+which is named else. Rigid motions by a function of one input are compared with other effects on
+equal terms: they have no more functions than couplings and general drifts by their formulas."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +115,31 @@ Ranking = list[tuple[float, Tried, Index]]
 
 
 def _pairs(group: Sequence[Tried], variance: float) -> tuple[list[tuple[Tried, Index]], Array]:
-    """Options of an effect, shapes with their terms, and their scores."""
+    """Options of an effect, shapes with their terms, and their scores.
+
+    Of many that are alike, combinations of the likeliest motions alone are looked at; the others
+    count as options that explain nothing.
+    """
     pairs = [(tried, take) for tried in group for take in tried.takes]
-    return pairs, np.array([tried.odds(take, variance) for tried, take in pairs])
+    scores = [score for tried in group for score in _scores(tried, variance, tried.takes)]
+    return pairs, np.array(scores)
+
+
+def _scores(tried: Tried, variance: float, takes: Sequence[Index]) -> list[float]:
+    if not tried.effect.many_alike:
+        return [tried.odds(take, variance) for take in takes]
+    motions = motions_of_takes(tried.terms.names, takes)
+    single = [m for m in motions if len(m) == 1]
+    first = {
+        m: tried.odds(take, variance)
+        for m, take in zip(motions, takes, strict=True)
+        if len(m) == 1
+    }
+    best = set().union(*sorted(single, key=lambda m: -first[m])[:LIKELIEST_MOTIONS])
+    return [
+        tried.odds(take, variance) if len(m) == 1 or len(m) > TOGETHER or m <= best else -np.inf
+        for m, take in zip(motions, takes, strict=True)
+    ]
 
 
 def _ranking(candidates: Candidates, variance: float) -> Ranking:
@@ -122,12 +155,30 @@ def _ranking(candidates: Candidates, variance: float) -> Ranking:
         best = preferred([t for t, _ in pairs], worth, formula=~free)
         kinds = [average(scores[free == kind]) for kind in np.unique(free)]
         ranking.append((average(kinds) - doubt, *pairs[best]))
-    return sorted(ranking, key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
+    ranking.sort(key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
+    return _simpler_first(ranking)
+
+
+def _simpler_first(ranking: Ranking) -> Ranking:
+    """Put a rigid motion by one input before a coupling of inputs that explains little more."""
+    if not ranking or not ranking[0][1].effect.couples:
+        return ranking
+    weights = _weights(ranking)
+    for k, (entry, weight) in enumerate(zip(ranking, weights, strict=True)):
+        if weight > LEAST_WEIGHT and entry[1].effect.rigid and entry[0] >= NEEDED_EVIDENCE:
+            return [entry, *ranking[:k], *ranking[k + 1 :]]
+    return ranking
 
 
 def _worth(entry: tuple[float, Tried, Index]) -> float:
     """Score of an entry of a ranking, less the doubt in a free form."""
-    return entry[0] - FREE_DOUBT * is_free(entry[1])
+    return entry[0] - FREE_DOUBT * is_doubted(entry[1])
+
+
+def is_doubted(tried: Tried) -> bool:
+    """Tell whether this is a free form that is more than a rigid motion by one input."""
+    effect = tried.effect
+    return is_free(tried) and not (isinstance(effect, FreeForm) and effect.form.rigid)
 
 
 def is_free(tried: Tried) -> bool:
@@ -280,6 +331,7 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
         gained = _score(option, residual, variance) - _score(plain, residual, variance)
         option = option if gained > FREE_DOUBT else plain
 
+    weights = _weights(ranking)
     trace = residual - fit_out(option, residual)
     power, pulled = float(trace @ trace), rows.pulled(trace[:, None])
 
@@ -289,16 +341,23 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
 
     close = [
         t.effect.name
-        for s, t, own in ranking[1:]
+        for (s, t, own), weight in zip(ranking[1:], weights[1:], strict=True)
         if t.effect.name not in DECOY_NAMES
         and (
-            s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and not is_free(t) and same(t, own))
+            s > score - CLOSE_EVIDENCE
+            or weight > LEAST_WEIGHT
+            or (s > NEEDED_EVIDENCE and not is_doubted(t) and same(t, own))
         )
     ]
-    odds = np.array([0.0, *map(_worth, ranking)])
-    confidence = float(np.exp(odds[1] - np.logaddexp.reduce(odds)))
+    confidence = 1.0 / float(weights.sum() + np.exp(-_worth(ranking[0])))
     as_well = _time_as_well(candidates[tried.effect.name], tried, take, variance)
     return Cause(option, score, confidence, tuple(close[:4]), as_well)
+
+
+def _weights(ranking: Ranking) -> Array:
+    """Weight of every effect of a ranking beside the first, shape (k,)."""
+    worth = np.array([_worth(entry) for entry in ranking])
+    return np.asarray(np.exp((worth - worth[0]) / max(1.0, CLOSE_SHARE * worth[0])))
 
 
 def _time_as_well(group: Sequence[Tried], chosen: Tried, take: Index, variance: float) -> bool:

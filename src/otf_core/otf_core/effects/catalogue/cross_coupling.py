@@ -74,6 +74,7 @@ class CrossCoupling(Effect):
         'tracker look the same from a single one'
     )
     stays_in_place: ClassVar[bool] = True
+    couples: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((Several(_DRAWN, 2),), second_place=7)
 
     free: ClassVar[tuple[Free, ...]] = tuple(

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table tilt: the moving weight of an axis tilts table and tracker.
 
-delta = c (q_a - q0_a) e_k x r, added over tilts k about X and Y and axes a; r is the beam from
-the tracker to the target, q0_a the zero position of the axis, else its minimum.
+delta = c (q_a - q0_a) e_k x r, added over rotations k about X, Y and Z and axes a; r is the beam
+from the tracker to the target, q0_a the zero position of the axis, else its minimum. Where the
+rotation has another centre, a shift by a function of q_a is added, which is straightness and
+positioning of that axis.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.effects.action import turned_by_axis
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Drawn, Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.free import Free
@@ -26,21 +29,12 @@ def _drawn(tilt: str) -> Drawn:
     )
 
 
-def tilted(state: State, shape: Shape) -> Terms:
-    """tilt_X_by_X ... tilt_Y_by_Z: displacement by a tilt that depends on the axis named last."""
-    turned = [np.cross(np.eye(3)[k], state.beam) for k in (0, 1)]
-    axes = state.machine.axis_names
-    names = tuple(f'tilt_{XYZ[k]}_by_{a}' for k in (0, 1) for a in axes)
-    columns = np.stack([turned[k] for k in (0, 1) for _ in axes], axis=2)
-    return Terms(names, ('rad',) * 6, axes * 2, columns)
-
-
 class TableTilt(Effect):
     """Rotation of all that is measured, in proportion to axis positions."""
 
     name: ClassVar[str] = 'table_tilt'
     cause: ClassVar[str] = 'a moving mass shifts the load on levelling elements or foundation'
-    equation: ClassVar[str] = 'c (q_a - q0_a) e_k x r, k = X, Y'
+    equation: ClassVar[str] = 'c (q_a - q0_a) e_k x r, k = X, Y, Z'
     coefficients: ClassVar[str] = 'c as tilt_k_by_a: tilt about k per travel of axis a'
     typical: ClassVar[str] = '1 urad to 20 urad over the travel'
     source: ClassVar[str] = (
@@ -49,17 +43,18 @@ class TableTilt(Effect):
     )
     signature: ClassVar[str] = 'like an angular error of the axis, but about the tracker'
     needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
+    rigid: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial(
-        (Either(tuple((_drawn(k),) for k in 'XY')),), hard_to_see=True, second_place=4
+        (Either(tuple((_drawn(k),) for k in XYZ)),), hard_to_see=True, second_place=4
     )
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('{axis}',),
-            (6,),
+            (10,),
             'the tilt is not proportional to the position',
             (1,),
-            tilted,
+            turned_by_axis,
         ),
     )
 
@@ -73,12 +68,12 @@ class TableTilt(Effect):
         return (Size(f'about {about} by {axis}', ({name: range_m},), 'rad', remark),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
-        """Return tilt_X_by_X ... tilt_Y_by_Z: axis of the tilt, axis that moves."""
+        """Return tilt_X_by_X ... tilt_Z_by_Z: axis of the tilt, axis that moves."""
         travel, axes = travel_from_reference(state), state.machine.axis_names
         names, columns = [], []
-        for k in (0, 1):
-            turned = np.cross(np.eye(3)[k], state.beam)
+        for k, e in zip(XYZ, np.eye(3), strict=True):
+            turned = np.cross(e, state.beam)
             for a, axis in enumerate(axes):
-                names.append(f'tilt_{XYZ[k]}_by_{axis}')
+                names.append(f'tilt_{k}_by_{axis}')
                 columns.append(travel[:, a, None] * turned)
-        return Terms(tuple(names), ('rad/m',) * 6, axes * 2, np.stack(columns, axis=2))
+        return Terms(tuple(names), ('rad/m',) * 9, axes * 3, np.stack(columns, axis=2))

@@ -83,10 +83,10 @@ def words(axes: str, point: Array, sign: bool = False, decimals: int = 3) -> str
 
 def plain(text: str) -> str:
     """Text that every control takes in a comment: ASCII, no brackets, semicolon or percent."""
-    kept = (
+    letters = (
         text.encode('ascii', 'replace').decode().translate(str.maketrans('()[]{};%', '--------'))
     )
-    return ' '.join(kept.split())
+    return ' '.join(letters.split())
 
 
 def comment_lines(text: str) -> list[str]:

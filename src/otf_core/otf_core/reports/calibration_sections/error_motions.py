@@ -62,7 +62,7 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
         'held': reversal.held,
         'sign': 'value = forward minus backward; forward: towards larger positions',
         'axes': {
-            axis: {'value': found.value, 'u': found.u} for axis, found in reversal.backlash.items()
+            axis: {'value': size.value, 'u': size.u} for axis, size in reversal.backlash.items()
         },
         'motions': motions,
     }
@@ -108,7 +108,7 @@ def backlash_words(reversal: Reversal) -> str:
     """Reversal value of every axis at the target, with its expanded uncertainty."""
     if not reversal.backlash:
         return ''
-    sizes = [f'{axis} {found.words}' for axis, found in reversal.backlash.items()]
+    sizes = [f'{axis} {size.words}' for axis, size in reversal.backlash.items()]
     return (
         f'backlash at the target (forward minus backward, k = 2): {", ".join(sizes)}; on the '
         f'middle line of the axis, including the reversal of rotations'
@@ -182,7 +182,7 @@ def motions_section(facts: Facts) -> Section:
 
 def _largest_motions(facts: Facts) -> list[str]:
     """The motions that reach farthest from their zero, and where."""
-    found = []
+    largest = []
     for unit, kind in (('m', 'displacement'), ('rad', 'rotation')):
         known = [n for n in facts.by_name if n in MOTIONS and facts.by_name[n].unit == unit]
         if not known:
@@ -193,11 +193,11 @@ def _largest_motions(facts: Facts) -> list[str]:
         wide = float(facts.result.expanded[name][k])
         at = tidy(1e3 * float(table.position[k]))
         value = micro_with_expanded(float(table.value[k]), wide, unit)
-        found.append(
+        largest.append(
             f'Largest {kind}: {name}, {role(motion)}, {value} at {motion.axis} '
             f'{at:g} mm (U, 95 %).'
         )
-    return found
+    return largest
 
 
 def _motion_data(facts: Facts) -> dict[str, object]:
@@ -237,7 +237,7 @@ def _motion_line(facts: Facts, name: ErrorMotion) -> str:
 
 def spacing_words(result: CalibrationResult) -> str:
     """What straight lines between the nodes cost."""
-    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    wish, cost = result.table_costs[1], result.table_costs[result.fraction]
     worst = max(wish.motions, key=lambda name: wish.motions[name])
     unit = micro_unit(ErrorMotion.of(worst).unit)
     costs = (
@@ -248,7 +248,7 @@ def spacing_words(result: CalibrationResult) -> str:
         return f'Nodes stand table_pitch apart; {costs}.'
     return (
         f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
-        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+        f'{1e6 * cost.grid:.2f} um on the grid; at table_pitch {costs}.'
     )
 
 
@@ -330,8 +330,8 @@ def _limit_band(facts: Facts, name: ErrorMotion, values: Array, reach: Array) ->
 def _state_kind(facts: Facts, name: ErrorMotion) -> str:
     """Class of the limit of a motion by its state."""
     verdict = facts.result.machine_verdict
-    found = [one.state for one in verdict.judged if one.name == name] if verdict else []
-    return STATE_KINDS.get(found[0], '') if found else ''
+    states = [one.state for one in verdict.judged if one.name == name] if verdict else []
+    return STATE_KINDS.get(states[0], '') if states else ''
 
 
 def _ends(position: Array) -> tuple[float, float]:
@@ -376,16 +376,16 @@ def squareness_section(facts: Facts) -> Section:
             continue
         wide = float(result.expanded[name][0])
         larger = ANGLES[name][2] * entry.value
-        said, holds = squareness_words(name, entry.value, wide), bound.words(name)
+        statement, holds = squareness_words(name, entry.value, wide), bound.words(name)
         data[name] = {'value': entry.value, 'u': entry.u, 'U': wide, 'larger_than_90': larger,
-                      'words': said, 'holds': holds}  # fmt: skip
+                      'words': statement, 'holds': holds}  # fmt: skip
         figures = [figure(1e6 * v, 1e6 * wide) for v in (entry.value, larger)]
         rows.append((name, *figures, significant(1e6 * wide), significant(1e6 * entry.u),
                      holds or 'at any target offset'))  # fmt: skip
-        angles.append(f'{name}: {said}{f", {holds}" if holds else ""}.')
+        angles.append(f'{name}: {statement}{f", {holds}" if holds else ""}.')
         text.append(
             f'{name}  {with_expanded(1e6 * entry.value, 1e6 * wide):<20}'
-            f'u {significant(1e6 * entry.u):<8}{said}{f"; {holds}" if holds else ""}'
+            f'u {significant(1e6 * entry.u):<8}{statement}{f"; {holds}" if holds else ""}'
         )
     words = (
         *angles,
@@ -405,11 +405,11 @@ def reversal_section(facts: Facts) -> Section:
     reversal = facts.result.reversal
     text = (format_reversal(reversal), '')
     if not facts.both_ways:
-        said = (
+        statement = (
             f'Reversal model: {reversal.model}. The data do not distinguish forward from '
             f'backward travel, so no figures after ISO 230-2 can be derived.',
         )
-        return Section('reversal', 'Forward and backward', said,
+        return Section('reversal', 'Forward and backward', statement,
                        {'model': reversal.model}, text=text)  # fmt: skip
     rows: list[tuple[str, ...]] = []
     data = {}
@@ -422,11 +422,11 @@ def reversal_section(facts: Facts) -> Section:
         forward, backward = mean + 0.5 * table.value, mean - 0.5 * table.value
         both = np.concatenate([forward, backward])
         at = int(np.argmax(np.abs(table.value)))
-        found = {'E': float(np.ptp(both)), 'M': float(np.ptp(mean)),
+        figures = {'E': float(np.ptp(both)), 'M': float(np.ptp(mean)),
                  'B': float(abs(table.value[at])), 'B_mean': float(table.value.mean()),
                  'u_B': float(table.u[at])}  # fmt: skip
-        data[axis] = found
-        rows.append((axis, *(micro(v) for v in found.values())))
+        data[axis] = figures
+        rows.append((axis, *(micro(v) for v in figures.values())))
     stay = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
     at_target = backlash_words(reversal)
     words = (
@@ -476,8 +476,8 @@ def node_counts(facts: Facts, axis: str) -> NDArray[np.int64]:
     k = facts.machine.axis_names.index(axis)
     q = np.concatenate([run.q[:, k] for run in facts.result.runs])
     count = np.concatenate([run.pieces.count for run in facts.result.runs])
-    found = np.histogram(q, edges, weights=count)[0]
-    return np.asarray(found, dtype=np.int64)
+    counts = np.histogram(q, edges, weights=count)[0]
+    return np.asarray(counts, dtype=np.int64)
 
 
 def _node_flag(seen: bool, identifiable: bool, count: int) -> str:

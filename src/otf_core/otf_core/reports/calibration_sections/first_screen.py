@@ -106,7 +106,7 @@ def error_sizes(facts: Facts) -> list[ErrorSize]:
     result, verdict = facts.result, facts.result.machine_verdict
     limits = facts.machine.limits.values if facts.machine.limits else {}
     states = {one.name: one.state for one in verdict.judged} if verdict else {}
-    found = []
+    sizes = []
     for name in (*MOTIONS, *SQUARENESS):
         known = name not in result.not_identifiable
         value, wide = (
@@ -114,22 +114,22 @@ def error_sizes(facts: Facts) -> list[ErrorSize]:
             if known
             else (0.0, 0.0)
         )
-        found.append(ErrorSize(name, unit_of(name), value, wide, limits.get(name),
+        sizes.append(ErrorSize(name, unit_of(name), value, wide, limits.get(name),
                                states.get(name, ''), known,
                                known and name in result.offset_bound.contains))  # fmt: skip
-    return found
+    return sizes
 
 
 def error_bars(facts: Facts) -> Picture:
     """All 21 errors as bars with U and limits: displacements left, angles right."""
-    found = error_sizes(facts)
+    sizes = error_sizes(facts)
     parts = []
     for unit in ('m', 'rad'):
-        rows = [_bar(one) for one in found if one.unit == unit]
+        rows = [_bar(one) for one in sizes if one.unit == unit]
         parts.append(bars(rows, f'size of all errors in {micro_unit(unit)}', names=44.0,
                           width=480.0))  # fmt: skip
-    limited = [one for one in found if one.limit is not None]
-    keys = [('after', 'no limit stated')] if len(limited) < len(found) else []
+    limited = [one for one in sizes if one.limit is not None]
+    keys = [('after', 'no limit stated')] if len(limited) < len(sizes) else []
     states = {one.state for one in limited if one.known}
     keys += [(STATE_KINDS[s], s) for s in (PASS, OPEN, FAIL) if s in states]
     key = ''.join(
@@ -158,10 +158,10 @@ def _bar(one: ErrorSize) -> Bar:
     if not one.known:
         return Bar(name, (), f'not known{stated}', limit)
     value, wide = 1e6 * one.value, 1e6 * one.U
-    said = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
+    label = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
     kind = STATE_KINDS.get(one.state, 'after')
     ends = (max(value - wide, 0.0), value + wide)
-    return Bar(name, ((value, kind),), said, limit, ends)
+    return Bar(name, ((value, kind),), label, limit, ends)
 
 
 def volume_pictures(facts: Facts) -> Picture:
@@ -332,18 +332,18 @@ def running_words(facts: Facts) -> str:
 
 
 def _unknown_words(facts: Facts) -> list[str]:
-    result, found = facts.result, []
+    result, lines = facts.result, []
     if result.not_identifiable:
-        found.append(
+        lines.append(
             f'Not known: {listed(result.not_identifiable)} cannot be determined from these '
             f'data; they are zero in the tables.'
         )
     if facts.typical:
-        found.append(
+        lines.append(
             f'Not declared in machine.yaml: {listed(facts.typical.missing)}; U includes typical '
             f'values for them.'
         )
-    return found or ['Not known: all motions were determined and all contributions declared.']
+    return lines or ['Not known: all motions were determined and all contributions declared.']
 
 
 def _tiles(facts: Facts) -> tuple[tuple[str, str, str], ...]:
@@ -431,14 +431,14 @@ def _contributors_line(facts: Facts) -> str:
 
 
 def _squareness_line(facts: Facts) -> str:
-    result, said = facts.result, []
+    result, parts = facts.result, []
     for name in SQUARENESS:
         if name in result.not_identifiable:
-            said.append(f'{name} not known')
+            parts.append(f'{name} not known')
             continue
         value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
-        said.append(f'{name} {with_expanded(1e6 * value, 1e6 * wide)} urad')
-    return f'squareness: {", ".join(said)}'
+        parts.append(f'{name} {with_expanded(1e6 * value, 1e6 * wide)} urad')
+    return f'squareness: {", ".join(parts)}'
 
 
 def _distance_figure(value: float, fit: Fit) -> str:
@@ -447,8 +447,8 @@ def _distance_figure(value: float, fit: Fit) -> str:
 
 
 def _warning_lines(facts: Facts) -> list[str]:
-    said = typical_warnings(facts.typical)
-    every = [w for w in facts.result.warnings if w not in said]
+    warned = typical_warnings(facts.typical)
+    every = [w for w in facts.result.warnings if w not in warned]
     lines = [f'warning: {shortened(w)}' for w in every[:SUMMARY_WARNINGS]]
     more = len(every) - SUMMARY_WARNINGS
     if more > 0:

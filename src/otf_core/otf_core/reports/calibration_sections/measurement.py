@@ -61,11 +61,11 @@ INFORMATION_SHARE = 1e-3
 def conditions_section(facts: Facts) -> Section:
     """Conditions and instrument: what was driven, when, with what, and what nobody stated."""
     result, given = facts.result, facts.machine.stated
-    tables, said = stated(facts.machine)
+    tables, words = stated(facts.machine)
     tables += [run_table(n, run) for n, run in enumerate(result.runs, start=1)]
     data = {'instrument': dict(given.instrument), 'conditions': dict(given.conditions)}
     text = tuple(_run_line(number, run) for number, run in enumerate(result.runs, start=1))
-    return Section('conditions', 'Conditions and instrument', said, data, tuple(tables), text)
+    return Section('conditions', 'Conditions and instrument', words, data, tuple(tables), text)
 
 
 def _run_line(number: int, run: RunResult) -> str:
@@ -96,7 +96,7 @@ def path_section(facts: Facts) -> Section:
 
 def _path_pictures(facts: Facts) -> Sequence[Picture]:
     runs = facts.result.runs
-    found = []
+    pictures = []
     for number, run in enumerate(runs[:DRAWN_RUNS], start=1):
         name = f'Run {number}. ' if len(runs) > 1 else ''
         space = Picture(
@@ -112,10 +112,10 @@ def _path_pictures(facts: Facts) -> Sequence[Picture]:
             columns=2,
             title='Over time' if number == 1 else '',
         )
-        found += [space, time]
+        pictures += [space, time]
     if len(runs) > DRAWN_RUNS:
-        found.append(Picture((), f'{len(runs) - DRAWN_RUNS} further runs are not drawn.'))
-    return found
+        pictures.append(Picture((), f'{len(runs) - DRAWN_RUNS} further runs are not drawn.'))
+    return pictures
 
 
 def _path_in_space(facts: Facts, run: RunResult) -> str:
@@ -210,9 +210,9 @@ def data_quality_section(facts: Facts) -> Section:
 
 def _reading_remarks(facts: Facts) -> tuple[str, ...]:
     """What was repaired or left out while recordings were read."""
-    said = [f'While reading {run.name or "the run"}: {remark}.'
+    lines = [f'While reading {run.name or "the run"}: {remark}.'
             for run in facts.result.runs for remark in run.remarks]  # fmt: skip
-    return tuple(said) or ('Nothing was repaired or left out while reading.',)
+    return tuple(lines) or ('Nothing was repaired or left out while reading.',)
 
 
 def drift(run: RunResult) -> tuple[Array, Array, Array]:
@@ -228,7 +228,7 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
     )
     middle = np.array([pieces.time[a:b].mean() for a, b in bounds])
     edges = np.linspace(0.0, float(pieces.time.max()) + 1e-9, DRIFT_PARTS + 1)
-    found = []
+    changes = []
     for low, high in pairwise(edges):
         own = (middle >= low) & (middle < high)
         total = gram[own].sum(axis=0)
@@ -239,17 +239,17 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
         rest = right[own] - gram[own] @ value
         cover = np.linalg.inv(total)
         cover = cover @ (rest.T @ rest) @ cover * own.sum() / (own.sum() - 1)
-        found.append((float(middle[own].mean()), value, np.sqrt(np.diag(cover))))
-    if not found:
+        changes.append((float(middle[own].mean()), value, np.sqrt(np.diag(cover))))
+    if not changes:
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
-    time, value, u = (np.array(part) for part in zip(*found, strict=True))
+    time, value, u = (np.array(part) for part in zip(*changes, strict=True))
     return time, value, u
 
 
 def drift_section(facts: Facts) -> Section:
     """Drift between start and end of a run, as the residuals show it."""
     rows: list[tuple[str, ...]] = []
-    data, found = [], []
+    data, directions = [], []
     for number, run in enumerate(facts.result.runs, start=1):
         time, value, u = drift(run)
         name = f'{number} {run.name}'.strip()
@@ -259,13 +259,13 @@ def drift_section(facts: Facts) -> Section:
         change, wide = value[-1] - value[0], 2.0 * np.hypot(u[-1], u[0])
         parts = [f'{1e6 * c:.2f} +/- {1e6 * w:.2f}' for c, w in zip(change, wide, strict=True)]
         rows.append((name, *parts, f'{time[-1] - time[0]:.0f}'))
-        found += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
+        directions += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
                   if abs(c) > w]  # fmt: skip
         data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
                      'time': float(time[-1] - time[0])})  # fmt: skip
-    said = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
+    verdict = f'Larger than U: along {listed(directions)}.' if directions else 'No drift beyond U.'
     words = (
-        said,
+        verdict,
         _moved_words(facts),
         'Change of the mean residual from the first to the last part of the run (closure of start '
         'and end), with U (k = 2). It also contains model errors at the places driven then; a '
@@ -280,8 +280,8 @@ def drift_section(facts: Facts) -> Section:
 def _moved_words(facts: Facts) -> str:
     """Whether tracker or target moved against the machine in mid-run."""
     result = facts.result
-    said = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
-    return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in said) or (
+    lines = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
+    return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in lines) or (
         'No movement: no step of tracker or target was found during a run. Steps below about 5 '
         'um, or at the very start or end, would not be detected.'
     )
@@ -373,9 +373,13 @@ PLACE_OF_B = (
 def effects_section(facts: Facts) -> Section | None:
     """What was found and done about effects; None where nobody asked for them."""
     stated, sentence = facts.result.effects, facts.result.effects_sentence
-    said = (sentence,) if sentence else ()
+    introduction = (sentence,) if sentence else ()
     if not stated:
-        return Section('effects', 'Effects', said, text=(*said, '')) if said else None
+        return (
+            Section('effects', 'Effects', introduction, text=(*introduction, ''))
+            if introduction
+            else None
+        )
     rows = []
     for one in stated:
         how = 'found by a diagnosis' if one.how == FOUND else 'named in a file'
@@ -385,7 +389,7 @@ def effects_section(facts: Facts) -> Section | None:
             unit = one.units.get(name, '')
             rows.append((one.effect.replace('_', ' '), how, name, f'{value:.5g}', known, unit))
     words = (
-        *said,
+        *introduction,
         'These effects were removed from the runs first, so the tables do not contain them. The '
         'tables without this correction are in the folder plain beside this report.',
     )
@@ -393,7 +397,7 @@ def effects_section(facts: Facts) -> Section | None:
     table = Table(head, tuple(rows), numbers=(3, 4))
     data = {'effects': effects_to_list(stated)}
     return Section('effects', 'Effects taken off', words, data, (table,),
-                   (*said, format_effects(stated), ''))  # fmt: skip
+                   (*introduction, format_effects(stated), ''))  # fmt: skip
 
 
 def reference_words(result: CalibrationResult) -> str:

@@ -173,7 +173,7 @@ def correlations_section(facts: Facts) -> Section:
     strongest = [c for c in strong if abs(c.r) > VERY_STRONG]
     share, members = worst_combination(facts)
     listed_members = listed(f'{name} ({100 * part:.0f} %)' for name, part in members)
-    said = (
+    words = (
         f'The least certain combination: {listed_members}; it accounts for {100 * share:.0f} % '
         f'of the total variance of the tables (um and urad weighted equally).',
         f'{len(strong)} pairs of tables are correlated by at least {LISTED_CORRELATION}, '
@@ -188,7 +188,7 @@ def correlations_section(facts: Facts) -> Section:
         more = f'The next ones, up to {LISTED_PAIRS}'
         tables.append(Table(head, rows[UNFOLDED_PAIRS:], numbers=(2,), folded=more))
     data = {'pairs': len(strong), 'worst': {'share': share, 'members': dict(members)}}
-    return Section('correlations', 'Correlations', said, data, tuple(tables),
+    return Section('correlations', 'Correlations', words, data, tuple(tables),
                    draw=lambda: _correlation_pictures(facts))  # fmt: skip
 
 

@@ -75,8 +75,8 @@ def _volume_pictures(facts: Facts) -> Sequence[Picture]:
         columns=3,
         title='By direction',
     )
-    found = contributions(facts)[:12]
-    rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in found]
+    largest = contributions(facts)[:12]
+    rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in largest]
     adds = Picture(
         (bars(rows, 'contribution of each motion'),),
         'Root mean square over the volume of the error vector caused by one motion or '
@@ -123,11 +123,11 @@ class Diagonal:
 
 def diagonals(low: Array, high: Array) -> list[Diagonal]:
     """Four body diagonals and six face diagonals, two in the middle plane of each pair of axes."""
-    found = []
+    courses = []
     for y, z in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         sign = np.array([1, y, z])
         ends = np.where(sign > 0, low, high), np.where(sign > 0, high, low)
-        found.append(Diagonal('body', _direction_name(sign), *ends))
+        courses.append(Diagonal('body', _direction_name(sign), *ends))
     for one, two in combinations(range(3), 2):
         for turn in (1, -1):
             sign = np.zeros(3, dtype=int)
@@ -135,8 +135,8 @@ def diagonals(low: Array, high: Array) -> list[Diagonal]:
             middle = 0.5 * (low + high)
             a = np.where(sign > 0, low, np.where(sign < 0, high, middle))
             b = np.where(sign > 0, high, np.where(sign < 0, low, middle))
-            found.append(Diagonal('face', _direction_name(sign), a, b))
-    return found
+            courses.append(Diagonal('face', _direction_name(sign), a, b))
+    return courses
 
 
 def _direction_name(sign: NDArray[np.int64]) -> str:

@@ -75,8 +75,8 @@ class Scale:
             return list(self.named)
         if self.logarithmic:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-            found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
-            inside = [(m, v) for m, v in found if self.low <= v <= self.high]
+            marks = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
+            inside = [(m, v) for m, v in marks if self.low <= v <= self.high]
             if len(inside) < MIN_MARKS:
                 fine = [m * 10.0**k for k in powers for m in FINE]
                 return [(v, f'{v:g}') for v in fine if self.low <= v <= self.high]
@@ -188,14 +188,14 @@ def _spans(step: float, top: float) -> list[tuple[int, str]]:
 def heat_words(step: float, length: Array) -> list[tuple[int, str]]:
     """Classes up to the longest of lengths (n,), m, and what they stand for, um."""
     top = 1e6 * float(np.max(length, initial=0.0))
-    return [(k, f'{said} µm') for k, said in _spans(step, top)]
+    return [(k, f'{span} µm') for k, span in _spans(step, top)]
 
 
 def heat_key(step: float, top: float, unit: str) -> str:
     """Key of the classes up to ``top``, as markup."""
     keys = ''.join(
-        f'<span class="h{k}"><span class="key"></span>{said} {unit}</span> '
-        for k, said in _spans(step, top)
+        f'<span class="h{k}"><span class="key"></span>{span} {unit}</span> '
+        for k, span in _spans(step, top)
     )
     return f'<p class="soft keys">{keys}</p>'
 
@@ -480,9 +480,9 @@ Key = Sequence[tuple[str, str]]
 
 
 def _size(picture: str) -> tuple[float, float]:
-    found = SIZE.match(picture)
-    assert found is not None, 'not of drawing.panel.svg'
-    return float(found[1]), float(found[2])
+    match = SIZE.match(picture)
+    assert match is not None, 'not of drawing.panel.svg'
+    return float(match[1]), float(match[2])
 
 
 def _placed(picture: str, x: float, y: float) -> str:
@@ -508,14 +508,14 @@ def sheet(
     parts, y = [words(EDGE, EDGE + 10.0, title, 'strong')], EDGE + 18.0
     if key:
         x = EDGE
-        for kind, said in key:
-            if x > EDGE and x + 24.0 + LETTERS * len(said) > width - EDGE:
+        for kind, label in key:
+            if x > EDGE and x + 24.0 + LETTERS * len(label) > width - EDGE:
                 x, y = EDGE, y + LINE
             parts.append(
                 f'<rect class="area {kind}" x="{x:.1f}" y="{y:.1f}" width="10" height="10"/>'
             )
-            parts.append(words(x + 15.0, y + 9.0, said))
-            x += 34.0 + LETTERS * len(said)
+            parts.append(words(x + 15.0, y + 9.0, label))
+            x += 34.0 + LETTERS * len(label)
         y += LINE + 6.0
     for row in rows:
         x = EDGE

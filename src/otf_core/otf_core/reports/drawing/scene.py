@@ -141,8 +141,8 @@ def tracker_items(place: Array, low: Array, high: Array) -> list[Item]:
     if far <= reach:
         return [Dots('z big', place[None]), Label(place, 'tracker', 'end', -9.0, 4.0)]
     tip = edge + away * (0.5 * reach / far)
-    said = f'tracker, {far:.1f} m away'
-    return [Strokes('z', np.array([[edge, tip]]), arrows=True), Label(tip, said, 'middle', dy=12)]
+    label = f'tracker, {far:.1f} m away'
+    return [Strokes('z', np.array([[edge, tip]]), arrows=True), Label(tip, label, 'middle', dy=12)]
 
 
 def _axes() -> tuple[Array, Array]:
@@ -189,8 +189,8 @@ def _label_spots(item: Label) -> list[tuple[str, float, float]]:
 def _label_box(item: Label, kind: str, x: float, y: float) -> tuple[float, float, float, float]:
     """Left, top, right and bottom of a label whose anchor lies at x, y, px."""
     wide = LETTER * len(item.text)
-    left = x - wide if 'end' in kind else x - 0.5 * wide if 'middle' in kind else x
-    return left, y - LINE + 3.0, left + wide, y + 3.0
+    left_edge = x - wide if 'end' in kind else x - 0.5 * wide if 'middle' in kind else x
+    return left_edge, y - LINE + 3.0, left_edge + wide, y + 3.0
 
 
 Box = tuple[float, float, float, float]
@@ -205,14 +205,14 @@ def _overlap(a: Box, b: Box) -> float:
 def _crowd(items: Sequence[Item], centre: Array, size: float) -> Array:
     """Places (n, 2), px, that labels should leave free: along lines and arrows, and dots."""
     share = np.linspace(0.0, 1.0, 7)[:, None]
-    found = [np.zeros((0, 3))]
+    points = [np.zeros((0, 3))]
     for item in items:
         if isinstance(item, Dots):
-            found.append(item.points)
+            points.append(item.points)
         elif isinstance(item, Strokes):
             a, b = item.ends[:, None, 0], item.ends[:, None, 1]
-            found.append((a + share * (b - a)).reshape(-1, 3))
-    return _projected((np.concatenate(found) - centre) / size)
+            points.append((a + share * (b - a)).reshape(-1, 3))
+    return _projected((np.concatenate(points) - centre) / size)
 
 
 def _spot(
@@ -235,8 +235,8 @@ def _reference(shown: Magnification, scale: float) -> list[str]:
     long = shown.reference * shown.factor * scale
     y = HEIGHT - 9.0
     ends = np.array([[[10.0, y], [10.0 + long, y]]])
-    said = f'{1e6 * shown.reference:g} µm, {shown.words}'
-    return [f'<path class="line ink" d="{arrow_path(ends)}"/>', words(18.0 + long, y + 4.0, said)]
+    label = f'{1e6 * shown.reference:g} µm, {shown.words}'
+    return [f'<path class="line ink" d="{arrow_path(ends)}"/>', words(18.0 + long, y + 4.0, label)]
 
 
 def _path(item: Strokes | Dots, points: Array) -> str:
@@ -274,13 +274,13 @@ def scene(
     marks, data = [], []
     fixed = _reference(shown, HALF / size) if shown else []
     crowd = _crowd(items, centre, size)
-    taken: list[Box] = [(0.0, HEIGHT - 20.0, 0.6 * WIDTH, HEIGHT)] if shown else []
+    occupied: list[Box] = [(0.0, HEIGHT - 20.0, 0.6 * WIDTH, HEIGHT)] if shown else []
     for item in sorted(items, key=lambda i: isinstance(i, Label)):
         if isinstance(item, Label):
             point = (item.point - centre) / size
             x, y = _projected(point[None])[0]
-            kind, dx, dy, own = _spot(item, x, y, taken, crowd)
-            taken.append(own)
+            kind, dx, dy, own = _spot(item, x, y, occupied, crowd)
+            occupied.append(own)
             mark = words(x, y, item.text, f'{kind} soft over')
             marks.append(mark.replace('<text', f'<text dx="{dx:g}" dy="{dy:g}"', 1))
             data.append([3, *np.round(point, 3).tolist()])

@@ -64,7 +64,7 @@ def causes_section(diagnosis: Diagnosis) -> Section:
             f'Including the causes in the calibration changes the predicted volumetric error by'
             f' {diagnosis.table_change_um:.2f} um on average over the volume.',
         )
-    words = (*words, *held)
+    words = (*words, *held, *_unnamed_words(diagnosis))
     rows = tuple(_cause_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
     head = ('', 'Cause', 'Axes', 'Parameters, U with k = 2', 'Gap (um)', 'Confidence')
     tables = (Table(head, rows, numbers=(4,)), *_meaning_tables(diagnosis))
@@ -84,9 +84,9 @@ def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
 def _meaning_tables(diagnosis: Diagnosis) -> tuple[Table, ...]:
     """What the parameters stand for, effect by effect."""
     named = dict.fromkeys(c.effect for c in diagnosis.causes)
-    found = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
+    meanings = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
     head = ('Cause', 'Displacement of the target', 'Parameters')
-    return (Table(head, tuple(found), title='What the parameters are'),) if found else ()
+    return (Table(head, tuple(meanings), title='What the parameters are'),) if meanings else ()
 
 
 def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -95,8 +95,9 @@ def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
     if unnamed is None:
         return ()
     low, high = unnamed.shrink_interval_percent
+    what = 'What the causes leave' if diagnosis.causes else 'It'
     return (
-        f'It {unnamed.words}.',
+        f'{what} {unnamed.words}.',
         f'An empirical effect of these inputs reduces the gap from {unnamed.before_um:.2f} um to '
         f'{unnamed.after_um:.2f} um on legs not used for its fit (95 % interval of the reduction: '
         f'{low:.0f} % to {high:.0f} %). It is in effects.yaml for simulate and calibrate.',
@@ -190,8 +191,8 @@ def shown_parameters(cause: NamedCause) -> tuple[list[str], int, int]:
 
     estimated = [n for n in cause.parameters if n in cause.u]
     significant = [n for n in estimated if strength(n) > COVERAGE_FACTOR]
-    kept = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
-    shown = [n for n in significant if n in kept]
+    strongest = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
+    shown = [n for n in significant if n in strongest]
     return shown, len(significant) - len(shown), len(estimated) - len(significant)
 
 
@@ -271,8 +272,8 @@ def unexplained_section(diagnosis: Diagnosis) -> Section:
     )
     data = {'rms_um': diagnosis.unexplained_um, 'where': where}
     size = f'left: {diagnosis.unexplained_um:.2f} um'
-    told = diagnosis.unnamed is not None  # in the sentence of the first screen
-    text = (size if told or not where else f'{size}, {where}', '')
+    named = diagnosis.unnamed is not None  # in the sentence of the first screen
+    text = (size if named or not where else f'{size}, {where}', '')
     return Section('unexplained', 'What stays unexplained', (words,), data, text=text)
 
 
@@ -562,8 +563,8 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
         dates = moment(one.first_ns), moment(one.last_ns)
         when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
-    tables, said = stated(plain.tables.machine)
+    tables, words = stated(plain.tables.machine)
     tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
     shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
     tables.append(Table(('', ''), shown, title='Recordings and versions'))
-    return Section('conditions', 'Conditions and instrument', said, dict(rows), tuple(tables))
+    return Section('conditions', 'Conditions and instrument', words, dict(rows), tuple(tables))

@@ -69,12 +69,12 @@ def residual_states(diagnosis: Diagnosis) -> list[ResidualState]:
     views, causes = diagnosis.shown.views, bool(diagnosis.causes)
     named = 'cause' if len(diagnosis.causes) == 1 else 'causes'
     label = f'without the {named}' if causes else 'residual'
-    found = [ResidualState(label, 'before', [v.residual_before for v in views])]
+    states = [ResidualState(label, 'before', [v.residual_before for v in views])]
     if causes:
-        found.append(
+        states.append(
             ResidualState(f'with the {named}', 'after', [v.residual_after for v in views])
         )
-    return found
+    return states
 
 
 def state_key(diagnosis: Diagnosis, *, stroke: bool = False) -> str:
@@ -139,14 +139,14 @@ def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> s
 
 def time_section(diagnosis: Diagnosis) -> Section:
     """Residual against time, one dot a leg."""
-    left = len(diagnosis.shown.views) - DRAWN_RUNS
-    words = (f'{left} further runs are not drawn.',) if left > 0 else ()
+    further = len(diagnosis.shown.views) - DRAWN_RUNS
+    words = (f'{further} further runs are not drawn.',) if further > 0 else ()
     return Section('time', 'Against time', words, draw=lambda: _time_pictures(diagnosis))
 
 
 def _time_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     views, causes = diagnosis.shown.views[:DRAWN_RUNS], bool(diagnosis.causes)
-    found = []
+    pictures = []
     top = max(
         float(_leg_sizes(v, getattr(v, n)).max())
         for v in views
@@ -159,8 +159,8 @@ def _time_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
             f'axes, of legs across that axis.{run}'
         )
         parts = (_size_panel(view, causes, top), *(_mean_panel(view, causes, k) for k in range(3)))
-        found.append(Picture(parts, caption, columns=2, key=state_key(diagnosis)))
-    return found
+        pictures.append(Picture(parts, caption, columns=2, key=state_key(diagnosis)))
+    return pictures
 
 
 def size_pictures(diagnosis: Diagnosis) -> Picture:
@@ -397,8 +397,8 @@ def _frequency_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     groups = zip(*band_groups(views, [s.residuals for s in shown], bands), strict=True)
     kinds = [state.kind for state in shown]
     parts = (
-        _spectrum_panel(views[0], own, dict(zip(kinds, found, strict=True)))
-        for own, found in zip(bands, groups, strict=True)
+        _spectrum_panel(views[0], own, dict(zip(kinds, group, strict=True)))
+        for own, group in zip(bands, groups, strict=True)
     )
     return [Picture(tuple(parts), FREQUENCY_CAPTION, columns=2, key=state_key(diagnosis))]
 

@@ -31,7 +31,7 @@ def signal_messages(
     signals: Mapping[SignalSpec, Signal], store: Any
 ) -> list[tuple[int, Topic, bytes]]:
     """Stamp in ns, topic and serialized message of every value, in the order of stamps."""
-    found = []
+    messages = []
     for spec, signal in signals.items():
         topic, kind = topic_of(spec), store.types[spec.type]
         fields = kind.__dataclass_fields__
@@ -40,8 +40,8 @@ def signal_messages(
             if 'header' in fields:
                 given |= {'header': _header(store, stamp), 'variance': 0.0}
             data = bytes(store.serialize_cdr(kind(**given), spec.type))
-            found.append((stamp, topic, data))
-    return sorted(found, key=lambda entry: entry[0])
+            messages.append((stamp, topic, data))
+    return sorted(messages, key=lambda entry: entry[0])
 
 
 def _message_number(kind: str, value: float) -> Any:
@@ -194,14 +194,14 @@ def _number(message: Any, name: str, kind: str) -> float:
     field = name.partition(':')[2]
     if not field:
         field = next((f for f in FIELDS if hasattr(message, f)), '')
-    found = message
+    value = message
     for part in field.split('.') if field else ():
-        found = getattr(found, part, None)
-    if not field or not isinstance(found, (bool, int, float, np.number, np.bool_)):
+        value = getattr(value, part, None)
+    if not field or not isinstance(value, (bool, int, float, np.number, np.bool_)):
         raise ConfigError(
             f'--signal: {name}: name a field of {kind} that is one number, as TOPIC:field'
         )
-    return float(found)
+    return float(value)
 
 
 def signal_of(where: str, rows: Sequence[tuple[int, float]]) -> Signal:

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""New pivot points and directions of rotary axes in the words of controls, as text to type in.
+
+A location error moves the line of an axis: its translations move the centre, its rotations turn
+the direction about the centre (docs/conventions.md). A control that knows the moved line needs no
+location error any more: the numbers follow from the tables alone, their names from
+
+- LinuxCNC, src/emc/kinematics/trtfuncs.c: x/y/z-rot-point is the centre of C, x/y/z-offset leads
+  from there to the centre of the tilting axis; the table turns right-handed;
+- SINUMERIK Operate, Commissioning Manual 6FC5397-1DP40, swivel data set: offset vectors I1 to I4
+  ($TC_CARR1-6, 15-20), vectors of the axes V1, V2 ($TC_CARR7-12), reversed of axes that carry the
+  workpiece.
+
+HEIDENHAIN and FANUC get plain numbers: no description of their keys could be checked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.errors import ConfigError
+from otf_core.exports.format import Exported, Format, Request, rounded_tables
+from otf_core.model.joints import rotations
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Machine
+from otf_core.model.motions import DIRECTIONS, location_names
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+
+TRT = {'A': ('xyzac-trt-kins', 'y'), 'B': ('xyzbc-trt-kins', 'x')}
+"""Kinematics of LinuxCNC by tilting axis, and the offset it has beside z."""
+TCARR = {'I1': 1, 'I2': 4, 'V1': 7, 'V2': 10, 'I3': 15, 'I4': 18}
+"""First of three system variables $TC_CARRn of a vector."""
+
+
+class Pivot(Format):
+    """Centres and directions of rotary axes, as they are to stand in the control."""
+
+    name = 'pivot'
+    value_words = 'centre and direction of the average line of each rotary axis'
+    lacks = (
+        'error motions of the axes, squareness; orientation is corrected only where a control '
+        'takes the directions'
+    )
+    takes_rotary = True
+
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are."""
+        return (
+            'new = old + location error; mm, machine coordinates with all axes at zero, without '
+            'the target offset; changes stand beside the new values'
+        )
+
+    def export(self, request: Request) -> Exported:
+        """Make the text.
+
+        Raises
+        ------
+        ConfigError
+            If the machine has no rotary axis.
+        """
+        self.check(request)
+        tables = rounded_tables(request.content.tables)
+        machine = tables.machine
+        if not machine.rotary_names:
+            raise ConfigError(f'--format pivot: the chain {machine.chain} has no rotary axis')
+        moved = moved_lines(tables)
+        lines = [f'# {line}' for line in request.header(self)]
+        lines += [f'# {line}' for line in UNCHECKED]
+        lines += ['', *_numbers(machine, moved, tables)]
+        for words in (_linuxcnc, _sinumerik, _heidenhain, _fanuc):
+            lines += ['', *words(machine, moved)]
+        only = _location_only(tables)
+        return Exported(
+            {request.name: ('\n'.join(lines) + '\n').encode()},
+            lambda q: displacement(only, q),
+            (
+                'compare the old values with those in the control first: where they differ, add '
+                'the change to what stands there; never load location errors by another file too',
+                *request.unseen_words,
+            ),
+        )
+
+
+UNCHECKED = (
+    'LinuxCNC: names and signs checked in its source; SINUMERIK: vectors checked in the manual',
+    'HEIDENHAIN, FANUC: not checked in a manual which keys and parameters hold these numbers, nor '
+    'their sign; test with one change of 0.1 mm',
+)
+
+
+def moved_lines(tables: ErrorTables) -> Machine:
+    """Machine whose rotary axes stand where the location errors say, all else unchanged."""
+    machine = tables.machine
+    axes = dict(machine.axes)
+    for name in machine.rotary_names:
+        shift, tilt = np.zeros((2, 3))
+        for error in location_names(name):
+            along = DIRECTIONS.index(error[0])
+            (shift if along < 3 else tilt)[along % 3] = tables.scalar(error)
+        direction = np.array(axes[name].direction)
+        angle = float(np.linalg.norm(tilt))
+        if angle > 0:
+            direction = rotations(np.array([angle]), tilt / angle)[0] @ direction
+        x, y, z = (float(v) for v in direction)
+        cx, cy, cz = (float(v) for v in np.array(axes[name].centre) + shift)
+        axes[name] = replace(axes[name], direction=(x, y, z), centre=(cx, cy, cz))
+    return replace(machine, axes=axes)
+
+
+def _location_only(tables: ErrorTables) -> ErrorTables:
+    none = MotionTable(np.zeros(1), np.zeros(1), np.zeros(1))
+    return replace(
+        tables,
+        motions=dict.fromkeys(tables.machine.motions, none),
+        squareness={k: Squareness() for k in tables.squareness},
+    )
+
+
+def _vector(values: Array, digits: int = 6) -> str:
+    return f'({", ".join(f"{v + 0.0:.{digits}f}" for v in values)})'
+
+
+def _centre(machine: Machine, axis: str) -> Array:
+    """Centre of an axis, mm."""
+    return 1e3 * np.array(machine.axes[axis].centre)
+
+
+def _direction(machine: Machine, axis: str) -> Array:
+    return np.array(machine.axes[axis].direction)
+
+
+def _numbers(old: Machine, new: Machine, tables: ErrorTables) -> list[str]:
+    lines = ['[all controls]']
+    for axis in old.rotary_names:
+        names = location_names(axis)
+        centre, direction = _centre(new, axis), _direction(new, axis)
+        values = ', '.join(
+            f'{n} {1e3 * tables.scalar(n):.6f} mm'
+            if n[0] in 'XYZ'
+            else f'{n} {np.degrees(tables.scalar(n)):.7f} deg'
+            for n in names
+        )
+        lines += [
+            f'location errors of {axis}: {values}',
+            f'new centre of {axis} = old {_vector(_centre(old, axis))} + '
+            f'{_vector(centre - _centre(old, axis))} = {_vector(centre)} mm',
+            f'new direction of {axis} = old {_vector(_direction(old, axis), 9)} + '
+            f'{_vector(direction - _direction(old, axis), 9)} = {_vector(direction, 9)}',
+        ]
+    return lines
+
+
+def _linuxcnc(old: Machine, new: Machine) -> list[str]:
+    """Pins of the trunnion kinematics, where the machine is one."""
+    head = '[LinuxCNC]'
+    order = [*old.chain.table_side, *old.chain.target_side]
+    tilting = order[1] if len(order) > 1 else ''
+    suited = order[:1] == ['C'] and tilting in TRT and len(old.rotary_names) == 2
+    if suited:
+        for axis in ('C', tilting):
+            wanted = -np.eye(3)['ABC'.index(axis)]
+            suited = suited and bool(np.allclose(_direction(old, axis), wanted, atol=1e-9))
+    if not suited:
+        return [
+            head,
+            '# xyzac-trt-kins and xyzbc-trt-kins hold a table C on a tilting table A or B that '
+            'turn right-handed (direction (0, 0, -1), (-1, 0, 0), (0, -1, 0)): not this machine',
+        ]
+    kinematics, beside = TRT[tilting]
+    lines = [head, '# directions cannot be entered there: A0C, B0C and the like stay']
+    before, after = (_pins(machine, tilting) for machine in (old, new))
+    for pin in ('x-rot-point', 'y-rot-point', 'z-rot-point', f'{beside}-offset', 'z-offset'):
+        change = after[pin] - before[pin]
+        lines.append(
+            f'setp {kinematics}.{pin} {after[pin] + 0.0:.6f}  # old {before[pin] + 0.0:.6f}, '
+            f'change {change + 0.0:+.6f} mm'
+        )
+    return lines
+
+
+def _pins(machine: Machine, tilting: str) -> dict[str, float]:
+    """Pins by name, mm."""
+    turn, tilt = _centre(machine, 'C'), _centre(machine, tilting)
+    pins = {f'{d}-rot-point': float(v) for d, v in zip('xyz', turn, strict=True)}
+    return pins | {f'{d}-offset': float(v) for d, v in zip('xyz', tilt - turn, strict=True)}
+
+
+def _sinumerik(old: Machine, new: Machine) -> list[str]:
+    kind, before = _swivel(old)
+    _, after = _swivel(new)
+    first, second = _swivel_axes(old)
+    lines = [
+        '[SINUMERIK swivel data set]',
+        f'# $TC_CARR23[n]="{kind}"; rotary axis 1: {first}, rotary axis 2: {second or "none"}; '
+        'vectors from the reference point of spindle or machine at its zero; closed chain '
+        '(I1, I4 close it)',
+    ]
+    for name, value in after.items():
+        change = value - before[name]
+        digits = 9 if name[0] == 'V' else 6
+        lines.append(
+            f'# {name}: old {_vector(before[name], digits)}, change {_vector(change, digits)}'
+        )
+        lines += [
+            f'$TC_CARR{TCARR[name] + k}[n]={v + 0.0:.{digits}f}' for k, v in enumerate(value)
+        ]
+    return lines
+
+
+def _swivel_axes(machine: Machine) -> tuple[str, str]:
+    """Rotary axis 1 and 2: the first is the one nearer to the bed, in mixed machines the head."""
+    table = [a for a in reversed(machine.chain.table_side) if a in machine.rotary_names]
+    head = [a for a in machine.chain.target_side if a in machine.rotary_names]
+    named = [*head, *table, '']
+    return named[0], named[1]
+
+
+def _swivel(machine: Machine) -> tuple[str, dict[str, Array]]:
+    """Kind and vectors of the swivel data set, mm."""
+    first, second = _swivel_axes(machine)
+    on_table = [a in machine.chain.table_side for a in (first, second) if a]
+    one = _centre(machine, first)
+    two = _centre(machine, second) if second else one
+    vectors = {'V1': _direction(machine, first)}
+    if second:
+        vectors['V2'] = _direction(machine, second)
+    if all(on_table):
+        # machine reference point to axis 1, to axis 2; I4 closes
+        return 'P', {'I2': one, 'I3': two - one, 'I4': -two, **vectors}
+    if not any(on_table):
+        # tool adapter to axis 2, to axis 1; I1 closes
+        return 'T', {'I1': -one, 'I2': one - two, 'I3': two, **vectors}
+    return 'M', {'I1': -one, 'I2': one, 'I3': two, 'I4': -two, **vectors}
+
+
+def _heidenhain(old: Machine, new: Machine) -> list[str]:
+    """Changes of the description of the kinematics."""
+    lines = [
+        '[HEIDENHAIN description of the kinematics]',
+        '# add these to the translations (mm) and rotations (deg) that stand before the axis',
+    ]
+    for axis in old.rotary_names:
+        shift = _centre(new, axis) - _centre(old, axis)
+        tilt = np.cross(_direction(old, axis), _direction(new, axis))
+        lines += [
+            *(f'{axis}: {d}0{axis} {v + 0.0:+.6f} mm' for d, v in zip('XYZ', shift, strict=True)),
+            *(
+                f'{axis}: {d}0{axis} {np.degrees(v) + 0.0:+.7f} deg'
+                for d, v in zip('ABC', tilt, strict=True)
+            ),
+        ]
+    return lines
+
+
+def _fanuc(old: Machine, new: Machine) -> list[str]:
+    lines = ['[FANUC]', '# position of the rotary axes in the parameters of the machine, mm']
+    for axis in old.rotary_names:
+        shift = _centre(new, axis) - _centre(old, axis)
+        lines.append(f'centre of {axis}: add {_vector(shift)}')
+    return lines
+
+
+FORMAT = Pivot()

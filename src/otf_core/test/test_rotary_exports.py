@@ -1,0 +1,441 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exports of machines with rotary axes, read back and applied by transforms of their own."""
+
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from export_readers import evenly, sinumerik_values
+from test_joints import constant, machine_of
+
+from otf_core.errors import ConfigError
+from otf_core.exports import HOMES, export_format
+from otf_core.exports.format import Request, remaining_error
+from otf_core.exports.lattice import linear_tables
+from otf_core.exports.pivot import moved_lines
+from otf_core.model.kinematics import exact_position, nominal_position
+from otf_core.model.tables import LocationError, MotionTable, TablesFile
+from otf_core.sim.cell import random_tables
+
+CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
+
+
+def five_axes(chain=CHAINS[0], seed=3):
+    """A machine whose centres lie off the origin and whose C turns the other way."""
+    machine = machine_of(chain, None)
+    rng = np.random.default_rng(seed)
+    axes = dict(machine.axes)
+    for name in machine.rotary_names:
+        x, y, z = axes[name].direction
+        sense = -1.0 if name == 'C' else 1.0
+        centre = tuple(rng.uniform(-0.1, 0.1, 3))
+        axes[name] = replace(
+            axes[name], direction=(sense * x, sense * y, sense * z), centre=centre
+        )
+    return replace(machine, axes=axes)
+
+
+def exported(name, tables, sign='error', **extra):
+    chosen = export_format(name)
+    sign = sign if chosen.sign_is_asked else None
+    return chosen.export(Request(TablesFile(tables, extra), 'cell.txt', sign))
+
+
+def places(machine, count=60):
+    rng = np.random.default_rng(5)
+    return rng.uniform(machine.lower, machine.upper, (count, len(machine.axis_names)))
+
+
+# A reader of ISG CSV that knows what the manual and the head of the file say, and no more.
+
+
+def shift(x, y, z):
+    out = np.eye(4)
+    out[:3, 3] = x, y, z
+    return out
+
+
+def turn(vector):
+    """Rotation by a vector, by the series of the matrix exponential."""
+    x, y, z = vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0.0]])
+    total, term = np.eye(3), np.eye(3)
+    for k in range(1, 25):
+        term = term @ cross / k
+        total = total + term
+    out = np.eye(4)
+    out[:3, :3] = total
+    return out
+
+
+def about(point, transform):
+    return shift(*point) @ transform @ shift(*-np.asarray(point))
+
+
+class IsgReader:
+    """Position of the target relative to the table by a CSV, mm and degrees."""
+
+    def __init__(self, text, sign='error'):
+        lines = text.splitlines()
+        head = '\n'.join(line for line in lines if line.startswith('//'))
+        blocks = [[]]
+        for line in lines:
+            if line == '#':
+                blocks.append([])
+            elif not line.startswith('//'):
+                blocks[-1].append(line.split('\t'))
+        factor = 1.0 if sign == 'error' else -1.0
+        self.constant = dict(zip(blocks[0][0], map(float, blocks[0][1]), strict=True))
+        self.constant = {n: v if n[0] == 'P' else factor * v for n, v in self.constant.items()}
+        self.columns = {}
+        for (argument, *names), *rows in blocks[1:]:
+            values = np.array(rows, float)
+            for k, name in enumerate(names, start=1):
+                assert name[2] == argument
+                self.columns[name] = values[:, 0], factor * values[:, k]
+        self.chain = re.search(r'chain (\S+),', head)[1]
+        vector = r'\((\S+), (\S+), (\S+)\)'
+        self.target = np.array(re.search(rf'target offset {vector} mm', head).groups(), float)
+        self.direction = {
+            name: np.array(xyz, float)
+            for name, *xyz in re.findall(
+                rf'([ABC]): .* relative to the table about {vector}', head
+            )
+        }
+
+    def six(self, axis, at):
+        values = [np.interp(at, *self.columns[f'E{d}{axis}']) for d in 'XYZABC']
+        return shift(*values[:3]), turn(values[3:])
+
+    def link(self, axis, at, exact):
+        """Transform of one axis: programmed, or with its errors."""
+        if axis in 'XYZ':
+            direction = np.eye(3)['XYZ'.index(axis)]
+            if exact and axis == 'Y':
+                direction -= np.array([self.constant['C0Y'], 0, 0])
+            if exact and axis == 'Z':
+                direction += np.array([self.constant['B0Z'], -self.constant['A0Z'], 0])
+            return shift(*at * direction)
+        centre = np.array([self.constant[f'P{d}{axis}'] for d in 'XYZ'])
+        moved = about(centre, turn(np.radians(at) * self.direction[axis]))
+        if not exact:
+            return moved
+        line = [self.constant.get(f'{d}0{axis}', 0.0) for d in 'XYZABC']
+        line = shift(*line[:3]) @ about(centre, turn(line[3:]))
+        return line @ moved @ np.linalg.inv(line)
+
+    def error(self, axis, at):
+        translation, rotation = self.six(axis, at)
+        if axis in 'XYZ':
+            return translation @ rotation
+        centre = np.array([self.constant[f'P{d}{axis}'] for d in 'XYZ'])
+        return translation @ about(centre, rotation)
+
+    def position(self, letters, q, exact=True):
+        """Where the target is relative to the table, mm, for one position of the axes."""
+        at = dict(zip(letters, q, strict=True))
+        table, _, tool = self.chain[2:-2].replace('-', '').partition('b')
+        total = np.eye(4)
+        for side, axes in ((0, table), (1, tool)):
+            for axis in axes:
+                own = self.link(axis, at[axis], exact)
+                error = self.error(axis, at[axis]) if exact else np.eye(4)
+                before = (axis in 'XYZ') == (side == 0)  # linear: at the carriage; rotary: at b
+                total = total @ error @ own if before else total @ own @ error
+        return (total @ [*self.target, 1.0])[:3]
+
+    def corrected(self, letters, q):
+        """Commands whose linear axes bring the target where it belongs, as the control would."""
+        wanted, found = self.position(letters, q, exact=False), np.array(q, float)
+        for _ in range(2):
+            slope = np.zeros((3, 3))
+            for k in range(3):
+                step = np.zeros(len(q))
+                step[k] = 1.0
+                slope[:, k] = self.position(letters, found + step, exact=False)
+                slope[:, k] -= self.position(letters, found, exact=False)
+            left = wanted - self.position(letters, found)
+            found[:3] += np.linalg.solve(slope, left)
+        return found
+
+
+def units(machine):
+    return np.array(
+        [np.degrees(1.0) if machine.axes[a].rotary else 1e3 for a in machine.axis_names]
+    )
+
+
+def left_by_isg(tables, q, sign='error'):
+    """Position errors before and after the linear axes were corrected by the file, m."""
+    machine = tables.machine
+    text = exported('isg', tables, sign).files['cell.txt'].decode()
+    reader, scale = IsgReader(text, sign), units(machine)
+    command = np.array([reader.corrected(machine.axis_names, row * scale) for row in q]) / scale
+    wanted = nominal_position(machine, q)
+    before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
+    return before, np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
+
+
+@pytest.mark.parametrize('chain', CHAINS)
+def test_isg_csv_takes_the_position_error_off_in_five_axes(chain):
+    tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
+    before, after = left_by_isg(tables, places(tables.machine))
+    assert before.mean() > 4e-5
+    assert after.mean() < 0.05 * before.mean()
+    assert after.max() < 0.05 * before.max()
+
+
+@pytest.mark.parametrize(
+    'name', ['X0C', 'B0C', 'Z0A', 'C0A', 'EXC', 'EBC', 'ECC', 'EAA', 'EZA', 'A0Z']
+)
+def test_every_column_of_isg_csv_has_its_sign(name):
+    size = 1e-4
+    tables = constant(five_axes(), size, name)
+    for sign, factor in (('error', 1.0), ('correction', -1.0)):
+        text = exported('isg', tables, sign).files['cell.txt'].decode()
+        rows = [line.split('\t') for line in text.splitlines() if not line.startswith('//')]
+        (head, row) = next((h, r) for h, r in itertools.pairwise(rows) if name in h)
+        unit = 1e3 if name[1 if name[0] == 'E' else 0] in 'XYZ' else 1.0
+        assert float(row[head.index(name)]) == pytest.approx(factor * size * unit)
+        before, after = left_by_isg(tables, places(tables.machine, 10), sign)
+        assert after.max() < 0.02 * before.max()
+
+
+def test_isg_csv_states_units_frame_and_that_orientation_keeps_its_error():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    made = exported('isg', tables)
+    text = made.files['cell.txt'].decode()
+    assert 'only the position of the tool is corrected' in text
+    assert any('only the position' in remark for remark in made.remarks)
+    rows = [line.split('\t') for line in text.splitlines()]
+    start = next(k for k, row in enumerate(rows) if row[0] == 'C')
+    nodes = np.degrees(tables.motions['ECC'].position)
+    assert [float(row[0]) for row in rows[start + 1 : start + 1 + len(nodes)]] == pytest.approx(
+        nodes
+    )
+    assert 'X0C' in text and 'PXC' in text
+    left = remaining_error(tables, made.held)
+    assert left.after_mean < 1e-3 * left.before_mean
+
+
+def test_unseen_errors_of_rotary_axes_are_named_in_the_file():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    location = dict(tables.location)
+    location['A0C'] = replace(location['A0C'], value=0.0, identifiable=False)
+    motions = dict(tables.motions)
+    motions['ECC'] = replace(motions['ECC'], value=0.0 * motions['ECC'].value, identifiable=False)
+    made = exported('isg', replace(tables, location=location, motions=motions))
+    (words,) = [r for r in made.remarks if 'does not determine' in r]
+    assert 'A0C' in words and 'ECC' in words
+    assert words in made.files['cell.txt'].decode()
+
+
+@pytest.mark.parametrize('name', [n for n in HOMES if not export_format(n).takes_rotary])
+def test_a_format_of_three_axes_refuses_rotary_axes(name):
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    with pytest.raises(ConfigError, match=rf'--format {name}: holds three linear axes only.*A, C'):
+        exported(name, tables)
+
+
+# New pivot points: a control that knows the moved lines drives as if there were no location error.
+
+
+def location_only(machine, rng, tilts=True):
+    tables = constant(machine)
+    location = {
+        n: LocationError(rng.uniform(-1e-4, 1e-4) if tilts or n[0] in 'XYZ' else 0.0)
+        for n in machine.location
+    }
+    return replace(tables, location=location)
+
+
+@pytest.mark.parametrize('chain', [*CHAINS, 'w-X-Y-b-Z-B-t'])
+def test_moved_lines_take_the_place_of_location_errors(chain):
+    tables = location_only(five_axes(chain), np.random.default_rng(1))
+    q = places(tables.machine)
+    found = nominal_position(moved_lines(tables), q)
+    assert np.abs(exact_position(tables, q) - found).max() < 1e-11  # tables to 1 nm, 1 nrad apart
+    assert np.abs(exact_position(tables, q) - nominal_position(tables.machine, q)).max() > 2e-5
+
+
+def trunnion(tilting):
+    """A trunnion whose tables turn right-handed, as LinuxCNC has it, target in the spindle."""
+    machine = five_axes(f'w-C-{tilting}-b-Y-X-Z-t')
+    axes = dict(machine.axes)
+    for name, direction in (('C', (0.0, 0.0, -1.0)), ('A', (-1.0, 0, 0)), ('B', (0, -1.0, 0))):
+        if name in axes:
+            axes[name] = replace(axes[name], direction=direction)
+    return replace(machine, axes=axes, target_offset=np.array([0.0, 0.0, -0.15]))
+
+
+def trt_position(tilting, pin, q, length):
+    """What the trunnion kinematics of LinuxCNC say of joints (mm, rad), from their description.
+
+    The tool stands on a table C that a table A or B carries: turned back by both tables about
+    their centres, C at the rot-points, the other by the offsets (and the tool) from there.
+    """
+    out = []
+    for x, y, z, tilt, turning in q:
+        turned = np.array([pin['x-rot-point'], pin['y-rot-point'], pin['z-rot-point'] + length])
+        offset = [pin.get('x-offset', 0.0), pin.get('y-offset', 0.0), pin['z-offset']]
+        axis = np.eye(3)['AB'.index(tilting)]
+        tilted = turned + offset
+        point = turn(-tilt * axis)[:3, :3] @ (np.array([x, y, z]) - tilted) + tilted
+        out.append(turn([0, 0, -turning])[:3, :3] @ (point - turned) + turned)
+    return np.array(out)
+
+
+@pytest.mark.parametrize('tilting', ['A', 'B'])
+def test_pins_of_linuxcnc_put_the_tool_where_the_moved_lines_say(tilting):
+    machine = trunnion(tilting)
+    tables = location_only(machine, np.random.default_rng(2), tilts=False)
+    text = exported('pivot', tables).files['cell.txt'].decode()
+    pin = dict(re.findall(rf'setp xyz{tilting.lower()}c-trt-kins\.(\S+) (\S+)', text))
+    pin = {k: float(v) for k, v in pin.items()}
+    q = places(machine)
+    order = [machine.column(a) for a in ('X', 'Y', 'Z', tilting, 'C')]
+    found = trt_position(tilting, pin, q[:, order] * [1e3, 1e3, 1e3, 1, 1], 150.0)
+    wanted = 1e3 * (exact_position(tables, q) - machine.target_offset)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)  # mm; pins to six decimals
+
+
+def test_machines_that_trunnion_kinematics_do_not_hold_are_told():
+    text = exported('pivot', location_only(five_axes(), np.random.default_rng(2))).files
+    assert 'not this machine' in text['cell.txt'].decode()
+
+
+@pytest.mark.parametrize(('chain', 'kind'), list(zip(CHAINS, 'PMT', strict=True)))
+def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
+    tables = location_only(five_axes(chain), np.random.default_rng(3))
+    text = exported('pivot', tables).files['cell.txt'].decode()
+    assert f'$TC_CARR23[n]="{kind}"' in text
+    numbers = {int(k): float(v) for k, v in re.findall(r'(?m)^\$TC_CARR(\d+)\[n\]=(\S+)', text)}
+    first = {'I1': 1, 'I2': 4, 'V1': 7, 'V2': 10, 'I3': 15, 'I4': 18}
+    vector = {
+        n: np.array([numbers.get(k + j, np.nan) for j in range(3)]) for n, k in first.items()
+    }
+    moved = moved_lines(tables)
+    one, two = {'P': 'AC', 'M': 'BC', 'T': 'CA'}[kind]
+    if kind == 'P':
+        reached = vector['I2'], vector['I2'] + vector['I3']
+        np.testing.assert_allclose(vector['I2'] + vector['I3'] + vector['I4'], 0, atol=2e-6)
+    elif kind == 'T':
+        reached = vector['I3'] + vector['I2'], vector['I3']
+        np.testing.assert_allclose(vector['I1'] + vector['I2'] + vector['I3'], 0, atol=2e-6)
+    else:
+        reached = vector['I2'], vector['I3']
+        np.testing.assert_allclose([vector['I1'], vector['I4']], [-vector['I2'], -vector['I3']])
+    for axis, centre, direction in zip((one, two), reached, ('V1', 'V2'), strict=True):
+        np.testing.assert_allclose(centre, 1e3 * np.array(moved.axes[axis].centre), atol=2e-6)
+        np.testing.assert_allclose(vector[direction], moved.axes[axis].direction, atol=1e-9)
+
+
+def test_new_centre_is_old_and_the_location_error():
+    machine = five_axes()
+    tables = replace(
+        constant(machine, 1e-4, 'X0C'),
+        location={n: LocationError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
+    )
+    made = exported('pivot', tables)
+    text = made.files['cell.txt'].decode()
+    assert '+ (0.100000, 0.000000, 0.000000)' in text
+    assert 'C: X0C +0.100000 mm' in text
+    assert 'centre of C: add (0.100000, 0.000000, 0.000000)' in text
+    assert 'HEIDENHAIN, FANUC: not checked in a manual' in text
+    assert remaining_error(tables, made.held).after_max < 1e-9
+
+
+def test_a_machine_without_rotary_axis_has_no_pivot():
+    with pytest.raises(ConfigError, match='has no rotary axis'):
+        exported('pivot', random_tables(machine_of('w-b-X-Y-Z-t'), 5e-5, np.random.default_rng(1)))
+
+
+def test_columns_of_heidenhain_hold_rotary_axes_in_degrees_and_their_positioning_apart():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    for sign, factor in (('error', 1.0), ('correction', -1.0)):
+        text = exported('heidenhain', tables, sign).files['cell.txt'].decode()
+        header, *rows = [r.split(',') for r in text.splitlines() if not r.startswith('#')]
+        assert header == ['AXIS', 'AXISPOS', *(f'C{k}' for k in range(1, 7)), 'OWN']
+        for axis in 'AC':
+            own = np.array([row[1:] for row in rows if row[0] == axis], float)
+            at = np.radians(own[:, 0])
+            for k, direction in enumerate('XYZABC'):
+                column = 7 if direction == axis else 1 + k
+                scale = 1e-3 if direction in 'XYZ' else 1.0
+                wanted = factor * tables.motions[f'E{direction}{axis}'].at(at)
+                np.testing.assert_allclose(scale * own[:, column], wanted, atol=1e-9)
+            assert not own[:, 1 + 'XYZABC'.index(axis)].any()
+        found = re.search(r'X0C (\S+) mm.* A0C (\S+) rad', text)
+        wanted = [1e3 * tables.location['X0C'].value, tables.location['A0C'].value]
+        np.testing.assert_allclose(
+            [float(v) for v in found.groups()], np.multiply(factor, wanted), atol=1e-6
+        )
+
+
+# Positioning of rotary axes in SINUMERIK ENC_COMP.
+
+
+def encoder_correction(text, machine, q):
+    """What the control adds to commands: values move an axis in the negative direction."""
+    values, other = sinumerik_values(text, 'AA_ENC_COMP')
+    change = np.zeros_like(q)
+    for k, axis in enumerate(machine.axis_names):
+        scale = np.degrees(1.0) if machine.axes[axis].rotary else 1e3
+        own = sorted((int(key[1]), v) for key, v in values.items() if key[2] == f'{axis}1')
+        low, high, step = (float(other[f'_{w}', f'{axis}1']) for w in ('MIN', 'MAX', 'STEP'))
+        change[:, k] = -evenly([v for _, v in own], low, high, step, scale * q[:, k]) / scale
+    return change
+
+
+@pytest.mark.parametrize('chain', CHAINS)
+@pytest.mark.parametrize('letter', ['A', 'C'])
+def test_encoder_tables_take_the_angular_positioning_off(chain, letter):
+    letter = letter if letter in chain else 'B'
+    machine = five_axes(chain)
+    nodes = np.linspace(-2.0, 2.0, 9)
+    value = 1e-4 * np.sin(nodes)
+    name = f'E{letter}{letter}'
+    curve = MotionTable(nodes, value, np.zeros(9))
+    others = {
+        m: MotionTable(np.linspace(-0.3, 0.3, 3), np.zeros(3), np.zeros(3))
+        if m.axis in 'XYZ'
+        else MotionTable(nodes, np.zeros(9), np.zeros(9))
+        for m in machine.motions
+    }
+    tables = replace(constant(machine), motions={**others, name: curve})
+    made = exported('sinumerik-enc', tables)
+    text = made.files['cell.txt'].decode()
+    q = places(machine)
+    wanted = nominal_position(machine, q)
+    before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
+    command = q + encoder_correction(text, machine, q)
+    after = np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
+    assert before.max() > 5e-6
+    assert after.max() < 0.01 * before.max()
+    assert remaining_error(tables, made.held).after_max < 0.01 * before.max()
+    assert 'angular positioning' in text
+
+
+def test_an_endless_axis_joins_its_ends_in_the_encoder_table():
+    machine = five_axes()
+    turning = replace(machine.axes['C'], min=0.0, max=2 * np.pi, endless=True)
+    machine = replace(machine, axes={**machine.axes, 'C': turning})
+    tables = random_tables(machine, 5e-5, np.random.default_rng(1))
+    text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
+    assert '$AA_ENC_COMP_IS_MODULO[0,C1]=1' in text
+    assert '$AA_ENC_COMP_IS_MODULO[0,A1]=0' in text
+    assert '$AA_ENC_COMP_MAX[0,C1]=360.000000' in text
+    values = sinumerik_values(text, 'AA_ENC_COMP')[0]
+    last = max(int(key[1]) for key in values if key[2] == 'C1')
+    assert values['0', '0', 'C1'] == pytest.approx(values['0', str(last), 'C1'], abs=2e-6)
+
+
+def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(1))
+    text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
+    alone = exported('sinumerik-enc', linear_tables(tables)).files['cell.txt'].decode()
+    tables_of = [line for line in alone.splitlines() if line.startswith('$')]
+    assert [line for line in text.splitlines() if line in set(tables_of)] == tables_of
+    assert 'rotary axes at zero' in text
