@@ -229,7 +229,7 @@ def connection(make, folder, **changes):
 @pytest.mark.parametrize(
     ('sent', 'said'),
     [
-        (b'1;10;20;30\0', 'no end of a line'),
+        (b'1;10;20;30\0', 'no end of line'),
         (b'x' * (LONGEST + 1) + b'\n', f'line of more than {LONGEST} bytes; check'),
     ],
 )

@@ -95,10 +95,10 @@ class Unfollowed:
         )
         where = '' if self.between is None else ' of a run'
         return (
-            f'in every pass{where} over a line the tables leave {1e6 * self.size:.2g} um alike, '
-            f'beside {1e6 * grid_u:.2g} um of mean uncertainty of the grid: {cause}; the errors '
-            f'that they state are wrong by as much and more, and u does not include it; '
-            f'./otf diagnose looks for it'
+            f'in every pass{where} over a line the tables leave the same residual of '
+            f'{1e6 * self.size:.2g} um, compared with a mean uncertainty of the grid of '
+            f'{1e6 * grid_u:.2g} um: {cause}; the stated errors are wrong by at least as much, '
+            f'which u does not include; ./otf diagnose searches for the cause'
         )
 
 

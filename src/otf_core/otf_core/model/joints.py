@@ -111,6 +111,12 @@ def _then(first: Array | None, second: Array | None) -> Array | None:
     return first @ second
 
 
+def _crossed(first: Array, second: Array) -> Array:
+    """Cross products of vectors (n, 3); quicker than ``numpy.cross`` for many."""
+    (a, b, c), (x, y, z) = first.T, second.T
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
+
+
 def _six(rotation: Array | None, sense: float, lever: Array) -> Array:
     """Displacements (n, 3, 6) by small motions (t, r) that act on ``lever`` (n, 3)."""
     six = np.zeros((len(lever), 3, 6))
@@ -245,12 +251,8 @@ class Seen:
         """Displacement per unit of the six motions of every axis met, shape (n, 3, 6)."""
         found = {}
         for k, joint in enumerate(self.sight.joints):
-            if joint.error_first:
-                turn, seen = self._outer[k], self._before[k]
-            else:
-                turn, seen = _then(self._outer[k], self._rotation[k]), self._after[k]
-            origin = joint.centre if joint.axis.rotary else 0.0
-            found[joint.name] = _six(turn, joint.sense, seen - origin)
+            turn, lever = self._place_of_errors(k)
+            found[joint.name] = _six(turn, joint.sense, lever)
         return found
 
     @cached_property
@@ -270,13 +272,38 @@ class Seen:
                 found[name] = moved[:, :, DIRECTIONS.index(name[0])]
         return found
 
+    def _place_of_errors(self, k: int) -> tuple[Array | None, Array]:
+        """Rotations before the place of the error of a joint, and the lever of the reflector."""
+        joint = self.sight.joints[k]
+        if joint.error_first:
+            turn, seen = self._outer[k], self._before[k]
+        else:
+            turn, seen = _then(self._outer[k], self._rotation[k]), self._after[k]
+        return turn, seen - joint.centre if joint.axis.rotary else seen
+
     def displacement(self, tables: ErrorTables) -> Array:
         """First-order error of the position, shape (n, 3), m."""
         total = np.zeros_like(self.position)
-        for (joint, own, _), six in zip(self._joints(), self.motions.values(), strict=True):
-            total += np.einsum('nij,nj->ni', six, six_errors(tables, joint.name, own))
-        for name, moved in self.scalars.items():
-            total += tables.scalar(name) * moved
+        for k, (joint, own, turn) in enumerate(self._joints()):
+            six = six_errors(tables, joint.name, own)
+            outer, lever = self._place_of_errors(k)
+            moved = six[:, :3] + _crossed(six[:, 3:], lever)
+            total += joint.sense * _turned(outer, moved)
+            if not joint.axis.rotary:
+                for name, tilt in TILTS[joint.name]:
+                    moved = (joint.sense * tables.scalar(name) * own)[:, None] * tilt
+                    total += _turned(self._outer[k], moved)
+                continue
+            line = np.zeros(6)
+            for name in location_names(joint.name):
+                line[DIRECTIONS.index(name[0])] = tables.scalar(name)
+            inner = _then(self._outer[k], turn)
+            for sign, frame, seen in (
+                (1.0, self._outer[k], self._before[k]),
+                (-1.0, inner, self._after[k]),
+            ):
+                moved = line[:3] + _crossed(line[3:], seen - joint.centre)
+                total += sign * _turned(frame, moved)
         return total
 
 

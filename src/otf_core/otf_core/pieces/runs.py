@@ -219,8 +219,8 @@ def check_same_machine(recordings: Sequence[Recording]) -> None:
             if value != first[key]:
                 raise ConfigError(
                     f'{recording.name or f"run {number}"}: {key}: {value}, but {first[key]} in '
-                    f'{recordings[0].name or "run 1"}; runs that are solved as one are of one '
-                    f'machine (target_offset and tracker may differ)'
+                    f'{recordings[0].name or "run 1"}; runs solved together must be of one machine'
+                    f' (target_offset and tracker may differ)'
                 )
 
 

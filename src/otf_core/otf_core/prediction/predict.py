@@ -122,8 +122,8 @@ def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, MotionPrior]) 
     if len(known) < len(unseen):
         others = ', '.join(m for m in unseen if m not in known)
         notes.append(
-            f'{others} were not seen and act on these points; the file holds no prior of them, so '
-            f'u does not hold them and is too small'
+            f'{others} were not determined and act on these points; the file contains no prior '
+            f'for them, so u does not include them and is too small'
         )
     return notes
 

@@ -150,7 +150,7 @@ def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
     found = []
     if content.without_value:
         found.append(
-            f'the tables say nothing of {", ".join(content.without_value)}: taken as zero'
+            f'the tables do not contain {", ".join(content.without_value)}: taken as zero'
         )
     if content.without_u and from_nodes:
         names = ', '.join(content.without_u)

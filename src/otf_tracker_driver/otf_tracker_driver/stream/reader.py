@@ -127,7 +127,7 @@ class Reader:
             self._samples.clear()
             self._last_ns, self._lost = 0, ''
             self._since, self._opened = time.monotonic(), 0
-            self._hinder(Flow.STARTING, f'{self._how.source}: the first points are awaited')
+            self._hinder(Flow.STARTING, f'{self._how.source}: waiting for the first points')
             self._streams += 1
             self._wanted = self._streams
 
@@ -270,7 +270,7 @@ class Reader:
 
     def _silent(self) -> str:
         if self._lines.partial:
-            return f'{self._how.source}: bytes come, but no end of a line (LF or CR)'
+            return f'{self._how.source}: bytes arrive, but no end of line (LF or CR)'
         return f'{self._how.source} sends nothing; is it on?'
 
     def _repeating(self) -> str:
