@@ -143,7 +143,7 @@ def test_live_diagnosis_follows_the_tables_and_is_that_of_the_bag(graph, machine
 def job(machine_file, tmp_path):
     """Diagnosis of samples that do not move."""
     samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
-    path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
+    path = NominalPath(np.array([[0, 0, 0], [0.15, 0, 0], [0.15, 0.1, 0], [0, 0, 0.0]]))
     recording = Recording(samples, path, load_machine(machine_file))
     folder = tmp_path / MACHINE['name']
     folder.mkdir()

@@ -111,7 +111,7 @@ def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_
     samples, end = driven(0, 160), 201 + AT_REST
     found, _ = ended(tmp_path, samples, 10, 0, [end])
     session, asked = begun(tmp_path)
-    assert f'goes on with {end} samples' in session.intake.take_up(None, None)
+    assert f'continues with {end} samples' in session.intake.take_up(None, None)
     assert not session.complete()
     ((verdict, count),) = asked
     verdict.set_result(True)

@@ -242,7 +242,7 @@ def test_tracker_is_told_to_stop_by_a_driver_that_ends(make):
 
 def test_unknown_reflector_is_refused_with_those_there_are(make):
     with emulator() as running:
-        said = r"'CCR-1.5' is not known .* mean CCR-1.5in\? possible: RRR-0.5in, CCR-1.5in, TBR"
+        said = r"'CCR-1.5' is unknown .* mean CCR-1.5in\? possible: RRR-0.5in, CCR-1.5in, TBR"
         with pytest.raises(OtfError, match=said):
             make(running.port, reflector='CCR-1.5').connect()
 

@@ -144,7 +144,7 @@ def test_an_unseen_rotation_is_in_u_for_another_tool_and_only_there(tmp_path):
     own, other = predict(file, q), predict(file, q, longer)
     assert np.all(own.u == 0)
     assert not any('not seen' in n for n in own.notes)
-    assert any('ECZ were not seen' in n and 'by their prior' in n for n in other.notes)
+    assert any('ECZ were not determined' in n and 'by their prior' in n for n in other.notes)
     off = []
     for _ in range(200):
         value = sd * rng.standard_normal(4)
@@ -218,8 +218,10 @@ def test_without_a_prior_unseen_rotations_are_named(tmp_path):
     tables = blind_to(zero_tables(some_machine()), 'ECZ', 'EAZ')
     file = written_tables(tmp_path, tables, prior={'EAZ': {'sd': 1e-5}})
     found = predict(file, np.array([[0.1, 0.1, -0.1]]), np.add(OFFSET, [0.1, 0, -0.1]))
-    assert any('EAZ were not seen' in n and 'u holds them' in n for n in found.notes)
-    assert any('ECZ were not seen' in n and 'u does not include them' in n for n in found.notes)
+    assert any('EAZ were not determined' in n and 'u includes them' in n for n in found.notes)
+    assert any(
+        'ECZ were not determined' in n and 'u does not include them' in n for n in found.notes
+    )
 
 
 @pytest.mark.parametrize(

@@ -608,7 +608,9 @@ def _standing(
         besides=found.residuals,
     )
     nameless = _said(rows, explained, found.structures, causes) if found.structures else None
-    if nameless and nameless.said.shrink_percent < LEAST_SHRINK:
+    if nameless and nameless.said.shrink_percent < LEAST_SHRINK:  # not worth stating
+        if verdict == 'unknown' or _leaves_most(explained, explained.steps[-1]):
+            return None
         nameless, explained = None, replace(explained, besides=None)
     return _Weighed(_verdict_beside(explained, nameless), explained, nameless)
 

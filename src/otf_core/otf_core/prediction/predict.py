@@ -116,8 +116,8 @@ def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, MotionPrior]) 
     notes = []
     if known:
         notes.append(
-            f'{", ".join(known)} were not seen and act on these points; u holds them by their '
-            f'prior'
+            f'{", ".join(known)} were not determined and act on these points; u includes them by '
+            f'their prior'
         )
     if len(known) < len(unseen):
         others = ', '.join(m for m in unseen if m not in known)

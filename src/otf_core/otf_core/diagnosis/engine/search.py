@@ -26,6 +26,7 @@ from otf_core.diagnosis.engine.evidence import (
     Option,
     average,
     estimate,
+    joint_evidence,
     log_evidence,
     motions_of_takes,
 )
@@ -223,7 +224,8 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
 
     What is named early may only have stood for what is found later, as a drift does for the axis
     that expands. So each cause is taken away in turn: it goes where the others explain the data as
-    well, and gives way where another effect does better beside them.
+    well, and gives way where another effect does better beside them. Where another effect is about
+    as likely as the first, the search is repeated from that one; the likelier result stays.
 
     Returns
     -------
@@ -232,17 +234,58 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
     considered : list of (name, score)
         The ranking of the last round.
     """
-    causes, considered, pool = _found(Pool.of(rows, tried), [])
+    pool = Pool.of(rows, tried)
+    causes, considered = _settled(pool, [])
+    other = _other_start(pool, causes)
+    if other is None:
+        return causes, considered
+    others, ranked = _settled(pool.joined(other.option), [other])
+    if _is_likelier(others, causes, rows):
+        return others, ranked or considered
+    return causes, considered
+
+
+def _settled(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause], list[tuple[str, float]]]:
+    """Find effects beside causes, and ask each again until all stay."""
+    found, considered, pool = _found(pool, causes)
     for _ in range(MAX_CHANGES):
-        changed = _changed(pool, causes)
+        changed = _changed(pool, found)
         if changed is None:
             break
         for cause in changed:
-            if all(cause is not known for known in causes):
+            if all(cause is not known for known in found):
                 pool = pool.joined(cause.option)
-        causes, ranked, pool = _found(pool, changed)
-        causes, considered = _in_order(causes), ranked or considered
-    return causes, considered
+        found, ranked, pool = _found(pool, changed)
+        found, considered = _in_order(found), ranked or considered
+    return found, considered
+
+
+def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
+    """An effect that is about as likely as the first cause and is not found; None if none is."""
+    if not causes or not causes[0].indistinguishable:
+        return None
+    known = {*DECOY_NAMES, *(c.option.effect.name for c in causes)}
+    beside = _beside(pool, [], 1.0)
+    variance = noise_variance(pool.rows, fit_out(causes[0].option, pool.rows.residual))
+    ranking = _ranking(beside.candidates, variance)
+    pairs = zip(ranking, _weights(ranking), strict=True)
+    close = [e for e, weight in pairs if weight > LEAST_WEIGHT and e[0] >= NEEDED_EVIDENCE]
+    for entry in close:
+        if entry[1].effect.name not in known:
+            rest = [e for e in ranking if e is not entry]
+            return _cause([entry, *rest], beside, variance)
+    return None
+
+
+def _is_likelier(one: Sequence[Cause], other: Sequence[Cause], rows: Rows) -> bool:
+    """Tell whether causes explain rows clearly better than others, for the same noise."""
+    options = [[c.option for c in causes] for causes in (one, other)]
+    left = [rows.residual - np.concatenate([o.own for o in part], axis=1)
+            @ fit_jointly(causes, rows).value
+            for part, causes in zip(options, (one, other), strict=True)]  # fmt: skip
+    variance = min(noise_variance(rows, part) for part in left)
+    first, second = (joint_evidence(part, rows.residual, variance) for part in options)
+    return first - second > max(CLEARLY_BETTER, CLOSE_SHARE * second)
 
 
 def search_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list[Cause]:
@@ -349,7 +392,8 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
             or (s > NEEDED_EVIDENCE and not is_doubted(t) and same(t, own))
         )
     ]
-    confidence = 1.0 / float(weights.sum() + np.exp(-_worth(ranking[0])))
+    # what is put first for its fewer functions is as likely as what it is put before
+    confidence = 1.0 / float(np.minimum(weights, 1.0).sum() + np.exp(-_worth(ranking[0])))
     as_well = _time_as_well(candidates[tried.effect.name], tried, take, variance)
     return Cause(option, score, confidence, tuple(close[:4]), as_well)
 
