@@ -2,11 +2,13 @@
 """Exports of machines with rotary axes, read back and applied by transforms of their own."""
 
 import itertools
+import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_cells import message, run
 from export_readers import evenly, sinumerik_values
 from test_joints import constant, machine_of
 
@@ -16,7 +18,7 @@ from otf_core.exports.format import Request, remaining_error
 from otf_core.exports.lattice import linear_tables
 from otf_core.exports.pivot import moved_lines
 from otf_core.model.kinematics import exact_position, nominal_position
-from otf_core.model.tables import LocationError, MotionTable, TablesFile
+from otf_core.model.tables import LocationError, MotionTable, TablesFile, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
@@ -439,3 +441,19 @@ def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
     tables_of = [line for line in alone.splitlines() if line.startswith('$')]
     assert [line for line in text.splitlines() if line in set(tables_of)] == tables_of
     assert 'rotary axes at zero' in text
+
+
+@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'sinumerik-enc', 'pivot'])
+def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
+    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
+    file = tmp_path / 'error_tables.json'
+    file.write_text(json.dumps(tables_to_dict(tables)))
+    sign = ['--sign', 'error'] if export_format(name).sign_is_asked else []
+    out = tmp_path / 'out.txt'
+    assert run('export', file, '--format', name, '--out', out, *sign) == 0
+    assert 'this file leaves' in capsys.readouterr().out
+    assert run('info', out, '--json') == 0
+    assert json.loads(capsys.readouterr().out)['facts']['format'] == name
+    assert run('export', file, '--format', 'qif', '--out', tmp_path / 'x.xml') == 2
+    assert 'holds three linear axes only' in message(capsys)
+    assert not (tmp_path / 'x.xml').exists()

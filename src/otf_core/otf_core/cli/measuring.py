@@ -296,7 +296,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
-    from otf_core.comparison.compare import compare, load_source
+    from otf_core.comparison.compare import compare, is_rotary, load_source
     from otf_core.inputs.path_file import read_points
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
@@ -306,17 +306,38 @@ def run_compare(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine) if arguments.machine else None
     points = read_points(arguments.points)[0] if arguments.points else None
-    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
-    result = compare(a, b, points)
+    rotary = is_rotary(arguments.a, machine) or is_rotary(arguments.b, machine)
+    if rotary and points is not None:
+        raise ConfigError('--points: for machines of three linear axes only; leave it out')
     about = provenance(
         'compare',
         machines=[machine] if machine else [],
         files={'a': arguments.a, 'b': arguments.b, 'points': arguments.points},
         coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
     )
+    if rotary:
+        return _compare_rotary(arguments, out, about)
+    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
+    result = compare(a, b, points)
     with progress_of(arguments, 'drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
     answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
+    return 0
+
+
+def _compare_rotary(
+    arguments: argparse.Namespace, out: OutputFolder, about: dict[str, Any]
+) -> int:
+    from otf_core.comparison.rotary_axes import compare_rotary
+    from otf_core.reports.rotary_comparison import (
+        format_rotary_comparison,
+        write_rotary_comparison,
+    )
+
+    result = compare_rotary(arguments.a, arguments.b)
+    with out.filled('compare') as folder:
+        files = write_rotary_comparison(result, folder, about)
+    answer_from(arguments, format_rotary_comparison(result) + '\n', files, 'comparison.json')
     return 0
 
 

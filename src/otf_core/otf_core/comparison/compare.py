@@ -433,6 +433,13 @@ def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Ma
     return Source(name, tables, whole, ())
 
 
+def is_rotary(path: str | Path, machine: Machine | None) -> bool:
+    """Tell whether tables, or a direct measurement of a machine, are of one with rotary axes."""
+    if Path(path).suffix.lower() == '.csv':
+        return machine is not None and bool(machine.rotary_names)
+    return bool(load_tables(path).tables.machine.rotary_names)
+
+
 def load_source(path: str | Path, machine: Machine | None) -> Source:
     """Read error_tables.json or, for the machine given, a direct measurement in CSV."""
     if Path(path).suffix.lower() == '.csv':

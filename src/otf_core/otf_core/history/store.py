@@ -145,6 +145,12 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
         If the tables cannot be read or nobody says when they were measured.
     """
     content = load_tables(tables)
+    rotary = content.tables.machine.rotary_names
+    if rotary:
+        raise ConfigError(
+            f'{tables}: the history holds machines of three linear axes only, this one has '
+            f'{", ".join(rotary)}; otf compare compares two of its calibrations'
+        )
     moment = at or measured_at(content)
     if moment is None:
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')

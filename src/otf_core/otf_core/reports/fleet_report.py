@@ -15,8 +15,9 @@ from otf_core.calibration.machine_verdict import LIMIT_NOT_PROVEN, MEASUREMENT_F
 from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
-from otf_core.model.expanded import figure, significant, with_expanded
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.expanded import COVERAGE_FACTOR, figure, micro_unit, significant, with_expanded
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.tables import ROTARY_SCHEMA
 from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.page import Heading, Section, State, Table, page_html
 
@@ -38,6 +39,8 @@ GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', '
 
 
 def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
+    if data['schema'] == ROTARY_SCHEMA:
+        return _calibrated_rotary(name, data, remark)
     first, verdicts = data['headline'], data['verdicts']
     error, wide = first['error'], first['expected_after_compensation']['U']
     good, state = verdicts['measurement']['good'], verdicts['machine']['state']
@@ -55,6 +58,33 @@ def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
     ]
 
 
+def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
+    """Row of a machine with rotary axes: location errors among the remarks, limits not judged."""
+    good, size = not data['failed_gates'], data['volumetric_error']
+
+    def words(error: str, entry: Mapping[str, Any]) -> str:
+        if error in data['not_identifiable']:
+            return 'not known'
+        return with_expanded(1e6 * entry['value'], 1e6 * COVERAGE_FACTOR * entry['u'])
+
+    lines = [
+        f'{n} {words(n, v)}{"" if n in data["not_identifiable"] else " " + micro_unit(unit_of(n))}'
+        for n, v in data['location'].items()
+    ]
+    return [
+        name,
+        str(data['machine']['name']),
+        State('good', 'good') if good else State('not good', 'bad'),
+        State('not judged', 'open'),
+        f'{1e6 * size["mean"]:.1f}',
+        f'{1e6 * size["max"]:.1f}',
+        '-',
+        *(words(k, data['squareness'][k]) for k in SQUARENESS),
+        offset_words(np.array(data['machine']['target_offset'])),
+        '; '.join([*([remark] if remark else []), f'location errors: {", ".join(lines)}']),
+    ]
+
+
 def _squareness(data: Mapping[str, Any], name: str) -> str:
     """Value and U of a squareness error; a star where it holds at one target offset only."""
     if name in data.get('not_identifiable', ()):
@@ -67,7 +97,9 @@ def _squareness(data: Mapping[str, Any], name: str) -> str:
 
 def offset_remarks(done: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
     """What is to be minded where values hold at the target offset of their own run only."""
-    bound = {name: data['target_offset_bound'] for name, data in done}
+    bound = {
+        name: data['target_offset_bound'] for name, data in done if 'target_offset_bound' in data
+    }
     contains = [
         n for n in (*SQUARENESS, *MOTIONS) if any(n in b['contains'] for b in bound.values())
     ]

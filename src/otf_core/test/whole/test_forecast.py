@@ -138,10 +138,10 @@ def test_correlated_noise_averages_out_less():
 @pytest.mark.parametrize(
     ('chain', 'error', 'mixed', 'said'),
     [
-        ('w-b-X-Y-Z-t', 'EBZ', ('EXZ',), 'cannot be told from EXZ with one target offset along Z'),
-        ('w-Y-b-X-Z-t', 'EAZ', ('EYZ',), 'cannot be told from EYZ with one target offset along Z'),
+        ('w-b-X-Y-Z-t', 'EBZ', ('EXZ',), 'distinguished from EXZ with one target offset along Z'),
+        ('w-Y-b-X-Z-t', 'EAZ', ('EYZ',), 'distinguished from EYZ with one target offset along Z'),
         ('w-Y-b-X-Z-t', 'ECX', (), 'rotation about an axis through the target'),
-        ('w-X-Y-Z-b-t', 'ECY', ('EXY',), 'cannot be told from EXY with one target offset along Z'),
+        ('w-X-Y-Z-b-t', 'ECY', ('EXY',), 'distinguished from EXY with one target offset along Z'),
     ],
 )
 def test_what_the_chain_hides_is_said_in_words(chain, error, mixed, said):
