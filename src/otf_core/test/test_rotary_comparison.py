@@ -107,6 +107,7 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     folder.mkdir()
     extra = {
         'failed_gates': [],
+        'verdicts': {'machine': {'state': 'fail'}},
         'not_identifiable': ['A0C', 'EBA'],
         'volumetric_error': {'mean': 5e-5, 'max': 1e-4},
     }
@@ -115,4 +116,5 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     _, (row,), _ = fleet_rows('calibrate', tmp_path, outcomes)
     assert 'X0C 12.5 +/- 2.0 um' in row[-1]
     assert 'A0C not known' in row[-1]
+    assert row[3].words == 'broken'
     assert 'X0C' in fleet_page('calibrate', tmp_path, outcomes)

@@ -25,18 +25,21 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.budget.budget import Budget
+from otf_core.model.evaluation import lattice
 from otf_core.model.expanded import (
+    COVERAGE_FACTOR,
     coverage_factor,
     micro_significant,
     micro_unit,
     micro_with_expanded,
 )
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
-from otf_core.model.motions import SQUARENESS, ErrorMotion
+from otf_core.model.motions import SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.table_prior import MotionPrior
-from otf_core.prediction.volumetric import VolumetricError, table_places
+from otf_core.prediction.volumetric import VolumetricError, table_places, table_values
+from otf_core.rotary.tabulation import field_rows
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
 WORDS = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
@@ -238,6 +241,81 @@ def judge(
             value, wide = size_and_expanded(name, tables, budget, prior)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
     return Verdict(tuple(judged))
+
+
+RANGE_COVERED = 0.98
+"""Share of the range of every axis that tables must cover to judge the volume."""
+AXES_GRID = 5
+"""Points per axis of the volume of a machine with rotary axes."""
+
+
+def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) -> Verdict | None:
+    """Compare a calibration of a machine with rotary axes with its limits, U with k = 2.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (m, m), m and rad
+        Of squareness and location errors and all nodes.
+    hidden : collection of str
+        Errors that the data cannot see.
+
+    Returns
+    -------
+    Verdict or None
+        None without limits. The volume is not known where an axis did not pass its range.
+    """
+    machine = tables.machine
+    if machine.limits is None:
+        return None
+    low, high = table_ranges(tables)
+    covered = np.all(high - low >= RANGE_COVERED * (machine.upper - machine.lower))
+    unseen = {*hidden, *(() if covered else (VOLUMETRIC, UNCERTAINTY))}
+    places, judged = table_places(tables), []
+    volume = {VOLUMETRIC, UNCERTAINTY} & {n for n in machine.limits.values if n not in unseen}
+    sizes = _axes_volume(tables, covariance, machine.limits.values) if volume else {}
+    for name, limit in machine.limits.values.items():
+        unit = 'm' if name in (VOLUMETRIC, UNCERTAINTY) else unit_of(name)
+        if name in unseen:
+            judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
+            continue
+        if name in sizes:
+            value, wide = sizes[name]
+        else:
+            row = np.zeros(len(covariance))
+            if name in machine.scalars:
+                row[places[name]] = 1.0
+                value = abs(tables.scalar(name))
+            else:
+                own = tables.motions[name].value
+                row[places[name].start + int(own.argmax())] += 1.0
+                row[places[name].start + int(own.argmin())] -= 1.0
+                value = float(np.ptp(own))
+            wide = COVERAGE_FACTOR * float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
+        judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
+    return Verdict(tuple(judged))
+
+
+def _axes_volume(
+    tables: ErrorTables, covariance: Array, limits: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """Deciding length and largest uncertainty of the error vectors, each with its U, m."""
+    machine = tables.machine
+    q = lattice(machine, AXES_GRID)
+    nodes = {a: tables.motions[f'E{a}{a}'].position for a in machine.axis_names}
+    rows = field_rows(machine, nodes, q)
+    error = (rows @ table_values(tables)).reshape(-1, 3)
+    length = np.linalg.norm(error, axis=1)
+    unit = error / np.maximum(length, np.finfo(float).tiny)[:, None]
+    along = np.einsum('nij,ni->nj', rows.reshape(len(q), 3, -1), unit)
+    wide = COVERAGE_FACTOR * np.sqrt(
+        np.maximum(np.einsum('ij,ij->i', along @ covariance, along), 0.0)
+    )
+    limit = limits.get(VOLUMETRIC, np.inf)
+    sure = length - wide
+    at = int(np.argmax(sure if sure.max() > limit else length + wide))
+    variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
+    largest = COVERAGE_FACTOR * float(np.sqrt(np.maximum(variance, 0.0).max()))
+    return {VOLUMETRIC: (float(length[at]), float(wide[at])), UNCERTAINTY: (largest, 0.0)}
 
 
 def _an_axis_stood(tables: ErrorTables) -> bool:

@@ -103,7 +103,12 @@ def _calibrate_axes(
 ) -> int:
     """Error tables of a machine with rotary axes."""
     from otf_core.reports.page import sections_to_dict, sections_to_text
-    from otf_core.reports.rotary_calibration import sections, summary, write_calibration
+    from otf_core.reports.rotary_calibration import (
+        sections,
+        summary,
+        verdicts_of,
+        write_calibration,
+    )
     from otf_core.rotary.calibrate import calibrate_axes
 
     for option in ('residuals_csv', 'certificate'):
@@ -125,7 +130,7 @@ def _calibrate_axes(
     answer_from(arguments, words, files, TABLES, report=sections_to_dict(all_sections))
     if arguments.quiet and result.failed_gates:
         note(f'otf: {"; ".join(result.failed_gates)}')
-    return QUALITY_GATE_FAILED if result.failed_gates else 0
+    return verdicts_of(result).exit_code
 
 
 def _note_missing(out: OutputFolder) -> None:

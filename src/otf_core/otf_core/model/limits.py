@@ -3,15 +3,16 @@
 
 All keys are optional. ``volumetric_error``: largest length of the error vector in the volume;
 ``uncertainty``: largest expanded uncertainty of that vector, which is what remains to be expected
-after compensation; an error motion: span of its table; a squareness error: its size.
+after compensation; an error motion: span of its table; a squareness or location error: its size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from otf_core.files.strict_yaml import Fields
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit_of
 
 VOLUMETRIC, UNCERTAINTY = 'volumetric_error', 'uncertainty'
 _LENGTHS = (VOLUMETRIC, UNCERTAINTY, *(f'E{d}{a}' for a in 'XYZ' for d in 'XYZ'))
@@ -20,7 +21,7 @@ KEYS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(_LENGTHS, ('m', 1e-2)),
     **dict.fromkeys(_ANGLES, ('rad', 1e-2)),
 }
-"""Unit and largest value of every key."""
+"""Unit and largest value of every key of a machine of three linear axes."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +31,28 @@ class Limits:
     values: Mapping[str, float]
 
 
-def limits_from_fields(fields: Fields) -> Limits:
-    """Read the section.
+def limit_keys(rotary: Sequence[str] = ()) -> dict[str, tuple[str, float]]:
+    """Unit and largest value of every key of a machine with these rotary axes."""
+    names: list[str] = []
+    for axis in rotary:
+        names += [ErrorMotion(d, axis) for d in DIRECTIONS]
+        names += location_names(axis)
+    return KEYS | {str(name): (unit_of(name), 1e-2) for name in names}
+
+
+def limits_from_fields(fields: Fields, rotary: Sequence[str] = ()) -> Limits:
+    """Read the section of a machine with these rotary axes.
 
     Raises
     ------
     ConfigError
         Names the key that is unknown, mistyped or out of range.
     """
+    keys = limit_keys(rotary)
     values = {
         key: fields.number(key, low=0.0, high=high, unit=unit)
-        for key, (unit, high) in KEYS.items()
+        for key, (unit, high) in keys.items()
         if fields.has(key)
     }
-    fields.done(known=KEYS)
+    fields.done(known=keys)
     return Limits(values)

@@ -371,7 +371,8 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         declared = declared_from_fields(top.mapping('uncertainty'), spec.preset)
     elif spec.preset is not None:
         declared = declared_from_fields(Fields({}, where), spec.preset)
-    limits = limits_from_fields(top.mapping('limits')) if top.has('limits') else None
+    turning = [a for a in chain.axis_names if a in ROTARY]
+    limits = limits_from_fields(top.mapping('limits'), turning) if top.has('limits') else None
     instrument, conditions, certificate = (
         top.mapping(key) if top.has(key) else Fields({}, where)
         for key in ('instrument', 'conditions', 'certificate')

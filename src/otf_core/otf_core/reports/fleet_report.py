@@ -59,8 +59,9 @@ def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
 
 
 def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    """Row of a machine with rotary axes: location errors among the remarks, limits not judged."""
+    """Row of a machine with rotary axes: location errors among the remarks."""
     good, size = not data['failed_gates'], data['volumetric_error']
+    state = data['verdicts']['machine']['state']
 
     def words(error: str, entry: Mapping[str, Any]) -> str:
         if error in data['not_identifiable']:
@@ -75,7 +76,7 @@ def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
         name,
         str(data['machine']['name']),
         State('good', 'good') if good else State('not good', 'bad'),
-        State('not judged', 'open'),
+        State(STATES.get(state, state), MOODS.get(state, '')),
         f'{1e6 * size["mean"]:.1f}',
         f'{1e6 * size["max"]:.1f}',
         '-',

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.calibration.machine_verdict import Verdicts, judge_axes
 from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_unit, micro_with_expanded, with_expanded
 from otf_core.model.kinematics import displacement
@@ -95,6 +96,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'not_identifiable': list(result.made.hidden),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
+        'verdicts': verdicts_of(result).to_dict(),
         'volumetric_error': volume_sizes(result),
         'config': asdict(result.config),
         'provenance': about(result),
@@ -120,6 +122,13 @@ def _run_to_dict(result: AxisCalibration, number: int) -> dict[str, Any]:
         'noise': noise_to_fields(solved.noise),
         'misfit': asdict(solved.misfit),
     }
+
+
+def verdicts_of(result: AxisCalibration) -> Verdicts:
+    """Verdict on the measurement, and on the machine by its limits."""
+    made = result.made
+    machine = judge_axes(result.tables, made.covariance, made.hidden)
+    return Verdicts(result.failed_gates, machine)
 
 
 def about(result: AxisCalibration) -> dict[str, Any]:
@@ -228,6 +237,7 @@ def _overview(result: AxisCalibration) -> Section:
         f'Not seen: {hidden}.',
         *result.warnings,
         *(f'Failed: {text}' for text in result.failed_gates),
+        *(verdicts_of(result).words[1:] if result.machine.limits else ()),
     )
     text = (
         f'{result.machine.name}, chain {result.machine.chain}: '
