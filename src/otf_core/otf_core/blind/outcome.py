@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from otf_core.blind.depends import named_rightly
-from otf_core.blind.natures import OUTSIDE
 from otf_core.effects import REGISTRY, BelongsTo, names_of
 from otf_core.model.declared_signals import HEAD
 
@@ -62,8 +61,6 @@ class Outcome:
         Those of them that are claimed, with a confidence of ``SURE`` or more.
     confidence : tuple of float
         Of the causes in ``named``.
-    has_decoy : bool
-        Whether a decoy of the diagnosis has the formula of the hidden effect.
     noise_as_specified : bool
         Whether naming ``tracker_noise`` is false.
     gap_left : float, optional
@@ -93,7 +90,6 @@ class Outcome:
     extra: tuple[str, ...]
     sure_extra: tuple[str, ...] = ()
     confidence: tuple[float, ...] = ()
-    has_decoy: bool = False
     noise_as_specified: bool = True
     gap_left: float | None = None
     inputs: tuple[str, ...] = ()
@@ -273,7 +269,6 @@ def outcome(
         extra=tuple(c['effect'] for c in extra),
         sure_extra=tuple(c['effect'] for c in _sure(extra)),
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
-        has_decoy=any(t in OUTSIDE and OUTSIDE[t].has_decoy for t in truth),
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
         gap_left=_gap_left(answer),
         follows=_follows(parts, answer),
