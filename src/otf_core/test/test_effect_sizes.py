@@ -6,7 +6,7 @@ import pytest
 from core_cells import some_machine
 from engine_cells import cause_of, holding, noise, solved_rows, trace_of
 
-from otf_core.diagnosis.answer import name_and_sizes
+from otf_core.diagnosis.answer import name_and_sizes, sentence_of
 from otf_core.diagnosis.cause_parameters import (
     Curve,
     chosen_sizes,
@@ -14,7 +14,8 @@ from otf_core.diagnosis.cause_parameters import (
     sizes_of,
     sizes_words,
 )
-from otf_core.diagnosis.result import NamedCause
+from otf_core.diagnosis.result import Gap, NamedCause
+from otf_core.diagnosis.weighing import Unnamed
 from otf_core.effects import REGISTRY
 from otf_core.effects.sizes import Coefficients
 from otf_core.effects.state import probe_state
@@ -139,3 +140,14 @@ def test_headline_names_size_axis_and_expanded_uncertainty():
     named = NamedCause('backlash', ('X', 'Z'), {}, {}, {}, 1.0, 0.0, 100.0, 1.0, (), sizes=sizes)
     assert name_and_sizes(named).startswith('backlash of ')
     assert ', and of ' in name_and_sizes(named)
+
+
+def test_sentence_states_what_has_no_name_beside_named_causes():
+    gap = Gap(2.9, 1.4, 2.5, 0.2, 92.0, (80.0, 99.0))
+    cause = NamedCause('servo_mismatch', ('X',), {}, {}, {}, 2.5, 1.0, 60.0, 0.9, ('backlash',))
+    rest = Unnamed(('time', 'z'), 'direction', 'depends on time', 1.0, 0.2, 80.0, (60.0, 99.0), ())
+    words = sentence_of('partly_explained', gap, [cause], None, rest)
+    assert words == (
+        'The gap of 2.50 um is partly explained by servo mismatch, indistinguishable from '
+        'backlash. The rest depends on time. An empirical effect of these inputs leaves 0.20 um.'
+    )

@@ -207,6 +207,9 @@ _SENTENCES = {
     'unknown': 'There is a gap of {before:.2f} um that no effect of the catalogue explains.',
 }
 
+_BESIDE = 'The gap of {before:.2f} um is partly explained by {causes}.'
+"""Where what the causes leave is described as well."""
+
 
 def name_and_sizes(cause: NamedCause) -> str:
     """Name of a cause with the sizes estimated: 'backlash of X, 5.02 +/- 0.19 um'."""
@@ -257,11 +260,12 @@ def sentence_of(
     unnamed: Unnamed | None = None,
 ) -> str:
     """The verdict in words."""
-    sentence = _SENTENCES[verdict].format(
+    beside = unnamed is not None and bool(causes)
+    sentence = (_BESIDE if beside else _SENTENCES[verdict]).format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )
     if unnamed is not None:
-        rest = 'What they leave' if causes else 'It'
+        rest = 'The rest' if causes else 'It'
         sentence += (
             f' {rest} {unnamed.words}. An empirical effect of these inputs leaves '
             f'{unnamed.after_um:.2f} um.'

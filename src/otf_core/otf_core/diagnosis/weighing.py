@@ -442,7 +442,8 @@ def _said(
     """Structures beside known causes, in words and as effects."""
     causes = [*known, *(s.cause for s in structures)]
     before, after = explained.steps[len(known)], residuals_with(rows, causes)
-    simulated = explained.twin_um * noise_level(rows, causes)
+    own_noise = explained.twin_um * noise_level(rows, causes)
+    simulated = explained.simulated_um if known else own_noise
     sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
     parts = fitted_causes(causes, rows)[len(known) :]
     curves = [curves_of(part) for part in parts]

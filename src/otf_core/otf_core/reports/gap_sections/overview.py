@@ -95,7 +95,7 @@ def _unnamed_words(diagnosis: Diagnosis) -> tuple[str, ...]:
     if unnamed is None:
         return ()
     low, high = unnamed.shrink_interval_percent
-    what = 'What the causes leave' if diagnosis.causes else 'It'
+    what = 'The rest' if diagnosis.causes else 'It'
     return (
         f'{what} {unnamed.words}.',
         f'An empirical effect of these inputs reduces the gap from {unnamed.before_um:.2f} um to '
