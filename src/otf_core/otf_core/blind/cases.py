@@ -17,6 +17,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.blind.depends import Depends, catalogue_depends
 from otf_core.blind.draw import Trial, draw_effect, draw_trial, nodal, scaled
+from otf_core.blind.forms import TILT
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.observer import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
@@ -91,7 +92,7 @@ CLEAR = tuple(
 """Effects that leave a trace from one tracker place."""
 KNOWN = (*CLEAR, *DEPARTED)
 """These, and known causes in other forms."""
-TILTS = tuple(n for n, e in DEPARTED.items() if 'table_tilt' in e.stands_for)
+TILTS = tuple(n for n, e in DEPARTED.items() if TILT in e.stands_for)
 SIGNAL, LONG, MIXTURE = 'signal', 'long', 'mixture'
 """Families whose cells record a signal, are large machines, hide two or three causes."""
 ACTS = 0.02

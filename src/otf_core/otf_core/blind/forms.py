@@ -340,6 +340,8 @@ _EXPANSION = frozenset({'thermal_axis_expansion'})
 _DRIFT = frozenset({'thermal_structure_drift', 'tracker_pose_drift'})
 _ROUNDING = frozenset({'corner_rounding'})
 _COUPLING = frozenset({'cross_coupling'})
+TILT = 'table_tilt'
+_TILT = frozenset({TILT})
 
 FOLLOWING_FORMS = {warm_head: _DRIFT, warm_screw: _EXPANSION}
 """Forms that follow the temperature of the spindle, which the cell records."""
@@ -347,9 +349,9 @@ DEPARTED_FORMS = {
     corner_cosine: _ROUNDING,
     corner_parabola: _ROUNDING,
     corner_fast: _ROUNDING,
-    tilt_askew: frozenset({'table_tilt'}),
-    tilt_square: frozenset({'table_tilt'}),
-    tilt_kink: frozenset({'table_tilt'}),
+    tilt_askew: _TILT,
+    tilt_square: _TILT,
+    tilt_kink: _TILT,
     backlash_warm: _PLAY,
     backlash_wound: _PLAY,
     backlash_worn: _PLAY_ALONG,
