@@ -447,11 +447,6 @@ def load_source(path: str | Path, machine: Machine | None) -> Source:
             raise ConfigError(f'{path}: a direct measurement needs --machine')
         return source_of_measurement(Path(path).stem, read_direct_csv(path, machine), machine)
     content = load_tables(path)
-    if content.tables.machine.rotary_names:
-        raise ConfigError(
-            f'{path}: compare: not available for machines with rotary axes; predict gives the '
-            f'errors of both at the same points'
-        )
     size = len(SQUARENESS) + sum(len(content.tables.motions[m].position) for m in MOTIONS)
     covariance = unpack_covariance(content.extra.get('covariance'), size)
     name = Path(path).parent.name if Path(path).stem == 'error_tables' else Path(path).stem

@@ -85,7 +85,9 @@ class Pivot(Format):
 
 
 UNCHECKED = (
-    'LinuxCNC: names and signs checked in its source; SINUMERIK: vectors checked in the manual',
+    'LinuxCNC: names and signs checked in its source',
+    'SINUMERIK: names of the vectors and closure of the chain checked in the manual; their signs, '
+    'and which table axis is the first, not tried on a control',
     'HEIDENHAIN, FANUC: not checked in a manual which keys and parameters hold these numbers, nor '
     'their sign; test with one change of 0.1 mm',
 )
