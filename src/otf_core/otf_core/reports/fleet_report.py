@@ -39,7 +39,7 @@ GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', '
 
 
 def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    if data['schema'] == ROTARY_SCHEMA:
+    if data.get('schema') == ROTARY_SCHEMA:
         return _calibrated_rotary(name, data, remark)
     first, verdicts = data['headline'], data['verdicts']
     error, wide = first['error'], first['expected_after_compensation']['U']

@@ -193,7 +193,7 @@ def test_wanted_uncertainty_is_reached_in_a_short_time(best):
 
 
 def test_wanted_uncertainty_out_of_reach_is_refused(best, monkeypatch):
-    monkeypatch.setattr('otf_core.planning.path_optimiser.LONGEST', 300.0)
+    monkeypatch.setattr('otf_core.planning.path_optimiser.LONGEST_PLAN', 300.0)
     with pytest.raises(ConfigError, match=r'needs more than 300 s at this feed; then [\d.]+ um'):
         best.optimiser.for_uncertainty(1e-9)
 
