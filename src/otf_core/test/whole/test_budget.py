@@ -116,7 +116,7 @@ def test_declared_contributions_leave_the_estimates_alone_and_widen_u(declared, 
         assert np.all(declared.tables.motions[name].u >= table.u * (1 - 1e-9))
     assert declared.budget.not_stated == ()
     assert len(calibrated.budget.not_stated) == 6
-    assert 'Not declared in machine.yaml: tracker scale, air' in format_result(calibrated)
+    assert 'typical values are used: tracker scale, air' in format_result(calibrated)
 
 
 def test_an_empty_declaration_leaves_the_tables_as_they_are(cell, calibrated):
