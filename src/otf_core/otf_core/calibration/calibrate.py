@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +46,7 @@ from otf_core.noise.noise_model import NoiseModel, sample_variance
 from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.methods import Preparation
-from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
+from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
 from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
@@ -219,7 +217,7 @@ def assemble(
     whole = budget.covariance if assessed.typical is None else stated.covariance
     volume = VolumetricError(tables, whole, prior, hidden)
     return CalibrationResult(
-        run_id=_run_id([r.recording for r in runs], config),
+        run_id=run_id([r.recording for r in runs], config),
         tables=tables,
         covariance=covariance,
         budget=budget,
@@ -381,16 +379,6 @@ def _fit(
         inflation=inflation,
         iterations=joint.iterations,
     )
-
-
-def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
-    digest = hashlib.sha256()
-    for r in recordings:
-        for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
-            digest.update(np.ascontiguousarray(part).reshape(-1).data)
-        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
-    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
-    return digest.hexdigest()[:12]
 
 
 def _failed_gates(fit: Fit) -> tuple[str, ...]:

@@ -117,6 +117,13 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
         f'tracker at ({place}) mm'
     )
+    return _answer_run(arguments, config, run, words)
+
+
+def _answer_run(
+    arguments: argparse.Namespace, config: SimulationConfig, run: Any, words: str
+) -> int:
+    """State what was simulated."""
     data = {
         'samples': len(run.samples),
         'duration_s': float(run.samples.time[-1]),
@@ -166,15 +173,7 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}: '
         f'{len(run.parts)} parts ({", ".join(p.target for p in run.parts)})'
     )
-    data = {
-        'samples': len(run.samples),
-        'duration_s': float(run.samples.time[-1]),
-        'tracker_place': run.place.tolist(),
-        'seed': config.seed,
-        'out': arguments.out,
-    }
-    answer(arguments, words, data)
-    return 0
+    return _answer_run(arguments, config, run, words)
 
 
 def run_plan(arguments: argparse.Namespace) -> int:

@@ -119,15 +119,6 @@ def write_text(path: str | Path, text: str) -> None:
 # Numbers to CSV, with full precision; reading is ``text_table``.
 
 
-def begins_with(path: str | Path, header: str) -> bool:
-    """Tell whether the first line of a file is this header."""
-    try:
-        with open(path, 'rb') as file:
-            return file.read(len(header) + 1) == f'{header}\n'.encode()
-    except OSError:
-        return False
-
-
 def ends_head(path: str | Path, tail: str) -> bool:
     """Tell whether the first line of a file ends with these columns."""
     try:

@@ -44,7 +44,7 @@ KEYS = (
 
 TOOL = 'tool'
 """Target that every machine has: at ``target_offset``."""
-LINKS = TABLE, BED, SPINDLE = 'w', 'b', 't'
+TABLE, BED, SPINDLE = 'w', 'b', 't'
 """Links of a machine by their letters in the chain."""
 MOST_ROTARY = 2
 FURTHEST_CENTRE = 10.0

@@ -8,9 +8,11 @@ path (``Observed``: of a recording, or of a plan that is not driven yet); single
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
@@ -348,3 +350,15 @@ def reduced(
     pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
     noise = noise_model(samples, machine.tracker, config.standstill_speed)
     return Run.of(recording, alignment, pieces, pose, noise)
+
+
+def run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
+    """Return the identifier of a calibration: a digest of its recordings and parameters."""
+    digest = hashlib.sha256()
+    for r in recordings:
+        driven = [p.positions for p in r.axis_paths] or [r.path.points]
+        for part in (r.samples.stamp_ns, r.samples.xyz, *driven):
+            digest.update(np.ascontiguousarray(part).reshape(-1).data)
+        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
+    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
+    return digest.hexdigest()[:12]

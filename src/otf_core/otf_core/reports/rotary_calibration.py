@@ -45,7 +45,6 @@ GAUGE = (
     'minimum; location errors are the least-squares line over the nodes'
 )
 TABLES_FILE, REPORT_FILE, SUMMARY_FILE = 'error_tables.json', 'report.html', 'summary.txt'
-SECOND_AXIS = 3
 GRID = 7
 """Positions of every rotary axis at which the volume error is drawn."""
 DEGREES = 180.0 / math.pi

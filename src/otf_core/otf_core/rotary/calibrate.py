@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +19,7 @@ from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
-from otf_core.pieces.runs import Recording, check_same_machine, errors_of
+from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.rotary.reduction import reduce_to_pieces, reduce_to_stops
@@ -41,7 +39,7 @@ MAX_OUTLIERS = 0.2
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Size and quality of a fit; see ``calibration.result.Fit``."""
+    """Size and quality of a fit; see ``calibration_result.Fit``."""
 
     samples: int
     used: int
@@ -401,7 +399,7 @@ def _assembled(
     linear = q[np.array(sights), :3] if any(sights) else q[:, :3]
     advice = advice_for(machine, matched, made.hidden)
     return AxisCalibration(
-        run_id=_run_id(recordings, config),
+        run_id=run_id(recordings, config),
         machine=machine,
         made=made,
         solution=done,
@@ -410,7 +408,7 @@ def _assembled(
         driven=driven,
         corners=linear,
         fit=fit,
-        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(done, made),
+        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(made),
         failed_gates=(
             *_failed(fit),
             *wrong_lines(
@@ -464,17 +462,6 @@ def effective_unknowns(done: AxisSolution) -> float:
     return float(np.sum(cover * done.normal.matrix[: len(free), : len(free)]))
 
 
-def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
-    digest = hashlib.sha256()
-    for r in recordings:
-        parts = [r.samples.stamp_ns, r.samples.xyz, *(p.positions for p in r.axis_paths)]
-        for part in parts:
-            digest.update(np.ascontiguousarray(part).reshape(-1).data)
-        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
-    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
-    return digest.hexdigest()[:12]
-
-
 def _failed(fit: AxisFit) -> tuple[str, ...]:
     failed = []
     if fit.coverage < MIN_COVERAGE:
@@ -491,7 +478,7 @@ def _failed(fit: AxisFit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _warnings(done: AxisSolution, made: AxisTables) -> tuple[str, ...]:
+def _warnings(made: AxisTables) -> tuple[str, ...]:
     found = []
     for name, table in made.tables.motions.items():
         if table.identifiable and table.node_identifiable is not None:
@@ -500,7 +487,6 @@ def _warnings(done: AxisSolution, made: AxisTables) -> tuple[str, ...]:
                 found.append(
                     f'{name}: not determined by the data at {loose.size} nodes; continued smoothly'
                 )
-    del done
     return tuple(found)
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import sparse
 
 from otf_core.arrays import Array
 from otf_core.model.machine import Machine
@@ -23,6 +22,7 @@ from otf_core.solving.unknowns import (
     Basis,
     Unknowns,
     cubic,
+    lay_out_blocks,
     motion_gauge,
     pose_block,
     reversal_block,
@@ -74,11 +74,4 @@ def layout(
     parts += [(name, np.eye(1)) for name in machine.scalars]
     parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
     parts += [(reversal_block(name, 0), np.eye(1)) for name in reversal]
-    blocks, free_blocks = {}, {}
-    full = free = 0
-    for name, basis in parts:
-        blocks[name] = slice(full, full + basis.shape[0])
-        free_blocks[name] = slice(free, free + basis.shape[1])
-        full, free = full + basis.shape[0], free + basis.shape[1]
-    gauge = sparse.csr_array(sparse.block_diag([basis for _, basis in parts], format='csr'))
-    return Unknowns(dict(bases), blocks, gauge, free_blocks)
+    return Unknowns(dict(bases), *lay_out_blocks(parts))

@@ -20,6 +20,7 @@ Book, Springer 1997, algorithm A2.2.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -280,6 +281,29 @@ def layout(
     parts += [(name, np.eye(1)) for name in SQUARENESS]
     parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
     parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
+    return Unknowns(bases, *lay_out_blocks(parts), reversal, held)
+
+
+def free_values(unknowns: Unknowns, full: Array) -> Array:
+    """Free unknowns of full ones (full, ...) that obey the gauge: those that it keeps."""
+    return np.asarray(full[unknowns.kept])
+
+
+def lay_out_blocks(
+    parts: Sequence[tuple[str, Array]],
+) -> tuple[dict[str, slice], sparse.csr_array, dict[str, slice]]:
+    """Lay out blocks of unknowns one after another.
+
+    Parameters
+    ----------
+    parts : sequence of (str, ndarray)
+        Name of each block and the basis (full, free) of what the gauge leaves of it.
+
+    Returns
+    -------
+    blocks, gauge, free_blocks
+        As in ``Unknowns``.
+    """
     blocks, free_blocks = {}, {}
     full = free = 0
     for name, basis in parts:
@@ -287,9 +311,4 @@ def layout(
         free_blocks[name] = slice(free, free + basis.shape[1])
         full, free = full + basis.shape[0], free + basis.shape[1]
     gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
-    return Unknowns(bases, blocks, sparse.csr_array(gauge), free_blocks, reversal, held)
-
-
-def free_values(unknowns: Unknowns, full: Array) -> Array:
-    """Free unknowns of full ones (full, ...) that obey the gauge: those that it keeps."""
-    return np.asarray(full[unknowns.kept])
+    return blocks, sparse.csr_array(gauge), free_blocks
