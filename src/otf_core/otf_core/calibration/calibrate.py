@@ -44,7 +44,7 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.noise_model import NoiseModel, sample_variance
 from otf_core.noise.standstill import lost_samples
-from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
+from otf_core.pieces.finding import GATE, WARNING, Finding, failed_gates_of_data, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError
@@ -60,10 +60,6 @@ COLLINEAR_WITHIN = 1e-3
 """m; targets that are nearer than this to a line lie on it."""
 ALONG_AN_AXIS = 0.999
 """Cosine of the angle up to which a line is along a machine axis."""
-MIN_COVERAGE = 0.8
-"""Share of the path length below which a calibration fails the quality gate."""
-MAX_OUTLIERS = 0.2
-"""Share of left-out samples above which a calibration fails the quality gate."""
 MAX_MEAN_DISTANCE = 5e-4
 """m; mean distance from the path above which the input is not plausible for a machine tool."""
 
@@ -382,17 +378,7 @@ def _fit(
 
 
 def _failed_gates(fit: Fit) -> tuple[str, ...]:
-    failed = []
-    if fit.coverage < MIN_COVERAGE:
-        failed.append(
-            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
-            f'{100 * MIN_COVERAGE:.0f} % needed'
-        )
-    if fit.outliers > MAX_OUTLIERS * fit.samples:
-        failed.append(
-            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
-            f'{100 * MAX_OUTLIERS:.0f} % allowed'
-        )
+    failed = failed_gates_of_data(fit.coverage, fit.outliers, fit.samples)
     if fit.path_mae_before > MAX_MEAN_DISTANCE:
         failed.append(
             f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '

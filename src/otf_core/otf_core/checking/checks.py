@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array
 from otf_core.bags.bag_reading import Received, advice_of, path_of, received_of
 from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order
-from otf_core.calibration.calibrate import MIN_COVERAGE
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
@@ -26,7 +25,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.model.provenance import moment
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills, lost_samples, standstill_noise
-from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
+from otf_core.pieces.finding import GATE, MIN_COVERAGE, WARNING, Finding, words_of
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import (
     Setup,
@@ -106,7 +105,7 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig, given:
     Parameters
     ----------
     machine : Machine, optional
-        Without it the path is followed, but nothing is said of axes and uncertainties.
+        Without it the path is followed, but axes and uncertainties are not stated.
     given : Given
         How it is read.
 

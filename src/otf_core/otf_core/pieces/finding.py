@@ -6,6 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 WARNING, GATE = 'warning', 'gate'
+MIN_COVERAGE = 0.8
+"""Share of the path length below which a calibration fails the quality gate."""
+MAX_OUTLIERS = 0.2
+"""Share of left-out samples above which a calibration fails the quality gate."""
 
 
 @dataclass(frozen=True)
@@ -30,3 +34,19 @@ class Finding:
 def words_of(findings: tuple[Finding, ...], severity: str) -> tuple[str, ...]:
     """Words of the findings of one severity."""
     return tuple(f'{f.check}: {f.words}' for f in findings if f.severity == severity)
+
+
+def failed_gates_of_data(coverage: float, outliers: int, samples: int) -> list[str]:
+    """State the quality gates that too little path, or too many outliers, fail."""
+    failed = []
+    if coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if outliers > MAX_OUTLIERS * samples:
+        failed.append(
+            f'outliers: {100 * outliers / samples:.0f} % of the samples left out, '
+            f'{100 * MAX_OUTLIERS:.0f} % allowed'
+        )
+    return failed

@@ -19,6 +19,7 @@ from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
+from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
@@ -31,10 +32,6 @@ from otf_core.rotary.tabulation import AxisTables, tabulate
 from otf_core.rotary.unknowns import bases_of, layout, place_block
 from otf_core.solving.unknowns import Unknowns
 from otf_core.threads import one_thread
-
-MIN_COVERAGE = 0.8
-"""Share of the path below which a calibration fails the quality gate."""
-MAX_OUTLIERS = 0.2
 
 
 @dataclass(frozen=True)
@@ -463,16 +460,7 @@ def effective_unknowns(done: AxisSolution) -> float:
 
 
 def _failed(fit: AxisFit) -> tuple[str, ...]:
-    failed = []
-    if fit.coverage < MIN_COVERAGE:
-        failed.append(
-            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
-            f'{100 * MIN_COVERAGE:.0f} % needed'
-        )
-    if fit.outliers > MAX_OUTLIERS * fit.samples:
-        failed.append(
-            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out'
-        )
+    failed = failed_gates_of_data(fit.coverage, fit.outliers, fit.samples)
     if fit.path_mae_after >= fit.path_mae_before:
         failed.append('compensation: the tables do not reduce the distance from the path')
     return tuple(failed)
