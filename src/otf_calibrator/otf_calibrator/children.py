@@ -34,7 +34,7 @@ from otf_core.pieces.runs import Recording
 
 MODULE = 'otf_calibrator.child'
 LOOK = 0.05
-"""s; so often it is asked whether the calibration is still wanted."""
+"""s; interval at which to check that the calibration is still wanted."""
 OF_A_CAUSE = ('effects*.yaml', 'calibration_plain', 'calibration_with_effects')
 """What a diagnosis writes only if it names a cause."""
 

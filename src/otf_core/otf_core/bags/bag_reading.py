@@ -281,7 +281,7 @@ def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
 
 # Samples of several publishers on one topic, and those of one of them.
 #
-# They are told apart by what the recording keeps of them: channels of an MCAP file, else the
+# They are distinguished by what the recording keeps of them: channels of an MCAP file, else the
 # clocks of their stamps where these lie more than 1 s apart, else the places of two targets.
 
 Labels = NDArray[np.int64]
@@ -358,7 +358,7 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
 
 
 def advice_of(parts: Sequence[Received]) -> str:
-    """Return what to type where publishers are mixed; empty where none are told apart."""
+    """Return what to type where publishers are mixed; empty where none are distinguished."""
     publishers = publishers_of(parts[0]) if len(parts) == 1 else None
     return f'; distinguished by {publishers.by}, {publishers}' if publishers else ''
 

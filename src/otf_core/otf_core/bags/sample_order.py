@@ -314,7 +314,7 @@ def _shifted(stamp_ns: Stamps, seams: NDArray[np.int64], by: NDArray[np.int64]) 
     return np.asarray(stamp_ns + np.cumsum(shift))
 
 
-# Which points are measurements, and what is said of the others; recorded and live alike.
+# Which points are measurements, and how the others are reported; recorded and live alike.
 #
 # Single bad points are left out and counted, whatever they are: no run is lost for them. Where
 # there are too many, they are no accident, and the run is refused with the cause.

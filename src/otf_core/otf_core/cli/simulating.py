@@ -375,7 +375,7 @@ NEEDED = {
     **dict.fromkeys(LIST_VERBS, ('list',)),
     **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
 }
-"""Options that say what is done, by what is asked for; each takes no other of them."""
+"""Options that choose what is done; they exclude each other."""
 
 
 def add_plant_verbs(verb: AddVerb) -> None:

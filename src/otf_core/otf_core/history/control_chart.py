@@ -316,7 +316,7 @@ def due(drift: Drift, last: Drift, limit: float) -> Due:
 
 
 class Standing(Enum):
-    """What is known of a machine; the value is said of it."""
+    """What is known of a machine; the value describes it."""
 
     STEADY = 'steady'
     DRIFT = 'drift'

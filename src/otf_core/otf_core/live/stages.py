@@ -69,9 +69,9 @@ def of_whole(spans: Mapping[str, tuple[float, float]], progress: Progress) -> Pr
 # How long something will still take, from how far it has come.
 
 MIN_ELAPSED = 1.0
-"""s; earlier nothing is said."""
+"""s; earlier nothing is stated."""
 MIN_FRACTION = 0.01
-"""Fraction below which nothing is said."""
+"""Fraction below which nothing is stated."""
 
 
 class TimeLeft:

@@ -32,9 +32,9 @@ from otf_core.solving.unknowns import Unknowns, reference_position
 
 # What a plan cannot show, in words: which errors are mixed up, why, and what would part them.
 #
-# A rotation is told from the translations of its axis only by the travel of another axis in its
-# lever arm, and not if that travel is parallel to its axis of rotation. Where the chain offers
-# none, a second target offset does.
+# A rotation is distinguished from the translations of its axis only by the travel of another axis
+# in its lever arm, and not if that travel is parallel to its axis of rotation. Where the chain
+# offers none, a second target offset does.
 
 _IMITATED_SHARE = 0.1
 """Part of a motion's effect that another one must imitate to be named."""
@@ -238,8 +238,8 @@ def forecast_rows(planned: Planned, limit: float) -> Rows:
 class Trace:
     """What an effect leaves in the rows beyond tables and poses.
 
-    An effect is told from another if it acts in its simplest form, the first of its shapes, and
-    the other takes up what it can in its richest, the last.
+    An effect is distinguished from another if it acts in its simplest form, the first of its
+    shapes, and the other takes up what it can in its richest, the last.
 
     Attributes
     ----------

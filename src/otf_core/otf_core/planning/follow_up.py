@@ -227,7 +227,7 @@ def compare_places(
 
 # The shortest further path that answers what a diagnosis left open.
 #
-# For every cause with effects that it was not told from: the trace of the cause, with the
+# For every cause with effects that are indistinguishable from it: the trace of the cause, with the
 # parameters that were found, in the pieces of a candidate path, less what a rival could make of
 # it. Half the square of what is left, in units of the noise, is the logarithm of the odds that a
 # further diagnosis would find for the cause; the odds say how sure the answer will be. For every

@@ -68,7 +68,7 @@ SWEEPS = (1, 2, 3)
 LEVER = 0.2
 """m; a rotation counts as travel on this radius where a path is cut into pieces."""
 STILL = 1e-4
-"""Travel of the reflector per travel of the axes below which nothing is said across it."""
+"""Travel of the reflector per travel of the axes below which nothing is stated across it."""
 SMOOTH = 0.2
 """Change of the unit direction in the axes below which a corner is driven through."""
 SMR_ANGLE = np.radians(30.0)

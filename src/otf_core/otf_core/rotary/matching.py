@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which sample belongs to which place of which part; pose of the tracker and places of reflectors.
 
-Parts are told apart by the broken beam. The arc length of the track says roughly how far a part is
-driven; a rigid fit gives the pose, and pose, places of reflectors on the table and places on the
-curves are then improved together: a sample of deviation d across the curve says
+Parts are distinguished by the broken beam. The arc length of the track says roughly how far a part
+is driven; a rigid fit gives the pose, and pose, places of reflectors on the table and places on
+the curves are then improved together: a sample of deviation d across the curve says
 
     d . a = (dt + dr x p) . a - (R dr_place) . a,    a across the direction of travel
 """

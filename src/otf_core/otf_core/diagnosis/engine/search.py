@@ -53,8 +53,8 @@ from otf_core.solving.sensitivity import column_size
 NEEDED_EVIDENCE = 9.0
 """Logarithm of the odds that an effect needs before it is named (8000 to 1)."""
 CLOSE_EVIDENCE = 5.0
-"""Effects within these odds (150 to 1) of the best are not told from it, nor those that have more
-than a tenth of its weight (``_weights``)."""
+"""Effects within these odds (150 to 1) of the best are indistinguishable from it, and so are
+those that have more than a tenth of its weight (``_weights``)."""
 CLOSE_SHARE = 0.01
 """Share of the evidence for the best effect that counts as one nat: neighbouring pieces share
 what no model has, so large evidence is known in proportion only."""
@@ -64,7 +64,7 @@ from it."""
 LIKELIEST_MOTIONS = 6
 """Motions whose combinations are looked at where there are many alike."""
 LEAST_WEIGHT = 0.1
-"""Weight beside the first from which another effect is named as not told from it."""
+"""Weight beside the first from which another effect is named as indistinguishable from it."""
 MAX_CAUSES = 4
 MAX_CHANGES = 3
 """Causes that are left out or exchanged at most."""

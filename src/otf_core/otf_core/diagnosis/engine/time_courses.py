@@ -304,7 +304,7 @@ WORTH = 9.0
 """Evidence of some function of time from which switches are looked for."""
 BEHIND, HOPELESS = 0.9, 30.0
 """Share of the evidence of the best candidate, less so much, that a course in time needs to be
-looked at: what has less is neither named nor not told from what is."""
+looked at: what has less is neither named nor listed as indistinguishable."""
 
 _Kind = tuple[bool, bool] | None
 """Whether it jumps and is alike each time it is on; None for what no moment is looked for."""
