@@ -51,14 +51,25 @@ def _rigid(state: State, arm: Array) -> Terms:
 
 def turned_by_axis(state: State, shape: Shape) -> Terms:
     """Turns about the tracker, tilt_X_by_X ... tilt_Z_by_Z: those of each axis that moves."""
-    turned = [np.cross(e, state.beam) for e in np.eye(3)]
+    return _turns_by_axis(state, state.beam, 'tilt')
+
+
+def turned_about_zero_by_axis(state: State, shape: Shape) -> Terms:
+    """Turns about the zero point of the machine, turn_X_by_X ... turn_Z_by_Z, see above."""
+    return _turns_by_axis(state, state.q, 'turn')
+
+
+def _turns_by_axis(state: State, arm: Array, head: str) -> Terms:
+    turned = [np.cross(e, arm) for e in np.eye(3)]
     axes = state.machine.axis_names
-    names = tuple(f'tilt_{k}_by_{a}' for k in XYZ for a in axes)
+    names = tuple(f'{head}_{k}_by_{a}' for k in XYZ for a in axes)
     columns = np.stack([turn for turn in turned for _ in axes], axis=2)
     return Terms(names, ('rad',) * 9, axes * 3, columns)
 
 
-RIGID_MOTIONS: tuple[Acting, ...] = (vector, rigid_tracker, rigid_table, turned_by_axis)
+RIGID_MOTIONS: tuple[Acting, ...] = (
+    vector, rigid_tracker, rigid_table, turned_by_axis, turned_about_zero_by_axis,
+)  # fmt: skip
 """Ways to act that shift or turn tracker, table or target as a whole."""
 ACTING: dict[str, Acting] = {
     VECTOR: vector,

@@ -40,6 +40,8 @@ class Free:
         Where they differ from the effect's.
     essential : int, optional
         Number of the input without which it would be another effect.
+    several_places : bool
+        True if it differs from another form only where the tracker stood at several places.
     """
 
     inputs: tuple[str, ...]
@@ -52,6 +54,7 @@ class Free:
     own_per_run: bool | None = None
     belongs_to: BelongsTo | None = None
     essential: int | None = None
+    several_places: bool = False
 
     @property
     def shaped(self) -> bool:

@@ -27,6 +27,9 @@ _TAKEN_OVER = (
     'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
     'own_per_run', 'rigid', 'couples', 'belongs_to', 'stays_in_place', 'material_um',
 )  # fmt: skip
+SAME_PLACE = 0.05
+"""Distance of two places of the tracker, as a share of the longest beam, up to which they count
+as one."""
 _OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
 
 
@@ -175,8 +178,19 @@ def coefficient_name(term: str, number: Sequence[int]) -> str:
 
 def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
     """Free forms of an effect, bound to runs, those that follow their signals among them."""
-    forms = (*effect.free, *signal_forms(effect, states))
+    moved = _several_places(states)
+    forms = [free for free in effect.free if moved or not free.several_places]
+    forms += signal_forms(effect, states)
     return [FreeForm.bound(effect, free, states) for free in forms]
+
+
+def _several_places(states: Sequence[State]) -> bool:
+    """Tell whether the tracker stood at several places, seen from the machine."""
+    places = np.array([np.mean(s.q - s.beam, axis=0) for s in states if len(s)])
+    if len(places) < 2:
+        return False
+    longest = max(float(np.linalg.norm(s.beam, axis=1).max()) for s in states if len(s))
+    return bool(np.linalg.norm(places - places[0], axis=1).max() > SAME_PLACE * longest)
 
 
 def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:

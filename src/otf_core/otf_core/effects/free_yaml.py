@@ -62,8 +62,7 @@ def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
 def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
     """Read which free form of an effect of the catalogue is meant, with the ranges of its inputs.
 
-    What follows a signal, or something that switches, is the first way to act that has the
-    ``given`` coefficients.
+    Of several ways to act it is the first that has the ``given`` coefficients.
 
     Raises
     ------
@@ -76,17 +75,20 @@ def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[st
         if len(own) != 2:
             fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
         spans[key] = (own[0], own[1])
-    ways = [FreeForm(effect, way, spans) for way in _ways(effect, tuple(spans))]
-    if ways:
-        return next((w for w in ways if set(given) <= _coefficients(w, machine)), ways[0])
+    ways = _ways(effect, tuple(spans))
     probe, known = probe_state(machine), []
-    for free in effect.free:
+    for free in () if ways else effect.free:
         bound = FreeForm.bound(effect, free, [probe])
         known.append(', '.join(bound.spans))
         if set(bound.spans) == set(spans):
-            return FreeForm(effect, free, spans)
-    listed = '; '.join(known) or 'none'
-    fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
+            ways.append(free)
+    if not ways:
+        listed = '; '.join(dict.fromkeys(known)) or 'none'
+        fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
+    forms = [FreeForm(effect, way, spans) for way in ways]
+    if len(forms) == 1:
+        return forms[0]
+    return next((f for f in forms if set(given) <= _coefficients(f, machine)), forms[0])
 
 
 def _ways(effect: Effect, inputs: tuple[str, ...]) -> list[Free]:

@@ -4,7 +4,9 @@
 delta = c (q_a - q0_a) e_k x r, added over rotations k about X, Y and Z and axes a; r is the beam
 from the tracker to the target, q0_a the zero position of the axis, else its minimum. Where the
 rotation has another centre, a shift by a function of q_a is added, which is straightness and
-positioning of that axis.
+positioning of that axis. It is the same for all places of the tracker if the centre is fixed to
+the machine: from several places, a table that tilts beside the tracker differs from one that
+carries it.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.action import turned_by_axis
+from otf_core.effects.action import turned_about_zero_by_axis, turned_by_axis
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Drawn, Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.free import Free
@@ -55,6 +57,20 @@ class TableTilt(Effect):
             'the tilt is not proportional to the position',
             (1,),
             turned_by_axis,
+        ),
+        *(
+            Free(
+                ('{axis}',),
+                (order,),
+                words,
+                (1,),
+                turned_about_zero_by_axis,
+                several_places=True,
+            )
+            for order, words in (
+                (1, 'the table tilts about a point of the machine, not about the tracker'),
+                (10, 'it tilts about a point of the machine, not in proportion to the position'),
+            )
         ),
     )
 
