@@ -161,7 +161,7 @@ class _Scene:
     def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
         """Values over the pieces, means over their samples where the effect asks for that."""
         if one.effect.changes_within_pieces and self.samples is not None:
-            return self.run.pieces.mean_of(function(self.samples, self.number))
+            return self.run.pieces.mean_of([function(self.samples, self.number)])
         return function(self.pieces, self.number)
 
 

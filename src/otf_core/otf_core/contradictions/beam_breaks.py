@@ -198,7 +198,7 @@ def shifted(run: Run, found: FoundAgain) -> Run:
         offset: Array = beam * value[found.segment]
     else:
         offset = (value @ run.pose.rotation)[found.segment]
-    xyz = pieces.xyz - pieces.mean_of(offset[pieces.samples])
+    xyz = pieces.xyz - pieces.mean_of([offset[pieces.samples]])
     samples = replace(samples, xyz=samples.xyz - offset)
     return replace(run, samples=samples, pieces=replace(pieces, xyz=xyz))
 

@@ -9,13 +9,12 @@ are samples far from the running median of their leg. Curves have pieces of thei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
@@ -282,12 +281,16 @@ class Pieces:
             outliers=self.outliers + lost,
         )
 
-    def mean_of(self, values: Array) -> Array:
-        """Means over the pieces of values (u, ...) given for ``samples``."""
-        ones = np.ones(len(self.piece)), (self.piece, np.arange(len(self.piece)))
-        member = sparse.csr_array(sparse.coo_array(ones, shape=(len(self), len(self.piece))))
-        total = (member @ values.reshape(len(values), -1)).reshape(len(self), *values.shape[1:])
-        return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
+    def mean_of(self, blocks: Iterable[Array]) -> Array:
+        """Means over the pieces of values (u, ...) given for ``samples``, block by block."""
+        total, start = np.zeros(()), 0
+        for values in blocks:
+            piece = self.piece[start : start + len(values)]
+            first, start = np.flatnonzero(np.diff(piece, prepend=-1)), start + len(values)
+            if not total.ndim:
+                total = np.zeros((len(self), *values.shape[1:]))
+            np.add.at(total, piece[first], np.add.reduceat(values, first, axis=0))
+        return np.asarray(total / self.count.reshape(-1, *([1] * (total.ndim - 1))))
 
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
@@ -433,17 +436,17 @@ def _on_curves(
     """Give pieces of curves the mean foot, direction and acceleration of their samples."""
     chord = alignment.leg[pieces.samples].astype(np.int64)
     foot = lines.at(along, chord)
-    direction = pieces.mean_of(lines.unit[chord])
+    direction = pieces.mean_of([lines.unit[chord]])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     curved = lines.shape.curved[pieces.leg][:, None]
     bend = curvature(lines).mean(axis=1)[chord] * speed[:, None] ** 2
     return replace(
         pieces,
-        origin=np.where(curved, pieces.mean_of(foot), pieces.origin),
+        origin=np.where(curved, pieces.mean_of([foot]), pieces.origin),
         direction=np.where(curved, direction, pieces.direction),
         leg=lines.shape.group[pieces.leg],
         chord=pieces.leg,
-        bend=pieces.mean_of(bend),
+        bend=pieces.mean_of([bend]),
     )
 
 

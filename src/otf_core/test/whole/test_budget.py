@@ -339,7 +339,7 @@ def test_scatter_over_draws_of_coloured_noise_agrees_with_the_linear_u(cell, sol
     xyz, order = run.recording.samples.xyz, nodes_of(solved.done)
     for draw in range(8):
         noise = measure(xyz, spec, 100.0, np.random.default_rng([5, draw])) - xyz
-        moved = run.pieces.xyz + run.pieces.mean_of(noise[run.pieces.samples])
+        moved = run.pieces.xyz + run.pieces.mean_of([noise[run.pieces.samples]])
         values.append(solve_again(solved, moved).solution.value[order])
     stated = np.diag(_source(solved, 'noise'))[order]
     seen = stated > 1e-18
