@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import linalg
@@ -51,11 +52,13 @@ from otf_core.solving.joint import (
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.residuals import sample_state
 from otf_core.solving.sensitivity import (
+    ROUNDING,
+    Places,
     across,
+    beside_tables,
     column_size,
     name_in_run,
     piece_state,
-    projected,
     state_at,
 )
 from otf_core.solving.solution import Positive
@@ -65,8 +68,6 @@ from otf_core.threads import in_one_thread
 MAX_ROUNDS = 6
 MAX_FINAL_CHANGE = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
-ROUNDING = 1e-10
-"""Share of the squares of columns below which what tables leave of them is rounding."""
 MAX_CHANGE_FOR_SAME_MODEL = 1e-6
 """m; a larger change can alter which functions and which reversal the data call for."""
 
@@ -149,28 +150,12 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -
     return np.diag(variance)
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """Where the pieces of one run are, for the formulas of the effects."""
-
-    run: Run
-    number: int
-    pieces: State
-    samples: State | None
-
-    def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
-        """Values over the pieces, means over their samples where the effect asks for that."""
-        if one.effect.changes_within_pieces and self.samples is not None:
-            return self.run.pieces.mean_of([function(self.samples, self.number)])
-        return function(self.pieces, self.number)
-
-
-def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
+def _places(run: Run, state: State, effects: Sequence[Taken]) -> Places:
+    """Where the pieces of one run lie, and the samples that effects ask for."""
     samples = None
     if any(e.effect.changes_within_pieces for e in effects) and len(run.pieces.samples):
-        nodes = dict(pieces.nodes)
-        samples = sample_state(run, run.pose, pieces.tables, nodes)
-    return _Scene(run, number, pieces, samples)
+        samples = sample_state(run, run.pose, state.tables, dict(state.nodes))
+    return Places(run.pieces, state, samples)
 
 
 def corrected(
@@ -192,10 +177,9 @@ def corrected(
     found = []
     for number, run in enumerate(runs):
         q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
-        scene = _scene(run, number, state_at(run, q, run.pose, nodes, tables), effects)
-        shift = sum(
-            (scene.mean(e, e.displacement) for e in effects), start=np.zeros((len(run.pieces), 3))
-        )
+        places = _places(run, state_at(run, q, run.pose, nodes, tables), effects)
+        moves = (places.columns(e.effect, partial(e.displacement, run=number), 1) for e in effects)
+        shift = sum(moves, start=np.zeros((len(run.pieces), 3)))
         xyz = run.pieces.xyz - shift @ run.pose.rotation
         found.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
     return found
@@ -226,31 +210,21 @@ def estimates(
     columns = []
     for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         state = piece_state(run, solved, joint.unknowns.knots, tables)
-        scene = _scene(replace(run, pose=solved.pose), number, state, effects)
-        whole = np.concatenate([scene.mean(e, e.columns) for e in effects], axis=2)
-        columns.append(across(solved, whole))
-    cross = projected(joint, columns)
-    change = joint.solution.covariance @ cross
+        places = _places(replace(run, pose=solved.pose), state, effects)
+        parts = (places.columns(e.effect, partial(e.columns, run=number), e.size) for e in effects)
+        columns.append(across(solved, np.concatenate(list(parts), axis=2)))
+    products = beside_tables(joint, columns)
     size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
-    matrix, right, own = -cross.T @ change, np.zeros(len(size)), np.zeros(len(size))
-    for part, solved in zip(columns, joint.runs, strict=True):
-        flat = part.reshape(-1, part.shape[2])
-        weighted = solved.whitener.weighted(part).reshape(flat.shape)
-        product = flat.T @ weighted
-        matrix += product
-        own += np.diag(product)
-        right += weighted.T @ solved.residual.ravel()
     bounds = np.cumsum([0, *(e.size for e in effects)])
     prior = np.concatenate([
         e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     ])  # fmt: skip
-    right -= prior * np.concatenate([e.away() for e in effects])
-    covariance = _covariance(matrix, own, prior)
-    step = covariance @ right
+    covariance = _covariance(products.normal, products.square, prior)
+    step = covariance @ (products.right - prior * np.concatenate([e.away() for e in effects]))
     moved = tuple(
         e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     )
-    return Estimates(moved, covariance, change), step, size
+    return Estimates(moved, covariance, products.change), step, size
 
 
 def _covariance(matrix: Array, own: Array, prior: Array) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.model_choice import ReversalSolution
-from otf_core.solving.sensitivity import across, sensitivity
+from otf_core.solving.sensitivity import ROUNDING, across, beside_tables
 
 MIN_SIGNIFICANCE = 6.0
 """Standard deviations; curves share slow noise, so that these are somewhat too small."""
@@ -36,25 +36,23 @@ def lags(runs: Sequence[Observed], joint: JointSolution) -> list[tuple[float, fl
     Both are zero for a run without curves. The uncertainty holds what the residuals have beyond
     the assumed noise, and how the curves of the run differ: parts of one share slow noise.
     """
-    found = []
-    for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
-        if not len(run.pieces.bend):
+    if not any(len(run.pieces.bend) for run in runs):
+        return [(0.0, 0.0)] * len(runs)
+    columns = [np.zeros((*s.system.deviation.shape, len(runs))) for s in joint.runs]
+    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
+        if len(run.pieces.bend):
+            columns[k][..., k : k + 1] = across(solved, run.pieces.bend[:, :, None])
+    products, found = beside_tables(joint, columns), []
+    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
+        own = float(products.normal[k, k])
+        if own <= ROUNDING * products.square[k]:
             found.append((0.0, 0.0))
             continue
-        columns = [
-            np.zeros((*s.system.deviation.shape, 1)) for s in joint.runs
-        ]  # of all runs: they share the tables
-        columns[number] = across(solved, run.pieces.bend[:, :, None])
-        change = sensitivity(joint, columns)
-        left = columns[number][..., 0] - solved.system.rows.times(change[:, 0])
-        weights = solved.whitener.weighted(columns[number])[..., 0]
-        own = float(np.sum(weights * left))
-        if own <= 0.0:
-            found.append((0.0, 0.0))
-            continue
+        left = columns[k][..., k] - solved.system.rows.times(products.change[:, k])
+        weights = products.weighted[k][..., k]
         white = solved.whitener.whiten(solved.residual)
         scale = max(1.0, float(np.sqrt(np.mean(white**2))))
-        lag = float(np.sum(weights * solved.residual)) / own
+        lag = float(products.right[k]) / own
         parts = np.sum(weights * (solved.residual - lag * left), axis=0)
         curve = run.shape.stretch[run.pieces.line]
         spread = float(np.sqrt(np.sum(np.bincount(curve, parts) ** 2))) / own

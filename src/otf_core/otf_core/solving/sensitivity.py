@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of shared parameters over the pieces of all runs, and what they do to the estimates.
+"""Columns of shared parameters over the pieces of all runs, beside the weighted system.
 
 A displacement theta c of the measured points, c known and theta not, moves the estimates of
 generalised least squares by theta S with
@@ -7,21 +7,26 @@ generalised least squares by theta S with
     S = (A^T W A)^-1 A^T W c
 
 (GUM, JCGM 102 section 6: the sensitivity to an input that is not estimated; a "consider
-parameter"). The estimates stay as they are; their covariance gains u(theta)^2 S S^T.
+parameter"). The estimates stay as they are; their covariance gains u(theta)^2 S S^T. Where theta
+is estimated with the tables, its normal matrix and right side are, with residuals e,
+
+    M = c^T W c - c^T W A S = c^T W (c - A S),    c^T W e
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.effects import State
+from otf_core.effects import Effect, State
 from otf_core.effects.state import state_on_path
 from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
+from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.threads import side_by_side
@@ -32,8 +37,12 @@ PIECES_PER_BLOCK = 2048
 """Pieces whose columns are made together, and the rest of their line."""
 MIN_ACTING_SHARE, MIN_SQUARE = 0.02, 1e-300
 """Share of its largest value, and m^2, above which a column acts."""
+ROUNDING = 1e-10
+"""Share of the squares of columns below which what the tables leave of them is rounding."""
 VALUES_PER_BLOCK = 65_536
 """Values that are evaluated together."""
+PLACES_PER_BLOCK = 600_000
+"""Pieces or samples times columns at which an effect is evaluated together; bounds the memory."""
 
 
 def piece_state(
@@ -67,6 +76,23 @@ def state_at(
         Courses(run.signals, run.first_ns, pieces.time),
         run.leg_starts,
     )
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the pieces of one run lie, and their samples unless all effects act at pieces."""
+
+    pieces: Pieces
+    state: State
+    samples: State | None = None
+
+    def columns(self, effect: Effect, function: Callable[[State], Array], width: int) -> Array:
+        """Evaluate columns (p, 3, ``width``), means over the samples where the effect needs it."""
+        if self.samples is None or not effect.changes_within_pieces:
+            return function(self.state)
+        samples, step = self.samples, max(1, PLACES_PER_BLOCK // max(width, 1))
+        starts = range(0, len(samples), step)
+        return self.pieces.mean_of(function(samples.part(slice(k, k + step))) for k in starts)
 
 
 def across(solved: SolvedRun, columns: Array, pieces: slice = slice(None)) -> Array:
@@ -110,6 +136,56 @@ def sensitivity(joint: JointSolution, columns: Sequence[Columns | Array]) -> Arr
         One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """
     return np.asarray(joint.solution.covariance @ projected(joint, columns))
+
+
+def left_by_tables(joint: JointSolution, values: Sequence[Array]) -> list[Array]:
+    """Values (c, p) of every run less what the tables and poses follow of them."""
+    fitted = sensitivity(joint, [own[..., None] for own in values])[:, 0]
+    return [
+        own - solved.system.rows.times(fitted)
+        for own, solved in zip(values, joint.runs, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class BesideTables:
+    """Products of k columns c that are estimated together with the tables and poses.
+
+    Attributes
+    ----------
+    change : ndarray, shape (full, k)
+        S.
+    weighted : list of ndarray, shape (c, p, k)
+        W c of every run.
+    square : ndarray, shape (k,)
+        Diagonal of c^T W c.
+    normal : ndarray, shape (k, k)
+        M, a difference of large numbers.
+    right : ndarray, shape (k,)
+        c^T W e.
+    """
+
+    change: Array
+    weighted: list[Array]
+    square: Array
+    normal: Array
+    right: Array
+
+
+def beside_tables(joint: JointSolution, columns: Sequence[Array]) -> BesideTables:
+    """Sum up the products of columns (c, p, k) of every run."""
+    cross = projected(joint, columns)
+    change = joint.solution.covariance @ cross
+    normal, right, weighted = -cross.T @ change, np.zeros(cross.shape[1]), []
+    square = np.zeros(cross.shape[1])
+    for part, solved in zip(columns, joint.runs, strict=True):
+        weighted.append(solved.whitener.weighted(part))
+        flat, of_flat = (a.reshape(-1, part.shape[2]) for a in (part, weighted[-1]))
+        product = flat.T @ of_flat
+        normal += product
+        square += np.diag(product)
+        right += of_flat.T @ solved.residual.ravel()
+    return BesideTables(change, weighted, square, normal, right)
 
 
 def name_in_run(name: str, run: int) -> str:

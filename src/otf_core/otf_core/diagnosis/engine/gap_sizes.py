@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.evidence import estimate
-from otf_core.diagnosis.engine.residual_rows import Rows, left_by
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
@@ -25,6 +25,7 @@ from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.runs import Recording, Run, reduced
 from otf_core.solving.joint import Start, settled, solve_robustly
 from otf_core.solving.residuals import FOLDS, leg_numbers
+from otf_core.solving.sensitivity import left_by_tables
 from otf_core.tracking.matching import OFF_PATH
 
 JACKKNIFE = 20
@@ -304,6 +305,6 @@ def simulated_residual_um(
     start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
     _, done = solve_robustly(runs, unknowns, config, silent, start)
     done = settled(done, config.unidentifiable_above)
-    left = left_by(done, [solved.system.deviation for solved in done.runs])
+    left = left_by_tables(done, [solved.system.deviation for solved in done.runs])
     square = np.concatenate([np.sum(part**2, axis=0) for part in left])
     return float(1e6 * np.sqrt(square.mean()))

@@ -51,7 +51,13 @@ from otf_core.solving.residuals import (
     sample_state,
 )
 from otf_core.solving.roughness import precision_like_others
-from otf_core.solving.sensitivity import name_in_run, piece_state, sensitivity
+from otf_core.solving.sensitivity import (
+    PLACES_PER_BLOCK,
+    Places,
+    left_by_tables,
+    name_in_run,
+    piece_state,
+)
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
 
@@ -157,8 +163,6 @@ def acts_on_lines(values: Array, bounds: Sequence[tuple[int, int]]) -> NDArray[n
 
 ROWS = 4_000
 """Rows that are projected at once; bounds the memory."""
-BLOCK = 600_000
-"""Pieces times terms at which an effect is evaluated at once; bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -309,9 +313,11 @@ class Rows:
         """
         state = self.states[run]
         if effect.changes_within_pieces and self.runs:
-            yield slice(0, len(state)), self._means(effect, shape, run, count), None
+            places = Places(self.runs[run].pieces, state, self.sample_states[run])
+            columns = places.columns(effect, lambda s: effect.terms(s, shape).columns, count)
+            yield slice(0, len(state)), columns, None
             return
-        step = max(1, BLOCK // max(count, 1))
+        step = max(1, PLACES_PER_BLOCK // max(count, 1))
         for start in range(0, len(state), step):
             part = slice(start, start + step)
             if isinstance(effect, FreeForm):
@@ -319,18 +325,6 @@ class Rows:
                 yield part, acts.columns, functions
             else:
                 yield part, effect.terms(state.part(part), shape).columns, None
-
-    def _means(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
-        """Means over the pieces of a run of columns at its samples, shape (p, 3, k)."""
-        state, pieces = self.sample_states[run], self.runs[run].pieces
-        found = np.zeros((len(pieces), 3, count))
-        step = max(1, BLOCK // max(count, 1))
-        for start in range(0, len(state), step):
-            part = slice(start, start + step)
-            columns, own = effect.terms(state.part(part), shape).columns, pieces.piece[part]
-            first = np.flatnonzero(np.diff(own, prepend=-1))
-            np.add.at(found, own[first], np.add.reduceat(columns, first, axis=0))
-        return found / pieces.count[:, None, None]
 
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""
@@ -388,7 +382,8 @@ class Rows:
 
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
-        return np.concatenate([p.reshape(-1) for p in left_by(self.done, self.by_run(plain))])
+        left = left_by_tables(self.done, self.by_run(plain))
+        return np.concatenate([part.reshape(-1) for part in left])
 
     @cached_property
     def touched(self) -> list[list[Touched]]:
@@ -472,15 +467,6 @@ def _places(functions: Sequence[Array]) -> list[slice]:
     """Where the columns of every term of a free form lie."""
     ends = np.cumsum([0, *(f.shape[1] for f in functions)]).tolist()
     return [slice(low, high) for low, high in pairwise(ends)]
-
-
-def left_by(done: JointSolution, plain: Sequence[Array]) -> list[Array]:
-    """Deviations (c, p) of every run less tables and poses as the calibration fits them, m."""
-    fitted = sensitivity(done, [part[..., None] for part in plain])[:, 0]
-    return [
-        part - solved.system.rows.times(fitted)
-        for part, solved in zip(plain, done.runs, strict=True)
-    ]
 
 
 def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
