@@ -211,6 +211,7 @@ def test_isg_csv_states_units_frame_and_that_orientation_keeps_its_error():
     text = made.files['cell.txt'].decode()
     assert 'only the position of the tool is corrected' in text
     assert any('only the position' in remark for remark in made.remarks)
+    assert any('set the workpiece zero anew' in remark for remark in made.remarks)
     rows = [line.split('\t') for line in text.splitlines()]
     start = next(k for k, row in enumerate(rows) if row[0] == 'C')
     nodes = np.degrees(tables.motions['ECC'].position)

@@ -220,6 +220,11 @@ LINE_WORDS = (
 """What a value is of formats that hold one course per axis."""
 POINT_WORDS = 'error vector of the target at the point, rotations with their lever arms in it'
 TABLE_WORDS = 'nodes of the error tables themselves'
+WORKPIECE_WORDS = (
+    'a rigid displacement of the workpiece is in no table: set the workpiece zero anew with the '
+    'compensation switched on; an error of the target offset is one of the centres too'
+)
+"""What the user of a machine with rotary axes has to set."""
 
 
 def offset_words(machine: Machine) -> str:
@@ -246,6 +251,9 @@ def rotary_words(machine: Machine) -> list[str]:
         'errors are those of the target relative to the table, at the programmed angle, in the '
         'directions X, Y, Z of the side of the axis towards the bed, and act about the centre',
         'location errors move the line of the axis: X0C along X, A0C about X through the centre',
+        'datum: machine and table frames coincide where all axes are at zero, and rotary axes have '
+        'no error at 0 degrees: keep their zero positions',
+        WORKPIECE_WORDS,
     ]
     for name in machine.rotary_names:
         axis = machine.axes[name]

@@ -15,6 +15,7 @@ import numpy as np
 
 from otf_core.exports.format import (
     TABLE_WORDS,
+    WORKPIECE_WORDS,
     Exported,
     Format,
     Request,
@@ -54,8 +55,9 @@ class Isg(Format):
         for axis in machine.rotary_names:
             centre = zip('XYZ', machine.axes[axis].centre, strict=True)
             constants |= {f'P{d}{axis}': 1e3 * v for d, v in centre}
+        rotary = rotary_words(machine)
         lines = [f'// {line}' for line in request.header(self)]
-        lines += [f'// {line}' for line in (lever_words(machine), *rotary_words(machine))]
+        lines += [f'// {line}' for line in (lever_words(machine), *rotary)]
         lines += [
             '\t'.join(constants),
             '\t'.join(f'{v:.9f}' for v in constants.values()),
@@ -67,7 +69,8 @@ class Isg(Format):
             lambda q: displacement(tables, q),
             (
                 _configuration(machine, request.name, len(lines)),
-                *rotary_words(machine)[:1],
+                *rotary[:1],
+                *((WORKPIECE_WORDS,) if rotary else ()),
                 *request.unseen_words,
             ),
         )
