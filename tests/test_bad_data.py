@@ -98,7 +98,7 @@ REPAIRED = {
 }
 REFUSED = {
     'NaN, most': (lambda: instead(0.6, np.nan), 'not finite; do not publish points without'),
-    'zero points, most': (lambda: instead(0.6, 0.0), 'beam had been broken for most of the time'),
+    'zero points, most': (lambda: instead(0.6, 0.0), 'beam had been broken most of the time'),
     'points out of reach, many': (lambda: instead(0.05, 2e4), 'the unit is m'),
     'points in another frame, most': (lambda: foreign(0.9), "frame_id is 'lab'"),
     'wrong stamps, many': (lambda: off(COUNT // 20), 'the clock was set back or several runs'),
@@ -222,7 +222,7 @@ def test_clock_set_back_begins_a_run_live_and_the_parts_stay_apart(side):
     assert 'went back' in side.said[0] and str(half) in side.said[0]
     recording = recording_of(side.session.request())
     assert recording.samples.xyz.tobytes() == XYZ[half:].tobytes()
-    assert f'{half} samples before were set aside' in recording.remarks[0]
+    assert f'{half} samples before this run were set aside' in recording.remarks[0]
     folders = side.close()
     parts = [read_bag(folder).samples for folder in folders]
     assert [len(p) for p in parts] == [half, COUNT - half]
@@ -293,7 +293,7 @@ def test_second_publisher_costs_nothing_and_its_samples_are_in_the_journal(side)
     intake.of_another_publisher(Batch(other))
     side.take(STAMP[half:], XYZ[half:], None)
     (said,) = intake.troubles()
-    assert said.startswith('700 samples of a second publisher on /tracker/point are no part')
+    assert said.startswith('700 samples of a second publisher on /tracker/point are not part')
     request = side.session.request()
     assert len(request.samples) == COUNT and request.remarks == (said,)
     (folder,) = side.close()

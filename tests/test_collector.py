@@ -145,7 +145,7 @@ def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_p
 def test_samples_of_another_machines_run_are_set_aside_and_no_others(collector):
     add(collector, 100)
     assert collector.of_another(-1, 'before') is None and len(collector.buffer) == 100
-    rest = collector.of_another(69 * 2_000_000, 'of the run along /left/planner/path')
+    rest = collector.of_another(69 * 2_000_000, 'they belong to the run along /left/planner/path')
     assert len(rest) == len(collector.buffer) == 30 and rest.stamp_ns[0] == 70 * 2_000_000
     assert collector.travelled == pytest.approx(0.029) and not collector.remarks
     collector.taken = True
@@ -212,7 +212,7 @@ def test_driver_that_begins_anew_or_much_later_begins_a_run(collector, first):
     killed_and_started_again(collector, first)
     collector.decide(1.1 * SILENT)
     assert (len(collector.buffer), collector.lost) == (10, 2)
-    assert '100 samples before were set aside' in collector.remarks[0]
+    assert '100 samples before this run were set aside' in collector.remarks[0]
 
 
 def test_stream_held_up_by_a_fault_goes_on(collector):
@@ -473,7 +473,8 @@ def test_loss_while_the_calibrator_was_away_is_exact_if_the_driver_went_on(colle
     restarted(collector, same=True)
     assert (collector.lost, collector.restarts.uncounted) == (100, False)
     assert collector.restarts.remarks == [
-        'restarts of driver or calibrator leave out 0.20 s of the run (100 samples at 500 Hz)'
+        '0.20 s of the run (100 samples at 500 Hz) are missing '
+        'because driver or calibrator restarted'
     ]
 
 

@@ -101,7 +101,7 @@ def test_tables_are_read_anew_and_stay_if_they_cannot_be(graph, truth, tmp_path)
     assert graph.trigger('compensator/reload').success
     file.write_text('{}')
     refused = graph.trigger('compensator/reload')
-    assert not refused.success and 'the tables read before stay' in refused.message
+    assert not refused.success and 'the previous tables stay in use' in refused.message
     request = Compensate.Request(wanted=[Point(x=0.1, y=0.0, z=-0.1)])
     assert graph.call(Compensate, 'compensator/compensate', request).success
 

@@ -82,7 +82,7 @@ def test_stray_paths_and_a_second_publisher_cost_nothing(graph, tmp_path):
     used = result.samples  # until the target stood at the end
     assert count - 200 < used <= count and result.samples_lost == 0
     warnings = ' '.join(result.warnings)
-    assert '2000 samples of a second publisher on /tracker/point are no part' in warnings
+    assert '2000 samples of a second publisher on /tracker/point are not part' in warnings
     assert 'was published in mid-run by' in warnings
     (journal,) = (p for p in (tmp_path / 'out' / 'journal').iterdir() if p.is_dir())
     recorded = read_bag(journal)

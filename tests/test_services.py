@@ -85,7 +85,7 @@ def test_failed_calibration_leaves_the_node_alive(graph, machine_file):
     other.publish(Header(stamp=stamp, frame_id='/left/planner/path'))
     other.publish(Header(stamp=convert.time_from_ns(10**12), frame_id='/planner/path'))  # its own
     graph.wait(lambda: graph.state().samples == 100, 'the rest')
-    assert 'of the run along /left/planner/path; they are in' in calibrator.log.read_text()
+    assert 'belong to the run along /left/planner/path; they are in' in calibrator.log.read_text()
     answer = graph.trigger('calibrator/reset')
     assert answer.success and '100' in answer.message
     graph.wait_for_state('BUFFERING')

@@ -64,5 +64,5 @@ def test_samples_on_their_way_are_not_told_as_lost(graph, machine_file):
     assert {state.samples_lost for state in graph.heard['calibrator/state']} == {0}
     status.publish(TrackerStatus(state=TrackerStatus.FINISHED, **announced))
     graph.wait(lambda: graph.state().samples_lost == 20, 'the loss')
-    known = {'lost': '20', 'on their way': '0', 'left out at restarts': '0'}
+    known = {'lost': '20', 'on their way': '0', 'missed during restarts': '0'}
     graph.wait(lambda: losses() == known, 'the same')

@@ -13,7 +13,7 @@ from otf_bringup.launching import ended, refuse_unknown, switched_on
 
 ARGUMENTS = {
     'tables_file': 'error_tables.json of a calibration',
-    'namespace': 'of node and topics',
+    'namespace': 'namespace of node and topics',
     'auto_start': 'configure and activate at start; false: wait for lifecycle transitions',
 }
 DEFAULTS = {'namespace': '', 'auto_start': 'true'}

@@ -71,7 +71,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--out', type=Path, default=Path('demo_output'), help='folder for all files (%(default)s)'
     )
-    parser.add_argument('--seed', type=int, default=7, help='of errors and noise (%(default)s)')
+    parser.add_argument(
+        '--seed', type=int, default=7, help='seed of errors and noise (%(default)s)'
+    )
     parser.add_argument(
         '--machine', type=Path, default=share / 'config' / 'machine.yaml', help='machine.yaml'
     )
@@ -192,7 +194,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
         print(
             f'{result.samples_lost} samples ({share:.1f} %) were lost on the way to the '
             f'calibrator: this computer is too slow for ten times the speed of the machine. The '
-            f'others count.'
+            f'remaining samples were used.'
         )
     print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
 

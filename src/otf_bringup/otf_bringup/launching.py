@@ -10,7 +10,7 @@ from launch.actions import Shutdown
 SWITCH = {'true': True, 'yes': True, 'on': True, '1': True,
           'false': False, 'no': False, 'off': False, '0': False}  # fmt: skip
 CAUGHT = 'Caught exception in launch (see debug for traceback): '
-ALL_ENDS = ', so all ends'
+ALL_ENDS = ', so all nodes are ended'
 
 
 def refuse_unknown(known, words, files):

@@ -186,7 +186,9 @@ def _lost(ear: Ear, spin: Callable[[float], None]) -> int:
 
 def table(rows: list[tuple[str, Heard, int]]) -> str:
     """Markdown."""
-    head = '| fault | said | gaps told | longest pause, s | samples | going back | lost |\n'
+    head = (
+        '| fault | messages | gaps published | longest pause, s | samples | going back | lost |\n'
+    )
     lines = [head + '|---|---|---|---|---|---|---|']
     before = 0
     for name, heard, lost in rows:
@@ -238,9 +240,9 @@ def main() -> int:
     default = Path(__file__).resolve().parents[1] / 'config' / 'machine.yaml'
     example = 'Example: ./otf soak --minutes 2 --out soak'
     parser = Parser('otf soak', description=__doc__, epilog=example)
-    parser.add_argument('--minutes', type=float, default=10.0, help='of all faults together')
+    parser.add_argument('--minutes', type=float, default=10.0, help='total duration of all faults')
     parser.add_argument('--machine', default=str(default), help='machine.yaml')
-    parser.add_argument('--seed', type=int, default=1, help='of cell and faults')
+    parser.add_argument('--seed', type=int, default=1, help='seed of cell and faults')
     parser.add_argument('--out', default='', help='folder of logs and results (a new one)')
     given = parser.parse_args()
     try:

@@ -101,7 +101,7 @@ class PathTaken(Enum):
     """What becomes of a path that arrives."""
 
     KNOWN = 'it is known already'
-    USED = 'the samples are compared with it from now on'
+    USED = 'from now on the samples are compared with it'
     WAITS = (
         'the run continues along the previous path unless the target turns out to follow this one'
     )
@@ -318,7 +318,7 @@ class Collector:
         # who is held up gets the last samples late: their stamps go on
         late = clock.newest_ns is not None and 0 < stamp_ns - clock.newest_ns < LATE * 1e9
         if stream.over(now) and (stream.received >= stream.announced or not late):
-            self._begin('the stream before was over')
+            self._begin('the previous stream had ended')
             stream = self._stream
         self._heard = stream.heard = now
         stream.arrive(stamp_ns)
@@ -521,7 +521,7 @@ class Collector:
             self._set_aside(why)
         self._forget()
         if lost:
-            self.remarks.append(f'the {count} samples before were set aside: {why}')
+            self.remarks.append(f'the {count} samples before this run were set aside: {why}')
 
     def _forget(self) -> None:
         self.buffer.clear()

@@ -41,7 +41,7 @@ def tell(
         values = {
             'lost': lost,
             'on their way': session.collector.lost - lost,
-            'left out at restarts': restarts.samples,
+            'missed during restarts': restarts.samples,
         }
         if not lost:
             return Finding(Level.OK, 'nothing is lost', values)
@@ -67,7 +67,7 @@ def tell(
 def journal(kept: Journal | None) -> Finding:
     """Whether samples are on the disk as they come, and the room left there."""
     if kept is None:
-        return Finding(Level.OK, 'none is kept')
+        return Finding(Level.OK, 'no journal is kept')
     if kept.trouble:
         return Finding(Level.ERROR, kept.trouble)
     return disk(str(kept.directory))

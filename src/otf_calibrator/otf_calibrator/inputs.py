@@ -118,7 +118,7 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
     output, namespace = files.output_directory, node.get_namespace()
     place = journal_place(files.journal_directory, output, namespace)
     if place is None:
-        logger.warning('no journal is kept: until a calibration is done, samples are in memory')
+        logger.warning('no journal is kept: samples are in memory only, until they are calibrated')
         return
     texts = {
         STATUS.type: message_text('otf_msgs', 'TrackerStatus'),

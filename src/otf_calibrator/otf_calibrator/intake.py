@@ -134,9 +134,11 @@ class Intake:
         """The samples since another path came follow that one: they are a run of their own."""
         self._write_known()
         if self.journal and not (self._collector.other and self._collector.other.since):
-            self.journal.end('set aside: the samples are in the next run, with the path driven')
+            self.journal.end(
+                'set aside: its samples belong to the next run, with the path that was driven'
+            )
         rest = self._collector.follow_the_other()
-        self._warn('the target follows the other path: its samples are a run along that')
+        self._warn('the target follows the other path; its samples form a run along that path')
         if self.journal:
             self.journal.message(PATH, self._collector.path_message)
         self._take_again(rest)
@@ -297,8 +299,8 @@ class Intake:
         place = f' on {OTHER_POINT.name} of the journal' if self.journal else ' not kept'
         return (
             *said,
-            f'{self._apart} samples of a second publisher on {POINT.name} are no part of the run; '
-            f'they are{place}: end that publisher',
+            f'{self._apart} samples of a second publisher on {POINT.name} are not part of the '
+            f'run; they are{place}: end that publisher',
         )
 
     def troubles(self) -> list[str]:

@@ -224,7 +224,7 @@ class Worker:
 
         task = CalibrationTask(recording_of(request), request.config, request.files.method, NONE)
         found = self._solver.solve(task, progress)
-        assert isinstance(found, CalibrationResult), 'no effects are taken off'
+        assert isinstance(found, CalibrationResult), 'no effects are removed'
         return found
 
     def _calibrate(self, request: Request, early: Early | None) -> Calibrated:

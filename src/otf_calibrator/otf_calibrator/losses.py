@@ -115,8 +115,8 @@ class Restarts:
             return []
         rate = self.samples / self.seconds
         return [
-            f'restarts of driver or calibrator leave out {self.seconds:.2f} s of the run '
-            f'({self.samples} samples at {rate:.0f} Hz)'
+            f'{self.seconds:.2f} s of the run ({self.samples} samples at {rate:.0f} Hz) are '
+            f'missing because driver or calibrator restarted'
         ]
 
 

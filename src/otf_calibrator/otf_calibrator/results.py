@@ -38,8 +38,8 @@ class SharedTracker:
 
     Every calibrator hears all samples of its tracker, also while another machine drives. When a
     run is calibrated, the calibrator of its machine publishes on ``tracker/calibrated`` the stamp
-    of the last sample and, as frame_id, the topic of the path, which tells machines apart. The
-    others set the samples until then aside.
+    of the last sample and, as frame_id, the topic of the path, which distinguishes machines. The
+    others set aside the samples up to then.
     """
 
     def __init__(self, node: Node, intake: Intake) -> None:
@@ -55,7 +55,7 @@ class SharedTracker:
 
     def _on_other(self, message: Header) -> None:
         if message.frame_id != self._path:
-            why = f'they were of the run along {message.frame_id}'
+            why = f'they belong to the run along {message.frame_id}'
             self._intake.of_another(ns_from_time(message.stamp), why)
 
 

@@ -186,7 +186,10 @@ class Session:
             return ''
         self._waits_since = None
         if not len(self.collector.buffer):
-            return 'no calibration: the run was set aside while its last samples were waited for'
+            return (
+                'no calibration: the run was set aside while the calibrator waited for its '
+                'last samples'
+            )
         started = self._start_asked()
         if self._withdrawn:
             self.worker.cancel()
@@ -273,7 +276,7 @@ class Session:
         """Begin a run anew; tell what was forgotten."""
         count, kept = len(self.collector.buffer), self.intake.forget()
         self.abandon()
-        return True, f'{count} samples forgotten{kept}; ready for a run'
+        return True, f'{count} samples discarded{kept}; ready for a run'
 
     def finished(self) -> Future[Calibrated] | None:
         """Return a calibration that has come to its end, once."""

@@ -136,7 +136,7 @@ class StatePublisher:
         if session.busy:
             stage, fraction = session.progress
             state = STAGES.get(stage, CalibratorState.SOLVING)
-            return state, fraction, f'{stage}, samples are still taken'
+            return state, fraction, f'{stage}, samples are still collected'
         if collector.taken or collector.beginning or session.answered:
             return self._outcome
         if collector.path is None:
@@ -153,9 +153,10 @@ class StatePublisher:
         text = f'{collector.travelled:.2f} of {length:.2f} m driven; '
         if silence > SILENCE and collector.ended:
             text += 'the stream has ended: call calibrator/calibrate, or drive again; '
-            text += 'another stream sets these samples aside'
+            text += 'a new stream sets these samples aside'
             return CalibratorState.BUFFERING, _driven(collector), text
-        text += 'calibrates at standstill at the end point, or call calibrator/calibrate'
+        text += 'calibrates once the target stands still at the end point; '
+        text += 'or call calibrator/calibrate'
         if silence > SILENCE:
             text += f'; no sample for {silence:.0f} s, the run continues with the next'
         return CalibratorState.BUFFERING, _driven(collector), text

@@ -101,7 +101,7 @@ class Compensator(SteadyLifecycleNode):
         self._answered_before = self._answers.count
         values = {'state': self.lifecycle_state, 'answers [1/s]': rate}
         if self._tables is None or not self._active:
-            return Finding(Level.WARN, f'nothing is answered: {INACTIVE}', values)
+            return Finding(Level.WARN, f'requests are not answered: {INACTIVE}', values)
         return Finding(Level.OK, self._tables.words + self._another(self._tables), values)
 
     def _on_calibrated(self, message: ErrorTables) -> None:
@@ -130,7 +130,7 @@ class Compensator(SteadyLifecycleNode):
         try:
             self._tables = self._read()
         except OtfError as error:
-            return False, f'{error}; the tables read before stay'
+            return False, f'{error}; the previous tables stay in use'
         return True, self._tables.words
 
     def _in_use(self) -> Tables:

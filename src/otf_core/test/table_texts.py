@@ -237,7 +237,7 @@ REFUSED = {
         table('t [s];Hz;V;D [mm]', polar(-1, True, GON)), {}, ('its unit is not stated', 'Hz [gon]')
     ),
     'angles in grad': (
-        table('t [s];Hz [grad];V [grad];D [mm]', polar(-1, True, GON)), {}, ("'grad' is not a unit of angles",)
+        table('t [s];Hz [grad];V [grad];D [mm]', polar(-1, True, GON)), {}, ("'grad' is not a supported unit of angle",)
     ),
     'vertical angle of either kind': (
         table('t [s];Hz [deg];V [deg];D [mm]', [[*r[:2], '7' if k % 2 else '80', r[3]] for k, r in enumerate(polar(-1, True, DEG))]),
@@ -249,7 +249,7 @@ REFUSED = {
     ),
     'PLY cut': (
         'ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\n'
-        'property float z\nend_header\n1 2 3\n4 5 6\n', RATE, ('9 vertices, the file holds fewer',),
+        'property float z\nend_header\n1 2 3\n4 5 6\n', RATE, ('9 vertices, but the file contains fewer',),
     ),
     'PLY binary': (
         'ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n', RATE, ('write it as ascii',)

@@ -125,7 +125,7 @@ def test_what_a_killed_recorder_left_beside_its_database_is_not_lost(tmp_path):
     folder = write_rosbag(tmp_path / 'bag')
     (file,) = folder.glob('*.db3')
     file.with_name(f'{file.name}-wal').write_bytes(b'frames')
-    with pytest.raises(InputError, match=r'was not taken over .* sqlite3 .*wal_checkpoint'):
+    with pytest.raises(InputError, match=r'were not merged .* sqlite3 .*wal_checkpoint'):
         read_bag(folder)
 
 

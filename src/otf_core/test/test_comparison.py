@@ -296,7 +296,7 @@ def test_only_the_common_range_is_compared():
 
 
 def test_other_machines_are_refused():
-    with pytest.raises(ConfigError, match='not one machine'):
+    with pytest.raises(ConfigError, match='different machines'):
         compared(truth_of(some_machine()), truth_of(some_machine('w-Y-b-X-Z-t')))
 
 

@@ -103,7 +103,7 @@ def test_every_schema_that_is_written_is_known(tmp_path, capsys):
 @pytest.mark.parametrize(
     ('name', 'content', 'words'),
     [
-        ('a.json', '{"schema": "otf-gap/1"}', "is no whole 'otf-gap/1'"),
+        ('a.json', '{"schema": "otf-gap/1"}', "is not a complete 'otf-gap/1'"),
         ('a.json', '{"schema": "other/1"}', 'is not a file that otf writes or reads'),
         ('a.json', '{"schema', 'not valid JSON'),
         ('a.npz', 'PK\x03\x04nothing', 'is not a residuals.npz'),

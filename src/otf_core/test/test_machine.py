@@ -62,9 +62,13 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
             'feed: 3\nname:',
             'feed: unknown key; known here: name, .*, limits, .*signals, targets$',
         ),
-        ('chain:', 'chian:', r'chian: unknown key; is chain meant\?$'),
-        ('name:', 'Name:', r'Name: unknown key; is name meant\?$'),
-        ('target_offset', 'target_ofset', r'target_ofset: unknown key; is target_offset meant\?$'),
+        ('chain:', 'chian:', r'chian: unknown key; did you mean chain\?$'),
+        ('name:', 'Name:', r'Name: unknown key; did you mean name\?$'),
+        (
+            'target_offset',
+            'target_ofset',
+            r'target_ofset: unknown key; did you mean target_offset\?$',
+        ),
         ('  u_range: 0.5e-6\n', '', 'tracker: u_range: missing$'),
     ],
 )

@@ -44,5 +44,5 @@ def test_nothing_else_explains_a_move(cause):
 
 
 def test_a_run_that_cannot_be_mended_stays_one():
-    broken = Finding('moved', GATE, 'the rest on one side does not determine the tracker pose')
+    broken = Finding('moved', GATE, 'one of the two parts does not determine the tracker pose')
     assert qualify_moves([broken], unnamed('cycle:51.1')) == (broken,)

@@ -11,7 +11,7 @@ from otf_core.diagnosis.place.where import components, total_group, where_and_sh
 YZ = [[0, 1, 1], [0, 0, 0], [1, 0, 1], [0, 0, 0], [0, 1, 1], [0, 0, 0], [0, 0, 1], [0, 1, 0],
       [0, 0, 1], [1, 0, 0], [0, 0, 1], [0, 1, 0]]  # fmt: skip
 """Diagonals of Y and Z, and of X and Z, beside those of the path."""
-KNOWN = 'as of backlash (X) along X'
+KNOWN = 'like that of backlash (X) along X'
 
 
 def view_of(gap, **further):

@@ -320,7 +320,7 @@ def test_target_offset_is_an_option_and_may_be_negative(command, capsys):
         (None, ['air', 'target offset'], 'noise and misfit only'),
         ({'tracker_scale': 1e-6}, ['air'], 'what was declared, but not: air'),
         ({'tracker_scale': 1e-6}, [], 'noise, misfit and the declared systematic'),
-        (None, None, 'what the tables hold, which their file does not say'),
+        (None, None, 'the contributions in the tables, which their file does not state'),
     ],
 )
 def test_the_summary_says_what_u_holds(tmp_path, uncertainty, not_stated, words):

@@ -224,7 +224,7 @@ def test_long_lists_of_parameters_are_cut(view):
 
 def test_next_measurements_tell_rivals_apart_first(view):
     lines = next_measurements(diagnosis(view, 'partly_explained', found=causes()))
-    assert 'to tell cyclic error from vibration' in lines[0]
+    assert 'to distinguish cyclic error from vibration' in lines[0]
     assert any('second feed' in line for line in lines)
     assert any(line.startswith('A calibrated length') for line in lines)
 

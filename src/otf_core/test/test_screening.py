@@ -29,7 +29,7 @@ def test_first_bad_sample_has_its_number_in_the_stream_wherever_foreign_points_c
 def test_long_frame_id_is_not_repeated_whole():
     screening = Screening()
     screening.foreign(Counter({'x' * 100_000: 3}))
-    assert "'" + 'x' * 60 + "'... (100000 characters)" in screening.remarks()[0]
+    assert "'" + 'x' * 60 + " ...'" in screening.remarks()[0]
     with pytest.raises(InputError) as caught:
         screening.check('bag')
     assert max(map(len, [*screening.remarks(), str(caught.value)])) < 400

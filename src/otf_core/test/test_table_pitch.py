@@ -27,6 +27,6 @@ def test_a_slip_of_the_pen_that_would_never_end_is_refused_with_a_pitch_that_end
         check_table_pitch(some_machine(pitch=0.0005), 0.008)
     said = str(caught.value)
     assert said.startswith('axes: table_pitch: X 0.5 mm (601 nodes)')
-    assert 'is it meant in another unit?' in said
+    assert 'or is it in another unit?' in said
     wide = float(said.split('a table_pitch of ')[1].split(' mm')[0])
     check_table_pitch(some_machine(pitch=1e-3 * wide), 0.008)

@@ -12,7 +12,7 @@ from table_texts import COUNT, HEAD, KINDS, LEFT_OUT, READ, REFUSED, ROWS, XYZ, 
 
 from otf_core.cli.parser import Parser
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import shortened
+from otf_core.files.message_text import shortened, without_middle
 from otf_core.inputs.path_file import read_points
 from otf_core.inputs.recordings import Given, read_recording
 from otf_core.inputs.text_points import TextReading
@@ -209,11 +209,19 @@ def test_a_track_in_another_unit_than_its_path_has_it_named(ratio, words):
 @pytest.mark.parametrize(
     ('text', 'length', 'short'),
     [
-        ('a, 123.456, b', 9, 'a, ...'),
-        ('abc def ghi', 6, 'abc de ...'),
+        ('a, 123.456, b', 9, 'a ...'),
+        ('a123.456789', 9, 'a ...'),
+        ('abc def ghi', 9, 'abc def ...'),
+        ('a long word; another', 13, 'a long word ...'),
+        ('abcdefghijkl', 6, 'abcdef ...'),
         ('x 12345', 5, 'x ...'),
         ('x 12345', 7, 'x 12345'),
     ],
 )
 def test_text_of_a_message_is_not_cut_inside_a_number(text, length, short):
     assert shortened(text, length) == short
+
+
+def test_long_message_keeps_its_beginning_and_its_end_at_whole_words():
+    assert without_middle('alpha beta gamma delta epsilon', 20) == 'alpha beta ... epsilon'
+    assert without_middle('alpha beta', 20) == 'alpha beta'

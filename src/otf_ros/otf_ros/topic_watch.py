@@ -74,5 +74,5 @@ class TopicWatch:
                     names = ', '.join(sorted(map(name_of, found)))
                     self.troubles.append(
                         f'{len(found)} publishers on {topic} ({names}): only samples of the first '
-                        f'are of the run; end the others'
+                        f'belong to the run; end the others'
                     )

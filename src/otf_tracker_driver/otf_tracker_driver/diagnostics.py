@@ -20,7 +20,7 @@ SLOW = 0.8
 TEMPERATURE, PRESSURE = (0.0, 45.0), (650.0, 1100.0)
 """C and mbar; what trackers are specified for."""
 BEAMS = {
-    Beam.UNKNOWN: (Level.OK, 'the source does not tell'),
+    Beam.UNKNOWN: (Level.OK, 'the source does not report it'),
     Beam.ON_TARGET: (Level.OK, 'on the reflector'),
     Beam.LOST: (Level.ERROR, 'lost; bring it back onto the reflector'),
     Beam.SEARCHING: (Level.WARN, 'lost; the tracker searches for the reflector'),
@@ -85,7 +85,7 @@ def losses(health: Health) -> Finding:
 def environment(health: Health) -> Finding:
     """Air as the tracker knows it."""
     if health.environment is None:
-        return Finding(Level.OK, 'not told by the source')
+        return Finding(Level.OK, 'not reported by the source')
     temperature, pressure, humidity = health.environment
     names = 'temperature [C]', 'pressure [mbar]', 'humidity [%]'
     values = dict(zip(names, health.environment, strict=True))

@@ -182,7 +182,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _stream(self) -> None:
         if not self.readers.acquire(blocking=False):
-            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, f'{MOST_READERS} pages look already')
+            self.send_error(
+                HTTPStatus.SERVICE_UNAVAILABLE, f'{MOST_READERS} pages are connected already'
+            )
             return
         try:
             self._head('text/event-stream')

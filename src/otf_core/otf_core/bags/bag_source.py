@@ -252,8 +252,9 @@ def _file_messages(
         log = file.with_name(f'{file.name}-wal')
         if log.is_file() and log.stat().st_size:
             raise InputError(
-                f'{file}: what lies in {log.name} was not taken over when the recorder ended; do '
-                f"it with: sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+                f'{file}: the contents of {log.name} were not merged when the recorder ended; '
+                f'merge '
+                f"them with: sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'"
             )
         yield from _general_messages(file, wanted, topics)
 

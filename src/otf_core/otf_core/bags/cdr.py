@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Index
 from otf_core.errors import InputError
+from otf_core.files.message_text import shortened
 
 SECOND_NS = 1_000_000_000
 MAX_TRAILING = 3
 """Bytes a serializer may add after the last field."""
 MIN_POSE_SIZE = 69
 """Bytes a PoseStamped takes at least: stamp 8, empty frame_id 5, seven float64 56."""
-LONGEST_NAME = 60
-"""Characters of a frame_id that messages show."""
 
 Bytes = NDArray[np.uint8]
 
@@ -241,8 +240,7 @@ def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
 
 def frame_shown(frame: str) -> str:
     """Return a frame_id as messages name it; of a long one the beginning."""
-    rest = f'... ({len(frame)} characters)' if len(frame) > LONGEST_NAME else ''
-    return f'{frame[:LONGEST_NAME]!r}{rest}' if frame else 'empty'
+    return repr(shortened(frame)) if frame else 'empty'
 
 
 def frame_text(what: str, found: str, expected: str) -> str:
@@ -354,7 +352,7 @@ def decode_axes(data: bytes) -> tuple[str, tuple[str, ...], NDArray[np.float64]]
         reader.finish()
     except (ValueError, UnicodeDecodeError) as error:
         raise InputError(
-            f'message is no trajectory_msgs/msg/JointTrajectory in CDR ({error})'
+            f'message is not a trajectory_msgs/msg/JointTrajectory in CDR ({error})'
         ) from None
     return frame, names, np.array(rows, dtype=np.float64).reshape(-1, len(names))
 

@@ -292,7 +292,7 @@ class McapMessages:
         data = np.frombuffer(self._pages, np.uint8)
         if bytes(data[: len(MAGIC)]) != MAGIC:
             raise InputError(
-                f'{self._file}: is not an MCAP file (it does not begin with its mark)'
+                f'{self._file}: is not an MCAP file (it does not begin with the MCAP magic)'
             )
         return data
 

@@ -193,7 +193,7 @@ PERIODS = {
     'the part of a second alone': S,
     'the seconds of a minute alone': 60 * S,
     'minutes and seconds without the hour': 3600 * S,
-    'a clock of 12 hours without AM and PM': 43_200 * S,
+    'a 12-hour clock without AM and PM': 43_200 * S,
     'a time of day': 86_400 * S,
     'a time of the week': 604_800 * S,
     'a counter of 2^16 ms': (MS << 16),
@@ -452,13 +452,13 @@ class Screening:
         if count[NO_BEAM] > MAX_NO_MEASUREMENT * total:
             raise InputError(
                 f'{where}: {count[NO_BEAM]} of {total} points lie in the origin of the tracker, '
-                f'as if the beam had been broken for most of the time; check target and tracker'
+                f'as if the beam had been broken most of the time; check target and tracker'
             )
 
     def _unusable(self, where: str, kind: int, why: str) -> str:
         return (
-            f'{where}: {self._count[kind]} of {self.total} points are unusable; the first is '
-            f'{self._first[kind]} is {why}'
+            f'{where}: {self._count[kind]} of {self.total} points are unusable; the first, '
+            f'{self._first[kind]}, is {why}'
         )
 
     def _most(self) -> str:

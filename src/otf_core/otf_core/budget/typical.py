@@ -73,9 +73,9 @@ class TypicalSystematic:
     def warning(self) -> str:
         """One line for the user."""
         return (
-            f'machine.yaml declares nothing for {", ".join(self.missing)}: U holds typical values '
-            f'of them (presets {", ".join(TYPICAL)}), u in the files does not; declare them in '
-            f'the section uncertainty'
+            f'machine.yaml declares nothing for {", ".join(self.missing)}: U includes typical '
+            f'values for them (presets {", ".join(TYPICAL)}), u in the files does not; declare '
+            f'them in the section uncertainty'
         )
 
 

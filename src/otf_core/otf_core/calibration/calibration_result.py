@@ -26,6 +26,7 @@ from otf_core.calibration.machine_verdict import Verdict, Verdicts
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated_effect import StatedEffect
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import tidy
 from otf_core.model.evaluation import driven_grid
 from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
@@ -271,8 +272,7 @@ def table_html(result: CalibrationResult) -> str:
 
 def _typeset(text: str) -> str:
     """Escaped for HTML, with proper signs."""
-    plain = text.replace('+/-', '±').replace(' um', ' µm').replace(' urad', ' µrad')
-    return html.escape(plain)
+    return html.escape(with_micro_sign(text).replace('+/-', '±'))
 
 
 def data_frame(result: CalibrationResult) -> Any:

@@ -45,8 +45,8 @@ class FirstSight:
         """One sentence."""
         return (
             f'the tracker is found and the target follows the path; provisional, of the first '
-            f'{100 * self.share:.0f} % of the path: {1e6 * self.distance:.3g} um from it in the '
-            f'mean, nothing compensated yet; errors come after the first lap'
+            f'{100 * self.share:.0f} % of the path: {1e6 * self.distance:.3g} um from it on '
+            f'average, nothing compensated yet; errors come after the first lap'
         )
 
 

@@ -47,7 +47,7 @@ WORDS = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
 NOT_STATED = 'not stated'
 """State of a machine without limits."""
 MEASUREMENT_FAILED, LIMIT_NOT_PROVEN = 4, 5
-"""Exit codes: a quality gate failed; the measurement is good, a limit is not proven to hold."""
+"""Exit codes: a quality gate failed; the measurement is good, a limit is not proven to be met."""
 MEANING = {
     VOLUMETRIC: 'volumetric error, at the decisive point',
     UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
@@ -115,7 +115,7 @@ class Verdict:
         count = len(self.judged)
         limits = 'limit' if count == 1 else 'limits'
         if self.passed:
-            return f'{count} of {count} {limits} kept'
+            return f'{count} of {count} {limits} met'
         states = [one.state for one in self.judged]
         found = [(states.count(s), WORDS[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
         (first, state), *more = found
@@ -145,7 +145,7 @@ class Verdicts:
 
     @property
     def exit_code(self) -> int:
-        """0, 4 if the measurement is not good, 5 if it is and a limit is not proven to hold."""
+        """0, 4 if the measurement is not good, 5 if it is and a limit is not proven to be met."""
         if not self.good:
             return MEASUREMENT_FAILED
         return LIMIT_NOT_PROVEN if self.machine and not self.machine.passed else 0

@@ -19,11 +19,12 @@ from otf_core.cli.arguments import (
 )
 from otf_core.cli.exporting import add_exporting_verbs, add_keeping_verbs
 from otf_core.cli.options import Handler
-from otf_core.cli.output import OutputFull, answer, bounded, logged, note
+from otf_core.cli.output import LONGEST_MESSAGE, OutputFull, answer, logged, note
 from otf_core.cli.parser import Parser, asked
 from otf_core.cli.simulating import add_closing_verbs, add_plant_verbs
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.errors import OtfError
+from otf_core.files.message_text import without_middle
 from otf_core.version import __version__
 
 
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         note(f'otf {arguments.verb}: {error}')
         return error.exit_code
     except OtfError as error:
-        words = f'otf {arguments.verb}: {bounded(str(error))}'
+        words = f'otf {arguments.verb}: {without_middle(str(error), LONGEST_MESSAGE)}'
         if not arguments.json:
             note(words)
         else:

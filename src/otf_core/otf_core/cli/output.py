@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import shutil
 import sys
 import threading
@@ -16,6 +15,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
 from otf_core.errors import OtfError
+from otf_core.files.message_text import with_micro_sign
 from otf_core.live.stages import Progress, TimeLeft, about, of_whole
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 QUALITY_GATE_FAILED = 4
 LIMIT_NOT_PROVEN = 5
 
-UNIT = re.compile(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])')
 """Millionths of m and rad in ASCII."""
 LONGEST_MESSAGE = 1000
 BULKY = 'covariance'
@@ -45,7 +44,7 @@ def as_shown(text: str, stream: TextIO) -> str:
     """
     if not stream.isatty():
         return text
-    proper = UNIT.sub('\N{MICRO SIGN}\\1', text).replace(' +/- ', ' \N{PLUS-MINUS SIGN} ')
+    proper = with_micro_sign(text).replace(' +/- ', ' \N{PLUS-MINUS SIGN} ')
     try:
         proper.encode(stream.encoding or 'ascii')
     except (UnicodeEncodeError, LookupError):
@@ -65,14 +64,6 @@ def say(text: str) -> None:
         raise OutputFull(
             f'standard output cannot be written ({error.strerror}); all files are in place'
         ) from None
-
-
-def bounded(text: str) -> str:
-    """Cut the middle out of a message that nobody would read."""
-    if len(text) <= LONGEST_MESSAGE:
-        return text
-    half = LONGEST_MESSAGE // 2
-    return f'{text[:half]} ... {text[-half:]}'
 
 
 def note(text: str) -> None:

@@ -159,7 +159,7 @@ def common_ground(sources: Sequence[Source]) -> Common:
         if str(source.tables.machine.chain) != str(machine.chain):
             raise ConfigError(
                 f'{source.name}: chain {source.tables.machine.chain}, but {sources[0].name} has '
-                f'{machine.chain}; not one machine'
+                f'{machine.chain}; these are different machines'
             )
     rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
     levers: dict[ErrorMotion, list[Lever]] = {}

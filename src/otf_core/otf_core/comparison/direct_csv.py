@@ -126,7 +126,7 @@ def _table(path: str | Path) -> tuple[TextTable, tuple[str, ...]]:
         raise ConfigError(str(error)) from None
     if table.names is None:
         _columns(table.row(0), f'{path}: line {table.lines[0]}')
-        raise ConfigError(f'{path}: holds no line of names')
+        raise ConfigError(f'{path}: has no header line')
     if table.faults:
         line = min(table.faults)
         raise ConfigError(f'{path}: line {line}: expected a reading; {fault_words(table.faults)}')

@@ -97,7 +97,8 @@ def _name(path: str | Path) -> str:
 def _check_one_machine(names: tuple[str, str], a: Machine, b: Machine) -> None:
     if str(a.chain) != str(b.chain):
         raise ConfigError(
-            f'{names[1]}: chain {b.chain}, but {names[0]} has {a.chain}; not one machine'
+            f'{names[1]}: chain {b.chain}, but {names[0]} has {a.chain}; these are different '
+            f'machines'
         )
     for axis in a.rotary_names:
         if not _same_line(a.axes[axis], b.axes[axis]):

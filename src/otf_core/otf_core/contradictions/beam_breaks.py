@@ -227,7 +227,7 @@ def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
         else ''
     )
     return Finding('found again', WARNING, (
-        f'{name}the beam was lost {times} and found again, each time about '
-        f'{1e6 * offsets.step:.1f} um beside{along}{done}. Check the seat '
+        f'{name}the beam was lost {times} and found again, each time '
+        f'about {1e6 * offsets.step:.1f} um off{along}{done}. Check the seat '
         f'of the target, and how the tracker sets its range after a break'
     ))  # fmt: skip

@@ -113,8 +113,8 @@ def check_target_offset(model: Model) -> list[Finding]:
         if others[k] < EQUAL_FIT * others.min()
     )
     return [Finding('target offset', GATE, (
-        f'as stated the runs fit together to {1e6 * stated:.2f} um, with another sign '
-        f'better: {named}; correct target_offset'
+        f'with the stated offsets the runs fit together to {1e6 * stated:.2f} um, with another '
+        f'sign they fit better: {named}; correct target_offset'
     ))]  # fmt: skip
 
 
@@ -185,14 +185,15 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
     )
     if share > OTHER_MACHINE_DIFFERENCE and together > GATE_RATIO * apart:
         raise InputError(
-            f'{_names(model.runs)}: {text}: they are not of one machine, or it was changed '
-            f'between them (readjusted, crashed, referenced again); calibrate them one by one'
+            f'{_names(model.runs)}: {text}: they are not of one machine, or the machine was '
+            f'changed between them (readjusted, crashed, referenced again); calibrate them '
+            f'separately'
         )
     grave = share > CHANGED_DIFFERENCE and together > GATE_RATIO * apart
     return [Finding('one machine', GATE if grave else WARNING, (
         f'{text}: the machine changed between the runs (temperature, load, readjustment), a '
         f'target offset differs from the stated one, or an effect is missing in the model;'
-        f' calibrate them one by one and compare'
+        f' calibrate them separately and compare'
     ))]  # fmt: skip
 
 

@@ -111,13 +111,13 @@ def check_samples(samples: Samples, path: NominalPath | None) -> None:
     speed = top_speed(samples)
     if speed > MAX_SPEED:
         raise InputError(
-            f'the target moves at {speed:.3g} m/s by the stamps, and no machine tool does: are '
-            f'they in another unit than ns?'
+            f'by its stamps the target moves at {speed:.3g} m/s, faster than any machine tool: '
+            f'are they in a unit other than ns?'
         )
     if 0.0 < speed < MIN_SPEED:
         raise InputError(
-            f'the target never moves faster than {1e3 * speed:.3g} mm/s by the stamps: are they '
-            f'in another unit than ns, or was the path not driven?'
+            f'by its stamps the target never moves faster than {1e3 * speed:.3g} mm/s: are they '
+            f'in a unit other than ns, or was the path not driven?'
         )
 
 
@@ -161,8 +161,8 @@ def two_streams(samples: Samples) -> str:
     )
     if one > TO_AND_FRO * max(float(two), 1e-7):
         return (
-            f'every second sample lies {_length(0.5 * float(one))} beside its neighbours: two '
-            f'streams, with clocks or places apart, are mixed on one topic; record one tracker'
+            f'every second sample is {_length(0.5 * float(one))} off its neighbours: two streams '
+            f'that differ in clock or position are mixed on one topic; record one tracker'
         )
     if _traced(xyz[:MAX_COMPARED_SAMPLES]):
         apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))

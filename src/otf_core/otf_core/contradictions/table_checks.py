@@ -55,9 +55,10 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
     if values > MAX_UNKNOWNS:
         wide = max(6 * sum(a.max - a.min for a in machine.axes.values()) / MAX_UNKNOWNS, 1e-3)
         raise ConfigError(
-            f'axes: table_pitch: {named} make {values} unknowns, more than the {MAX_UNKNOWNS} '
-            f'that can be solved for; a table_pitch of {1e3 * wide:.2g} mm or more on all axes '
-            f'can; is it meant in another unit?'
+            f'axes: table_pitch: {named} give {values} unknowns, but at most {MAX_UNKNOWNS} can '
+            f'be '
+            f'solved for: use a table_pitch of {1e3 * wide:.2g} mm or more on all axes, or is it '
+            f'in another unit?'
         )
     if not fine:
         return ''
@@ -137,8 +138,8 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
     if u < error:
         return []
     text = (
-        f'the volumetric error that the tables state is {1e6 * error:.2f} um, its standard '
-        f'uncertainty in half of the driven volume is above {1e6 * u:.2f} um'
+        f'the volumetric error by the tables is {1e6 * error:.2f} um, and its standard '
+        f'uncertainty exceeds {1e6 * u:.2f} um in half of the driven volume'
     )
     if u < MAX_U_OF_GOOD_MACHINE * noise:
         return [Finding('worth', WARNING, (
@@ -146,7 +147,7 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
             f'or the tracker a better position'
         ))]  # fmt: skip
     return [Finding('worth', GATE, (
-        f'{text}: they would not improve the machine. What is driven determines too little, or '
-        f'the residuals are far above the noise: drive a path that plan recommends, take a '
+        f'{text}: they would not improve the machine. The path determines too little, or the '
+        f'residuals are far above the noise: drive a path that plan recommends, use a '
         f'larger table_pitch, and note the warnings'
     ))]  # fmt: skip

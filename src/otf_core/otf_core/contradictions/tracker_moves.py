@@ -359,8 +359,8 @@ def _leaves_much(parts: Model, whole: Model) -> bool:
 def _restless(name: str, count: int) -> Finding:
     """Finding where steps have no end: no single move explains the run."""
     return Finding('moved', WARNING, (
-        f'{name + ": " if name else ""}what the tables leave changes over time, at {count} '
-        f'moments and more, unlike any single movement of tracker or target: an effect that the '
+        f'{name + ": " if name else ""}the residuals change over time, at {count} moments '
+        f'or more, unlike any single movement of tracker or target: an effect that the '
         f'model does not contain; ./otf diagnose looks for it'
     ))  # fmt: skip
 
@@ -369,12 +369,12 @@ def _finding(name: str, step: Step, repaired: bool, *, repair: bool) -> Finding:
     text = f'{name + ": " if name else ""}tracker or target moved {step.words}'
     if repaired:
         return Finding('moved', WARNING, (
-            f'{text}; the parts before and after are solved each with a tracker pose of its '
-            f'own. Check clamping and target'
+            f'{text}; the parts before and after are each solved with their own tracker pose. '
+            f'Check clamping and target'
         ))  # fmt: skip
     if repair:
         return Finding('moved', GATE, (
-            f'{text}; the rest on one side does not determine the tracker pose: clamp '
+            f'{text}; one of the two parts does not determine the tracker pose: clamp '
             f'both and record again, or cut the recording there'
         ))  # fmt: skip
     return Finding('moved', WARNING, f'{text}; check clamping and target')

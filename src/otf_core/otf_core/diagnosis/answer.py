@@ -230,7 +230,7 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
 
 def known_words(causes: Sequence[NamedCause], unnamed: Unnamed | None) -> str:
     """What explains the gap, in words; empty if nothing does."""
-    parts = [f'as of {_spoken(causes)}'] if causes else []
+    parts = [f'like that of {_spoken(causes)}'] if causes else []
     if unnamed is not None:
         parts.append(f'{"the rest" if causes else "it"} {unnamed.words}')
     return '; '.join(parts)

@@ -81,7 +81,8 @@ class FoundCauses:
                 words.append(f'{told.words} is in the error tables, which follow it')
             elif plain.reversal.model == 'none':
                 words.append(
-                    f'{told.words} is for the reversal tables, of which this calibration has none'
+                    f'{told.words} belongs in reversal tables, which this calibration does not '
+                    f'have'
                 )
             else:
                 held = in_reversal_tables(plain.reversal, told.axes)
@@ -129,7 +130,7 @@ def in_reversal_tables(reversal: Reversal, axes: Sequence[str]) -> str:
     sizes = ', '.join(f'{axis} {found.words}' for axis, found in held.items())
     return (
         f' ({sizes}, k = 2: there every motion of every axis may reverse, while the diagnosis '
-        f'fits what it names alone)'
+        f'fits only the causes it names)'
     )
 
 
@@ -138,8 +139,8 @@ def _done_words(taking: Sequence[Taken], stays: Sequence[str]) -> str:
     held = '; '.join(stays)
     held = held[:1].upper() + held[1:]
     if taking:
-        return f'Taken off: {listed(taking).replace("_", " ")}.' + (f' {held}.' if held else '')
-    return f'{held}; nothing else to remove.' if held else 'No effect was taken off.'
+        return f'Removed: {listed(taking).replace("_", " ")}.' + (f' {held}.' if held else '')
+    return f'{held}; nothing else to remove.' if held else 'No effect was removed.'
 
 
 def _left(config: CalibrationConfig) -> set[BelongsTo]:

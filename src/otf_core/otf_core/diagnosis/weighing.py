@@ -489,7 +489,7 @@ def _words(structure: Structure, curves: Sequence[Curve]) -> str:
     kinds_of |= set(plain_names([n for n in inputs if head_of(n) not in WITH_WORDS]))
     kinds = [words for names, words in MECHANISMS if names & kinds_of][:2]
     kinds = ['what that signal measures'] if signals else kinds
-    return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'
+    return f'depends on {depends}: {moved}{sizes}; typical of: {", or ".join(kinds)}'
 
 
 def _direction_words(acts: Along) -> str:

@@ -26,6 +26,7 @@ from otf_core.effects.free import Free
 from otf_core.effects.sizes import Coefficients, Size
 from otf_core.effects.terms import BelongsTo, Shape, State, Terms
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import shortened
 
 __all__ = [
     'Array', 'BelongsTo', 'Coefficients', 'Contribution', 'Effect', 'Shape', 'Size', 'State',
@@ -216,7 +217,9 @@ class Effect(ABC):
             if name not in known:
                 listed = ', '.join(list(known)[:LISTED])
                 rest = f', ... ({len(known)} in all)' if len(known) > LISTED else ''
-                raise ConfigError(f'{self.name}: {name[:60]}: unknown; possible: {listed}{rest}')
+                raise ConfigError(
+                    f'{self.name}: {shortened(name)}: unknown; possible: {listed}{rest}'
+                )
         return {name: known[name] for name in parameters}
 
     def displacement(self, state: State, parameters: Shape) -> Array:

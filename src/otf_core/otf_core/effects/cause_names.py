@@ -62,20 +62,20 @@ class Named:
 
 NAMES = (
     Named('table_tilt', _positions(1), RIGID, False,
-          'the tilt is not in proportion to the position'),
+          'the tilt is not proportional to the position'),
     Named('tracker_pose_drift', _course, RIGID, False,
-          'the drift follows no exponential in time'),
+          'the drift does not follow an exponential in time'),
     Named('cross_coupling', _positions(2), (VECTOR, 'direction'), False,
-          'the error is no low power of the positions'),
+          'the error is not a low-order polynomial of the positions'),
     Named('backlash', _of_axis('sense_'), ('direction',), True,
-          'it is not the same in both senses'),
+          'it differs between the senses of travel'),
     Named('backlash', _of_axis('since_reversal_'), ('direction',), True,
-          'it is taken up over some way after a reversal'),
+          'the backlash is traversed over some distance after a reversal'),
     Named('direction_dependent_tables', _of_axis('sense_', ''), ('direction',), True,
           'the reversal depends on the position'),
     Named('thermal_axis_expansion', lambda inputs: 'time' in inputs and len(inputs) == 2
           and set(inputs) - {'time'} <= set(POSITIONS), ('direction',), True,
-          'the axis does not grow in proportion to the distance from its zero position'),
+          'the expansion is not proportional to the distance from the zero position of the axis'),
 )  # fmt: skip
 """What (inputs, way to act) belongs to which name."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.state import probe_state
+from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import write_text
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 
@@ -95,7 +96,7 @@ def catalogue_markdown() -> str:
     rows = ['| effect | cause | typical size |', '|---|---|---|']
     rows += [f'| [{n}](#{n}) | {e.cause} | {e.typical} |' for n, e in REGISTRY.items()]
     sections = [_section(effect) for effect in REGISTRY.values()]
-    return '\n'.join([INTRODUCTION, *rows, '', *sections])
+    return with_micro_sign('\n'.join([INTRODUCTION, *rows, '', *sections]))
 
 
 if __name__ == '__main__':

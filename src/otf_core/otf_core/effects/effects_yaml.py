@@ -23,6 +23,7 @@ from otf_core.effects.free_form import FreeForm
 from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import Fields, read_yaml, shown
 from otf_core.files.writing import write_text
 from otf_core.model.machine import Machine
@@ -58,7 +59,7 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         fields.fail('effect', f'{shown(name)} is unknown; possible: {known}')
     given = _mapping(fields.take('parameters'), f'{where}: {name}: parameters')
     effect, where = _form(name, fields, machine, list(given)), f'{where}: {name}'
-    parameters = {k: _number(v, f'{where}: {k[:60]}') for k, v in given.items()}
+    parameters = {k: _number(v, f'{where}: {shortened(k)}') for k, v in given.items()}
     stated = _mapping(fields.take('units'), f'{where}: units') if 'units' in data else {}
     fields.done()
     try:
@@ -67,7 +68,7 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         raise ConfigError(f'{where.removesuffix(name)}{error}') from None
     for key, unit in stated.items():
         if key not in units:
-            raise ConfigError(f'{where}: units: {key[:60]}: not among the parameters')
+            raise ConfigError(f'{where}: units: {shortened(key)}: not among the parameters')
         if unit != units[key]:
             raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
     return AppliedEffect(effect, parameters)
@@ -125,7 +126,7 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
                 one.effect.parent, Empirical
             ):
                 raise ConfigError(
-                    f"{file}: {name}: only empirical effects are causes of one's own"
+                    f'{file}: {name}: only empirical effects can be named causes of your own'
                 )
             if name == EMPIRICAL:
                 raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')

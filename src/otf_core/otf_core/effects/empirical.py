@@ -29,6 +29,7 @@ from otf_core.effects.inputs import (
     unscaled_input,
 )
 from otf_core.effects.located_inputs import cycle_period
+from otf_core.files.message_text import shortened
 
 EMPIRICAL = 'empirical'
 CONDITION = 1e8
@@ -118,7 +119,9 @@ def of_table(
         place = scaled_input(n, np.array(own, dtype=float), spans[n])
         matrix = functions_of(n, place, len(own) - 1)
         if not np.linalg.cond(matrix) < CONDITION:
-            raise ValueError(f'{n[:60]}: the nodes are too close to each other or not ascending')
+            raise ValueError(
+                f'{shortened(n)}: the nodes are too close to each other or not ascending'
+            )
         inverses.append(np.linalg.inv(matrix))
     parameters = {}
     for term, value in values.items():

@@ -92,5 +92,5 @@ def follower(acts: Acting, signal: str, order: int = 1) -> Free:
 
 def switched(acts: Acting, switching: Switching, order: int = 1) -> Free:
     """Declare what drifts after something that switches: alike each time, or up to an order."""
-    words = switching.words + ('' if order == 1 else ', and not alike each time')
+    words = switching.words + ('' if order == 1 else ', and not the same each time')
     return Free((switching.name,), (order,), words, (1,), acts)

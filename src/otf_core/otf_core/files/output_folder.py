@@ -132,7 +132,7 @@ def _resolved(path: Path) -> Path:
         pass
     except NotADirectoryError:
         nearest = next(p for p in path.absolute().parents if p.exists())
-        raise _refuse(path, f'cannot be made ({nearest} is a file)') from None
+        raise _refuse(path, f'cannot be created ({nearest} is a file)') from None
     except (OSError, ValueError) as error:
         raise _refuse(
             path, f'cannot be written ({getattr(error, "strerror", None) or error})'
@@ -143,7 +143,7 @@ def _resolved(path: Path) -> Path:
 def _check_parent(path: Path, final: Path) -> None:
     nearest = _nearest(final.parent)
     if not nearest.is_dir():
-        raise _refuse(path, f'cannot be made ({nearest} is not a folder)')
+        raise _refuse(path, f'cannot be created ({nearest} is not a folder)')
     _probe(nearest, path)
 
 

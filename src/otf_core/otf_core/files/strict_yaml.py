@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import shortened
 from otf_core.files.writing import unreadable
 
 # Strict YAML: duplicate, unknown, missing and mistyped keys are errors that name the key.
@@ -64,8 +65,6 @@ _WORDS = reprlib.Repr()
 _WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
 _WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _MAX_SHOWN_LETTERS = 250
-_NUMBER_PARTS = re.compile(r'[\d.]')
-_NUMBER_AT_END = re.compile(r'[+-]?\d[\d.]*(?:[eE][+-]?\d*)?$')
 _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
 
@@ -77,15 +76,6 @@ def shown(value: Any) -> str:
     except ValueError:  # Python refuses to write integers of thousands of digits
         return 'a number with thousands of digits'
     return shortened(text, _MAX_SHOWN_LETTERS)
-
-
-def shortened(text: str, length: int) -> str:
-    """A text of bounded length; never cut inside a number, whose rest would be another one."""
-    if len(text) <= length:
-        return text
-    inside = _NUMBER_PARTS.match(text, length) and _NUMBER_AT_END.search(text[:length])
-    head = text[: inside.start()].rstrip() if inside else ''
-    return f'{head or text[:length]} ...'
 
 
 def number_words(error: Exception) -> str:
@@ -179,7 +169,7 @@ class Fields:
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise a ConfigError about one key."""
-        raise ConfigError(f'{self._where}: {key[:60]}: {problem}')
+        raise ConfigError(f'{self._where}: {shortened(key)}: {problem}')
 
     @property
     def keys(self) -> list[str]:
@@ -199,7 +189,7 @@ class Fields:
             ]
             near = near or [k for k in self._data if self._known and k not in self._known]
             if near:
-                self.fail(near[0], f'unknown key; is {key} meant?')
+                self.fail(near[0], f'unknown key; did you mean {key}?')
             self.fail(key, 'missing')
         return self._data.pop(key)
 

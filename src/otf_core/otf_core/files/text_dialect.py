@@ -14,6 +14,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import InputError
+from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import shown
 from otf_core.files.text_moments import is_moment
 from otf_core.files.writing import refuse_pipe, unreadable
@@ -324,7 +325,7 @@ def number_columns(
     InputError
         If how numbers are written contradicts itself or stays open; names column and line.
     """
-    written = [_Written(shown_name(name), texts, '\n'.join(texts)) for name, texts in columns]
+    written = [_Written(shortened(name), texts, '\n'.join(texts)) for name, texts in columns]
     clean = [_clean(column.texts, column.joined) for column in written]
     if all(column is not None for column in clean):
         return [column for column in clean if column is not None]
@@ -337,15 +338,6 @@ def number_columns(
         if column.mark is None:
             column.mark = _open_mark(where, lines, column, sure)
     return [_read(where, lines, column) for column in written]
-
-
-def shown_name(name: str) -> str:
-    """Name of a column, for messages."""
-    return name if len(name) <= LONGEST_NAME else f'{name[:LONGEST_NAME]} ...'
-
-
-LONGEST_NAME = 60
-"""Letters."""
 
 
 def _clean(texts: list[str], joined: str) -> NumberColumn | None:

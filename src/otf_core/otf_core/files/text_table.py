@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from otf_core.errors import InputError
-from otf_core.files.strict_yaml import shortened, shown
+from otf_core.files.message_text import shortened
+from otf_core.files.strict_yaml import shown
 from otf_core.files.text_dialect import (
     COMMENT,
     MIN_NUMBER_COLUMNS,
@@ -322,7 +323,9 @@ def _open_ply(where: str, lines: list[str]) -> None:
     names = [w[-1] for w in words[first:after] if w[:1] == ['property']]
     rows = int(words[first][-1])
     if len(lines) < end + 1 + rows or (rows and not lines[end + rows].strip()):
-        raise InputError(f'{where}: PLY: the head states {rows} vertices, the file holds fewer')
+        raise InputError(
+            f'{where}: PLY: the header states {rows} vertices, but the file contains fewer'
+        )
     del lines[end + 1 + rows :]
     lines[: end + 1] = [*[''] * end, ' '.join(names)]
 
@@ -552,8 +555,8 @@ class _Reader:
             return names
         line = shortened(self.every[at].strip(), 80)
         raise InputError(
-            f'{self.where}: the head (line {at + 1}) names {len(names)} columns, the lines have '
-            f'{width}: {line!r}; correct the head, or leave it out and name the columns with '
+            f'{self.where}: the header (line {at + 1}) names {len(names)} columns, the lines have '
+            f'{width}: {line!r}; correct the header, or omit it and name the columns with '
             f'--columns (a - leaves one out)'
         )
 

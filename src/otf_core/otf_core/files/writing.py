@@ -85,7 +85,7 @@ def ensure_folder(folder: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f'{folder}: cannot be made a folder ({error.strerror})') from None
+        raise ConfigError(f'{folder}: cannot be created as a folder ({error.strerror})') from None
     return folder
 
 

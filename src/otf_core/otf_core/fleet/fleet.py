@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import shortened
 from otf_core.files.output_folder import file_digest, written_files
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, unreadable, write_text
@@ -159,7 +160,7 @@ def _message(code: int, said: str) -> str:
     text = lines[-1] if lines else 'said nothing'
     if code in JUDGED:
         text = text.removeprefix('otf: ')
-    return text[:LONGEST_MESSAGE]
+    return shortened(text, LONGEST_MESSAGE)
 
 
 # A function by its name as a run of a fleet: arguments and result are JSON.

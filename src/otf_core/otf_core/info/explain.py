@@ -317,7 +317,7 @@ def _json_kind(schema: str, name: str, explain: Callable[[Data], Explained], wha
             )
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             detail = f'{type(error).__name__}: {error}'
-            raise ConfigError(f"{path}: is no whole '{schema}' ({detail})") from None
+            raise ConfigError(f"{path}: is not a complete '{schema}' ({detail})") from None
 
     return Kind(name, what, is_one, of)
 
@@ -393,9 +393,7 @@ def _explain_other(path: Path) -> Explained:
     )
 
 
-OTHER = Kind(
-    'other result', 'a file of otf without a description of its own', _is_other, _explain_other
-)
+OTHER = Kind('other result', 'a file of otf that has no description', _is_other, _explain_other)
 
 
 def _explain_residuals(path: Path) -> Explained:

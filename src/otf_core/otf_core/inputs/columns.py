@@ -12,8 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import shortened
-from otf_core.files.text_dialect import is_missing, is_value, shown_name
+from otf_core.files.message_text import shortened
+from otf_core.files.text_dialect import is_missing, is_value
 from otf_core.files.text_moments import ORDERS
 from otf_core.files.text_table import (
     LENGTHS,
@@ -245,7 +245,7 @@ class AmbiguousPointError(InputError):
 
 
 def _column(place: int, heading: str) -> Column:
-    return Column(place, parted(heading)[1], shown_name(' '.join(heading.split())))
+    return Column(place, parted(heading)[1], shortened(' '.join(heading.split())))
 
 
 def offers(headings: Sequence[str]) -> list[Offer]:
@@ -330,7 +330,7 @@ def _times(headings: Sequence[str]) -> tuple[Column, ...]:
             continue
         if not any(unit in known for known in (TIMES, LONG_TIMES, OTHERS, ORDERS)):
             unit = words[-1] if words[-1] in TIMES else None
-        columns.append(Column(place, unit, shown_name(' '.join(heading.split()))))
+        columns.append(Column(place, unit, shortened(' '.join(heading.split()))))
     stamps = [c for c in columns if 'stamp' in c.name.lower()] or columns
     whole = [c for c in stamps if TIMES.get(c.unit or '') == 0]
     parts = [c for c in stamps if TIMES.get(c.unit or '') == -9]
@@ -366,19 +366,17 @@ def columns_of(
         chosen = offered
     if len(chosen) == 1:
         rest = [o for o in offered if o is not chosen[0]]
-        words = '; '.join(
-            f'not {o.words}, {o.role or "which is not stated to be it"}' for o in rest
-        )
+        words = '; '.join(f'not {o.words}, {o.role or "whose role is not stated"}' for o in rest)
         remarks = (f'the {wanted} point is {chosen[0].words}; {words}',) if rest else ()
         return Columns(chosen[0].point, time, '', remarks)
     if not chosen:
         raise AmbiguousPointError(
-            f'{where}: the head names {unwanted} positions only: {offered[0].words}; export the '
+            f'{where}: the header names {unwanted} positions only: {offered[0].words}; export the '
             f'measured ones{_choice(headings, offered, time, nominal)}'
         )
     points = ' and '.join(o.words for o in offered)
     raise AmbiguousPointError(
-        f'{where}: the head names {len(offered)} points: {points}; nothing states which one was '
+        f'{where}: the header names {len(offered)} points: {points}; nothing states which was '
         f'{"planned" if nominal else "measured"}{_choice(headings, offered, time, nominal)}'
     )
 
@@ -449,7 +447,7 @@ def _refuse_other_axes(table: TextTable) -> None:
         match = OTHER_AXES.search(line)
         if match:
             raise InputError(
-                f'{table.where}: the head states {match[1].lower()} coordinates '
+                f'{table.where}: the header states {match[1].lower()} coordinates '
                 f'({shortened(line, 80)!r}); export Cartesian ones'
             )
 
@@ -559,7 +557,7 @@ def unnamed_words(table: TextTable) -> str:
     """Say that nothing names the point of a table, and what stands there instead."""
     shown = ' | '.join(table.head[-1:]) or 'nothing'
     return (
-        f'{table.where}: line {table.lines[0]} has {table.width} columns, and the head '
+        f'{table.where}: line {table.lines[0]} has {table.width} columns, and the header '
         f'names no x, y, z (it contains: {shortened(shown, 100)})'
     )
 

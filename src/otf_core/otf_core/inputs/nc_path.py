@@ -19,7 +19,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.files.strict_yaml import shortened
+from otf_core.files.message_text import shortened
 
 Position = dict[str, Decimal | None]
 """By axis, m; None: not stated by the program."""

@@ -123,7 +123,12 @@ class GCode:
                 continue
             block = self._parsed(number, text)
             if skipped and (block.axes or set(block.g) & {'0', '1', '2', '3'}):
-                refuse(self._where, number, line.strip(), 'is skipped or not by a switch')
+                refuse(
+                    self._where,
+                    number,
+                    line.strip(),
+                    'is skipped or executed depending on a switch',
+                )
             if not skipped and self._run(number, text, block):
                 return
 
@@ -159,7 +164,7 @@ class GCode:
         letter = match['axis'] or ('R' if match['radius'] else match['letter'])
         digits = (match['moved'] or match['radius'] or match['value']).replace(' ', '')
         if len(digits) > LONGEST_NUMBER:
-            refuse(self._where, number, word, 'is a number of too many digits')
+            refuse(self._where, number, word, 'has too many digits')
         value, mode = Decimal(digits), match['mode'] or ''
         if letter == 'G':
             block.g.append(_code(value))
@@ -243,10 +248,10 @@ class GCode:
                 continue  # turns of an arc
             if letter in 'ABCUVW':
                 if value or not self._absolute:
-                    refuse(self._where, number, word, 'moves an axis that is none of X, Y, Z')
+                    refuse(self._where, number, word, 'moves an axis other than X, Y, Z')
                 continue
             why = {
-                'D': 'takes a tool offset', 'H': 'takes a tool length offset',
+                'D': 'applies a tool offset', 'H': 'applies a tool length offset',
                 'L': 'calls a subprogram',
             }.get(letter, 'is not supported')  # fmt: skip
             refuse(self._where, number, word, why)
@@ -265,7 +270,7 @@ class GCode:
         if not block.axes and not (arc and (block.centre or block.radius is not None)):
             return
         if machine and not self._absolute:
-            refuse(self._where, number, word, 'names machine coordinates in increments')
+            refuse(self._where, number, word, 'combines machine coordinates with increments')
         goal: Position = {a: self._goal(a, *given) for a, given in block.axes.items()}
         if not arc:
             if block.centre:
@@ -401,7 +406,12 @@ class Klartext:
             if not text or re.fullmatch(r'\d+', text):
                 continue
             if re.match(r'/', line.strip()) and re.match(r'L|C', text):
-                refuse(self._where, number, line.strip(), 'is skipped or not by a switch')
+                refuse(
+                    self._where,
+                    number,
+                    line.strip(),
+                    'is skipped or executed depending on a switch',
+                )
             if self._run(number, ' '.join(text.split())):
                 return
 
@@ -435,7 +445,7 @@ class Klartext:
                 goal[match['axis']] = self._goal(number, word, match)
             elif match and match['axis'] in 'ABCUVW':
                 if match['step'] or Decimal(match['value'].replace(',', '.')):
-                    refuse(self._where, number, word, 'moves an axis that is none of X, Y, Z')
+                    refuse(self._where, number, word, 'moves an axis other than X, Y, Z')
             elif re.fullmatch(r'R0|F(MAX|AUTO|[TZU]?\d[\d.,]*)', word):
                 continue
             elif re.fullmatch(r'R[LR]', word):
@@ -457,7 +467,7 @@ class Klartext:
     def _goal(self, number: int, word: str, match: re.Match[str]) -> Decimal | None:
         """Where an axis goes, m; None: from where it is not known by so much."""
         if len(word) > LONGEST_NUMBER:
-            refuse(self._where, number, word, 'is a number of too many digits')
+            refuse(self._where, number, word, 'has too many digits')
         value = Decimal(match['value'].replace(',', '.')) * self._unit
         if not match['step']:
             return value

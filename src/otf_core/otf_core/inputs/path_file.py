@@ -13,7 +13,8 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import read_json, shortened
+from otf_core.files.message_text import shortened
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_lengths
 from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words

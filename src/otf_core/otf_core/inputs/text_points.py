@@ -106,7 +106,7 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
         return Moments(scaled_ns(texts, LONG_TIMES[unit]), unit or '')
     if unit is not None and unit not in ORDERS:
         raise InputError(
-            f'{unit!r} is not a unit of time that is read; possible: s, ms, us, ns, min, h, days'
+            f'{unit!r} is not a supported unit of time; possible: s, ms, us, ns, min, h, days'
         )
     written = _written_as_one(texts) if alone else None
     if written is not None:
@@ -452,8 +452,7 @@ def _length(where: str, stated: str | None, values: Array) -> tuple[str, str]:
     """Unit of lengths, and the same in words; by their size if none is stated."""
     if stated is not None and stated not in LENGTHS:
         raise InputError(
-            f'{where}: {stated!r} is not a unit of length that is read; possible: '
-            f'{known_lengths()}'
+            f'{where}: {stated!r} is not a supported unit of length; possible: {known_lengths()}'
         )
     unit = stated or ('mm' if np.nanmax(np.abs(values), initial=0.0) > TRACKER_RANGE else 'm')
     return unit, unit if stated else f'{unit} (not stated, by their size)'
@@ -470,9 +469,9 @@ def _from_polar(where: str, values: Array, columns: Columns) -> tuple[Array, str
         if column.unit not in ANGLES:
             what = 'its unit is not stated'
             if column.unit is not None:
-                what = f'{column.unit!r} is not a unit of angles that is read'
+                what = f'{column.unit!r} is not a supported unit of angle'
             raise InputError(
-                f'{where}: {column.name}: {what}; write deg, gon or rad into the head, as in '
+                f'{where}: {column.name}: {what}; write deg, gon or rad into the header, as in '
                 f'{column.name.split()[0]} [gon]'
             )
     unit, words = _length(where, along.unit, values[:, 2])
@@ -522,7 +521,7 @@ def _without_noise(chosen: _Chosen, columns: Columns, unit: float, xyz: Array) -
         return ''
     size_um = max(1e6 * float(step.max()), 1e-6)
     return (
-        f'the points have no noise beyond their rounding ({size_um:g} µm): commanded or smoothed '
+        f'the points have no noise beyond their rounding ({size_um:g} um): commanded or smoothed '
         f'positions give tables that show no errors; export the measured ones'
     )
 

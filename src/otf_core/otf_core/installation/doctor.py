@@ -20,6 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
+from otf_core.files.message_text import shortened
 from otf_core.version import __version__
 
 OK = 'ok'
@@ -124,7 +125,7 @@ def _load_failure(module: str) -> str:
         import_module(module)
     except (ImportError, AttributeError, ValueError, OSError) as error:
         # ValueError and AttributeError: built for another numpy
-        return f'{module}: {" ".join(str(error).split())[:200]}'
+        return f'{module}: {shortened(" ".join(str(error).split()), 200)}'
     return ''
 
 
@@ -282,7 +283,7 @@ def check_graph() -> Iterator[State]:
         and not _may_use_low_ports()
     ):
         yield State(
-            'ports', OK, f'TCP {EMSCON} is for root alone: ./otf emulate-tracker --port 7000',
+            'ports', OK, f'TCP {EMSCON} requires root; use ./otf emulate-tracker --port 7000',
         )  # fmt: skip
 
 

@@ -337,7 +337,7 @@ def _check(folder: Path, said: str) -> None:
         problem = json.loads(report.read_text())['error']
     if problem:
         last = ' | '.join(line for line in said.splitlines() if line.strip())[-1500:]
-        raise InputError(f'LinuxCNC: {problem}; its last words: {last}')
+        raise InputError(f'LinuxCNC: {problem}; its last output: {last}')
 
 
 def _read_samples(path: Path) -> Driven:

@@ -176,8 +176,8 @@ class Chain:
         turning = [p for p in inner if p in ROTARY]
         if parts[0] != 'w' or parts[-1] != 't' or inner.count('b') != 1 or axes != list(AXES):
             raise ConfigError(
-                f"chain: '{text}' is no kinematic chain; write w, the axes X, Y, Z once each and "
-                f"the base b between them, then t, as in 'w-Y-b-X-Z-t'"
+                f"chain: '{text}' is not a kinematic chain; write w, the axes X, Y, Z once each "
+                f"and the base b between them, then t, as in 'w-Y-b-X-Z-t'"
             )
         if len(turning) > len(set(turning)) or len(turning) > MOST_ROTARY:
             raise ConfigError(
@@ -364,7 +364,10 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     axes_fields.done()
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
-        top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m, not mm')
+        top.fail(
+            'target_offset',
+            f'{offset.tolist()} m is not a plausible tool length; unit is m, not mm',
+        )
     spec = _tracker(top.mapping('tracker'), chain)
     declared = None
     if top.has('uncertainty'):

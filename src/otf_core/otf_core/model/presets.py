@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import with_micro_sign
 
 AT500 = (
     'limits of a recent absolute tracker, Leica AT500 user manual, section 2.8.2 (ISO 10360-10): '
@@ -177,4 +178,4 @@ def preset_table() -> str:
             ['from', *('; '.join(p.sources) for p in listed)],
         ]
         parts.append('\n'.join(f'| {" | ".join(row)} |' for row in rows))
-    return '\n\n'.join(parts)
+    return with_micro_sign('\n\n'.join(parts))

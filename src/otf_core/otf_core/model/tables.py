@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
+from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import read_json, shown
 from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
@@ -313,7 +314,9 @@ def _named(
     found = _mapping(data, key, where)
     unknown = sorted(set(found) - set(names))
     if unknown:
-        raise ConfigError(f'{where}: {key}: {unknown[0][:60]}: unknown; known: {", ".join(names)}')
+        raise ConfigError(
+            f'{where}: {key}: {shortened(unknown[0])}: unknown; known: {", ".join(names)}'
+        )
     return found
 
 

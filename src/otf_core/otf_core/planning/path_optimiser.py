@@ -479,8 +479,8 @@ class PathOptimiser:
                     f'node; {math.ceil(enough)} s suffice at this feed'
                 )
         raise ConfigError(
-            f'time_budget: {budget:g} s is too short, and {LONGEST_PLAN:g} s would be, to show '
-            f'every error motion at every node'
+            f'time_budget: neither {budget:g} s nor {LONGEST_PLAN:g} s suffices to show every '
+            f'error motion at every node'
         )
 
     def for_uncertainty(self, wanted: float) -> OptimisedPlan:

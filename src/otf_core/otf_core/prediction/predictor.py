@@ -168,7 +168,7 @@ def _independent(tables: ErrorTables) -> Array:
 def _contained(tables: ErrorTables, extra: Mapping[str, Any]) -> str:
     budget = extra.get('budget')
     if not isinstance(budget, Mapping) or not isinstance(budget.get('not_stated'), list):
-        return 'what the tables hold, which their file does not say'
+        return 'the contributions in the tables, which their file does not state'
     missing = ', '.join(map(str, budget['not_stated']))
     if not missing:
         return 'noise, misfit and the declared systematic contributions'
@@ -194,5 +194,7 @@ def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
     if offset.shape != (3,) or not np.all(np.isfinite(offset)):
         raise ConfigError('target_offset: expected three finite numbers, in m')
     if np.max(np.abs(offset)) > LONGEST_OFFSET:
-        raise ConfigError(f'target_offset: {offset.tolist()} m is no length of a tool; unit is m')
+        raise ConfigError(
+            f'target_offset: {offset.tolist()} m is not a plausible tool length; unit is m'
+        )
     return offset

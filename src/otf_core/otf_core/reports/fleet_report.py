@@ -32,7 +32,7 @@ TABLE_COLUMNS = (
 )  # fmt: skip
 JUDGED = {
     MEASUREMENT_FAILED: 'measurement not good',
-    LIMIT_NOT_PROVEN: 'limits of the machine not proven to hold',
+    LIMIT_NOT_PROVEN: 'limits of the machine not proven to be met',
 }
 """What exit codes of runs say that are done."""
 GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')

@@ -121,7 +121,7 @@ def _other_orders(
         yield (
             replace(machine, chain=chain),
             list(paths),
-            (f'it fits the chain {chain}: the rotary axes follow each other the other way round'),
+            (f'it fits the chain {chain}: the order of its rotary axes is reversed'),
         )
 
 

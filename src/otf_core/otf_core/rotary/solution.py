@@ -264,7 +264,7 @@ def _settle(
         progress('solving', 0.5 * iteration / (iteration + 1))
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
-        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
 

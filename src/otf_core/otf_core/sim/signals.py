@@ -91,7 +91,7 @@ def _undeclared(wanted: str) -> SignalSpec:
     kinds = [k for k, own in PLAIN.items() if own == field] if field else [USUAL]
     if not kinds:
         raise ConfigError(
-            f'{HEAD}{wanted}: not known how its messages look; declare it under signals in '
+            f'{HEAD}{wanted}: the form of its messages is unknown; declare it under signals in '
             f'machine.yaml'
         )
     return SignalSpec(topic, field, '', kinds[0], ())

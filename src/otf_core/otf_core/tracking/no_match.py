@@ -55,7 +55,7 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
     if out > MIN_STANDOUT_SHARE:
         return (
-            f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm and more beside '
+            f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm or more off '
             f'their neighbours: outliers; look for reflections, a dirty target or a disturbed '
             f'beam, and leave such samples out'
         )
@@ -77,9 +77,11 @@ def unit_by_size(ratio: float) -> str:
     if 0.5 < factor / 1000.0 < 2.0:
         return f'; the {large} to be in mm, expected m'
     if abs(factor / INCHES_IN_M - 1.0) < SAME_UNIT:
-        return f'; the {large} to be in inches: state it in the head, as in x_in,y_in,z_in'
+        return f'; the {large} to be in inches: state it in the header, as in x_in,y_in,z_in'
     if abs(factor / MM_IN_INCH - 1.0) < SAME_UNIT:
-        return f'; the {small} to be in inches, not mm: state it in the head, as in x_in,y_in,z_in'
+        return (
+            f'; the {small} to be in inches, not mm: state it in the header, as in x_in,y_in,z_in'
+        )
     return ''
 
 
@@ -98,11 +100,11 @@ def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
         beside = _beside_lines(match, guide.vertices)
         if beside > MAX_RATIO_OF_DISTANCES * enough:
             return (
-                f'it resembles the path, but lies {1e3 * beside:.2g} mm beside the middle of its '
-                f'lines: the path of another program or machine, or of another scale?'
+                f'it resembles the path, but lies {1e3 * beside:.2g} mm off the middle of its '
+                f'lines: is it the path of another program or machine, or at another scale?'
             )
         return (
-            f'it does within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
+            f'they fit within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
             f'Its lines fit, its corners are rounded: raise match_tolerance to {enough:g} '
             f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
         )

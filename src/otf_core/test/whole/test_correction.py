@@ -313,7 +313,7 @@ def test_what_is_not_taken_off_is_said_with_what_holds_it():
     found = FoundCauses((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
     words = with_causes(plain, None, found, CONFIG, 'There it is.').words
     assert 'Backlash of X is in the reversal tables (X 5.20 +/- 0.40 um, k = 2: ' in words
-    assert words.endswith('nothing else to remove.') and 'No effect was taken off' not in words
+    assert words.endswith('nothing else to remove.') and 'No effect was removed' not in words
     waves = FoundCauses((), ((),), ('cyclic error of X',))
     words = with_causes(plain, None, waves, CONFIG, 'There it is.').words
     assert 'Cyclic error of X is in the error tables, which follow it' in words
@@ -327,5 +327,5 @@ def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)
     assert done.applied == ((),) and done.result.run_id == '1'
-    assert 'no effect explains. No effect was taken off' in done.result.warnings[0]
+    assert 'no effect explains. No effect was removed' in done.result.warnings[0]
     assert done.result.warnings[1] == 'other'

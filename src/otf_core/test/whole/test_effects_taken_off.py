@@ -94,7 +94,7 @@ def test_growth_is_found_and_taken_off():
     recording = GROWING.recording(rate=40.0)
     done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
     assert [e.effect for e in done.result.effects] == ['thermal_axis_expansion']
-    assert done.result.effects[0].how == 'found' and 'Taken off' in done.words
+    assert done.result.effects[0].how == 'found' and 'Removed: ' in done.words
     left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done.result)]
     assert left[1] < 0.25 * left[0]
 
@@ -102,6 +102,6 @@ def test_growth_is_found_and_taken_off():
 def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
     assert done.result.effects == () and done.applied == ((),)
-    assert 'No gap' in done.words and 'No effect was taken off' in done.words
+    assert 'No gap' in done.words and 'No effect was removed' in done.words
     assert done.words in format_result(done.result)
     assert done.result.run_id == done.plain.run_id

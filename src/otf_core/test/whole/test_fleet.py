@@ -170,15 +170,15 @@ def test_a_machine_out_of_its_limits_is_no_measurement_that_failed(plant, capsys
     (plant / 'runs.csv').write_text('\n'.join(rows) + '\n')
     assert fleet('out') == 5
     said = capsys.readouterr().out
-    assert 'limits of the machine not proven to hold: x' in said
+    assert 'limits of the machine not proven to be met: x' in said
     assert 'not good' not in said
     page = (plant / 'out/fleet.html').read_text(encoding='utf-8')
-    assert '1 with limits of the machine not proven to hold' in page and '>broken<' in page
+    assert '1 with limits of the machine not proven to be met' in page and '>broken<' in page
     (plant / 'gate.mcap').write_text('')
     (plant / 'runs.csv').write_text('\n'.join([*rows, 'g,gate.mcap,machine.yaml']) + '\n')
     assert fleet('out') == 4
     said = capsys.readouterr().out
-    assert 'measurement not good: g' in said and 'not proven to hold: x' in said
+    assert 'measurement not good: g' in said and 'not proven to be met: x' in said
 
 
 def test_runs_with_other_target_offsets_are_not_compared_silently(plant, capsys):

@@ -176,7 +176,9 @@ def test_undeclared_contributions_are_a_warning_above_the_table(calibrated):
     first = next(t for t in format_result(calibrated).splitlines() if t[:7] == 'WARNING')
     assert first == f'WARNING {calibrated.warnings[0]}'
     assert first.startswith('WARNING machine.yaml declares nothing for tracker scale, air, ')
-    assert 'U holds typical values of them (presets absolute-interferometer, workshop)' in first
+    assert (
+        'U includes typical values for them (presets absolute-interferometer, workshop)' in first
+    )
     found = result_to_dict(calibrated)
     assert found['warnings'][0] == calibrated.warnings[0]
     entry = found['typical_systematic']

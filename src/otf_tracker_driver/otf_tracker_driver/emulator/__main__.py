@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--machine', required=True, help='machine.yaml of the simulated cell')
     parser.add_argument('--host', default='127.0.0.1', help='address to listen on')
     parser.add_argument('--port', type=int, default=700, help='0: any that is free')
-    parser.add_argument('--seed', type=int, default=1, help='of cell and faults')
+    parser.add_argument('--seed', type=int, default=1, help='seed of cell and faults')
     parser.add_argument('--tables', default='', help='true errors of the machine (drawn)')
     parser.add_argument('--faults', default='', help=f'list such as split,busy=0.1; {listed}')
     for name in ('passes', 'levels'):

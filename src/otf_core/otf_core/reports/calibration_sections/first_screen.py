@@ -21,6 +21,7 @@ from otf_core.calibration.machine_verdict import (
     Verdicts,
     size_and_expanded,
 )
+from otf_core.files.message_text import shortened
 from otf_core.model.expanded import (
     figure,
     micro_figure,
@@ -449,16 +450,8 @@ def _distance_figure(value: float, fit: Fit) -> str:
 def _warning_lines(facts: Facts) -> list[str]:
     warned = typical_warnings(facts.typical)
     every = [w for w in facts.result.warnings if w not in warned]
-    lines = [f'warning: {shortened(w)}' for w in every[:SUMMARY_WARNINGS]]
+    lines = [f'warning: {shortened(w, SUMMARY_WIDTH)}' for w in every[:SUMMARY_WARNINGS]]
     more = len(every) - SUMMARY_WARNINGS
     if more > 0:
         lines.append(f'warning: {more} more in summary.txt')
     return lines
-
-
-def shortened(text: str) -> str:
-    """One line of a long warning: its first clauses, as many as fit."""
-    if len(text) <= SUMMARY_WIDTH:
-        return text
-    cut = max(text.rfind(mark, 0, SUMMARY_WIDTH) for mark in ('; ', ': ', ', ', ' '))
-    return f'{text[:cut].rstrip(" ,;:")} ...'

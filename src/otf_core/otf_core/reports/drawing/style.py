@@ -10,6 +10,8 @@ from __future__ import annotations
 import html
 import re
 
+from otf_core.files.message_text import with_micro_sign
+
 MARKS = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --line: #d0d7de;
   --paper: #ffffff; --tile: #f4f6f8; --before: #d55e00; --after: #0072b2; --noise: #808080;
@@ -172,7 +174,7 @@ def running_head(words: str) -> str:
 
 def typeset(value: object) -> str:
     """Text with proper signs, not escaped; a value stays on the line of its sign and unit."""
-    plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
+    plain = with_micro_sign(str(value))
     plain = re.sub(r'(?<![^ (])\+/-(?= )', '±', plain)
     plain = re.sub(r'(?<![\w.])-(?=0(?:\.0+)?(?![\w.]))', '', plain)
     plain = re.sub(r'(?<![\w.])-(?=\d|[XYZ]\b)', '\N{MINUS SIGN}', plain)

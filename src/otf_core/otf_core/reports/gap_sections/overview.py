@@ -307,7 +307,7 @@ def next_measurements(diagnosis: Diagnosis) -> list[str]:
         rivals = cause.indistinguishable_from
         if rivals:
             others = ' or '.join(r.replace('_', ' ') for r in rivals)
-            reason = f'to tell {cause.effect.replace("_", " ")} from {others}'
+            reason = f'to distinguish {cause.effect.replace("_", " ")} from {others}'
             wishes += [
                 (n, reason) for n in dict.fromkeys(map(_needed_for, (cause.effect, *rivals))) if n
             ]
