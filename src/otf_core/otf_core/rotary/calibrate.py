@@ -18,12 +18,12 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.noise.standstill import noise_model
+from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
-from otf_core.rotary.reduction import reduce_to_pieces, reduce_to_stops
+from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.reseated import reseated
 from otf_core.rotary.reversal import NONE, AxisReversal, reversals, significant
 from otf_core.rotary.rows import AxisRun
@@ -251,9 +251,13 @@ class _Job:
         return self._layout(significant(trial, self.config))
 
     def _noise(self, recording: Recording) -> NoiseModel:
-        spec = self.recordings[0].machine.tracker
+        samples, spec = recording.samples, self.recordings[0].machine.tracker
         with errors_of(recording.name):
-            return noise_model(recording.samples, spec, self.config.standstill_speed)
+            if self.method == STANDSTILL:
+                seen = standstill_noise(samples, at_stops(samples, self.config))
+                if seen is not None:
+                    return seen.noise
+            return noise_model(samples, spec, self.config.standstill_speed)
 
     def _moved(self, matched: Sequence[Matched], done: AxisSolution) -> list[Matched]:
         pairs = zip(matched, self.stations, strict=True)

@@ -42,6 +42,8 @@ AT_STOP = 1.5e-3
 """m; stops are this near their corners."""
 LATE_NS = 0.5e9
 """ns without a sample after which another piece begins."""
+GENTLE = 0.05
+"""s; left out at both ends of a standstill beside what its speed leaves out."""
 SETTLED = 0.05
 """s; shortest stop that is averaged."""
 
@@ -369,13 +371,23 @@ def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfi
     return joined(samples, found)
 
 
+def at_stops(samples: Samples, config: CalibrationConfig) -> Index:
+    """First and one past the last sample of the standstills, shape (k, 2), without their ends.
+
+    A reflector near an axis starts and stops so gently that a speed does not show it.
+    """
+    margin = round(GENTLE / samples.step)
+    spans = find_standstills(samples, config.standstill_speed, SETTLED + 2.0 * GENTLE)
+    return spans + np.array([margin, -margin])
+
+
 def _stops_of_part(
     samples: Samples, matched: Matched, number: int, config: CalibrationConfig
 ) -> AxisPieces | None:
     part = matched.parts[number]
     positions, sight = part.path.positions, matched.sight(part.path.target)
     own = samples.part(part.first, part.last)
-    spans = find_standstills(own, config.standstill_speed, SETTLED)
+    spans = at_stops(own, config)
     corner_at = sight.nominal(positions)
     rows = []
     for a, b in spans.tolist():
@@ -395,7 +407,7 @@ def _stops_of_part(
     first, last = columns[3] + part.first, columns[4] + part.first
     steps = np.diff(positions, axis=0, prepend=positions[:1])
     unit = steps / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-12)
-    total = len(at)
+    total, time = len(at), 0.5 * (samples.time[first] + samples.time[last - 1])
     return AxisPieces(
         q=positions[at],
         step=np.zeros_like(positions[at]),
@@ -404,11 +416,11 @@ def _stops_of_part(
         nominal=corner_at[at],
         direction=np.zeros((total, 3)),
         part=np.full(total, number),
-        leg=np.arange(total),
+        leg=_shared(np.zeros(total, dtype=np.int64), time),
         stretch=np.arange(total),
         side=sides_of_travel(unit)[at],
         count=count,
-        time=0.5 * (samples.time[first] + samples.time[last - 1]),
+        time=time,
         duration=samples.time[last - 1] - samples.time[first],
         used=int(count.sum()),
         standstill=True,
