@@ -47,13 +47,20 @@ from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.pieces.runs import Recording, Run
-from otf_core.solving.joint import JointSolution
+from otf_core.pieces.runs import Recording, Run, reduced
+from otf_core.solving.joint import JointSolution, Start, solve_robustly
 from otf_core.solving.unknowns import Basis
 from otf_core.threads import in_one_thread
 
 ALL_SAMPLES = 100.0
 """Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""
+MOST_PIECES = 12_000
+"""Pieces of all runs together beyond which they are made longer: time and memory of a diagnosis
+are in proportion to their number."""
+WORTH_IT = 1.2
+"""Factor on the length from which they are: the runs are solved again for it."""
+PER_NODE = 3.0
+"""Pieces between two table nodes at least, so that waves between nodes are seen."""
 
 
 @in_one_thread
@@ -92,12 +99,14 @@ def diagnose(
     solved = solve_recordings(recordings, config, progress)
     with Ahead() as ahead:
         ahead.begin(assemble, solved.solution, config, solved.findings)
-        without_reversal = _without_reversal(recordings, solved, config)
-        searched = _search(without_reversal, twin, exclude, config, progress, own)
+        length = _piece_length(solved.runs, config)
+        without_reversal = _without_reversal(recordings, solved, config, length)
+        pieced = replace(config, piece_length=length)
+        searched = _search(without_reversal, twin, exclude, pieced, progress, own)
         progress('diagnosing', 0.65)
         explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
         progress('diagnosing', 0.7)
-        weighed = _weigh(searched, explained, config, exclude)
+        weighed = _weigh(searched, explained, pieced, exclude)
         progress('diagnosing', 0.95)
         plain = ahead(assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
@@ -136,22 +145,46 @@ class _WithoutReversal:
         return cls(*solved.solution.plain, solved.nodes)
 
 
+def _piece_length(runs: Sequence[Run], config: CalibrationConfig) -> float:
+    """Length of the pieces to diagnose, m: as of the calibration, longer where they are many."""
+    pieces = sum(len(run.pieces) for run in runs)
+    pitch = min(axis.table_pitch for axis in runs[0].machine.axes.values())
+    longer = min(config.piece_length * pieces / MOST_PIECES, pitch / PER_NODE)
+    return longer if longer > WORTH_IT * config.piece_length else config.piece_length
+
+
 def _without_reversal(
-    recordings: Sequence[Recording], solved: SolvedRecordings, config: CalibrationConfig
+    recordings: Sequence[Recording],
+    solved: SolvedRecordings,
+    config: CalibrationConfig,
+    length: float,
 ) -> _WithoutReversal:
-    """What is diagnosed of recordings.
+    """What is diagnosed of recordings, in pieces of a length, m.
 
     Where the outliers are the machine's doing, all samples are kept, so that they are in the gap,
     however large. Where a run was cut at a step, it stays whole: the step is in the gap, too.
     """
-    observed, plain = _WithoutReversal.of(solved), replace(config, reversal='none')
+    observed = _WithoutReversal.of(solved)
+    plain = replace(config, reversal='none', piece_length=length)
     whole = len(solved.runs) == len(recordings)
     pairs = zip(solved.runs, observed.runs, strict=True)
     if any(left_out(run, kept).by_machine for run, kept in pairs):
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
-        return observed
+        same = length == config.piece_length
+        return observed if same else _in_longer_pieces(observed, plain)
     return _WithoutReversal.of(solve_recordings(recordings, plain, repair=whole))
+
+
+def _in_longer_pieces(observed: _WithoutReversal, config: CalibrationConfig) -> _WithoutReversal:
+    """The same runs in pieces of ``config``, solved with the same functions of the motions."""
+    done, nodes = observed.solution, observed.nodes
+    runs = [
+        replace(reduced(run.recording, run.alignment, nodes, config), late=run.late)
+        for run in observed.runs
+    ]
+    start = Start.after(runs[0].machine, done)
+    return _WithoutReversal(*solve_robustly(runs, done.unknowns, config, silent, start), nodes)
 
 
 @dataclass(frozen=True)

@@ -339,33 +339,71 @@ class GapStructure:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
+    """A shape, by the products of its whitened columns with each other and with the residual."""
+
     shape: GapShape
-    white: Array
+    normal: Array
+    right: Array
+
+    def without(
+        self, views: Sequence[RunView], pull: Sequence[Array], amount: Array
+    ) -> _Candidate:
+        """Leave out what orthonormal columns can follow.
+
+        Parameters
+        ----------
+        pull : sequence of ndarray, shape (p, 3, q)
+            Of every run, see ``_pulled``.
+        amount : ndarray, shape (q,)
+            Of the residual along them.
+        """
+        shared = self._shared(views, pull)
+        return _Candidate(
+            self.shape, self.normal - shared.T @ shared, self.right - shared.T @ amount
+        )
+
+    def _shared(self, views: Sequence[RunView], pull: Sequence[Array]) -> Array:
+        """Products of orthonormal columns with those of the shape, shape (q, k)."""
+        parts = (
+            np.einsum('pm,piq->qmi', self.shape.scales(view), own, optimize=True)
+            for view, own in zip(views, pull, strict=True)
+        )
+        return np.asarray(sum(parts)).reshape(pull[0].shape[2], -1)
 
 
-def _candidates(
+def _columns(
     views: Sequence[RunView], shapes: Sequence[GapShape], project: Projection
-) -> list[_Candidate]:
-    """Shapes of equal numbers of scales with their whitened columns, less what tables follow."""
-    found = (
-        _candidates_of(views, shapes[k : k + TOGETHER], project)
-        for k in range(0, len(shapes), TOGETHER)
-    )
-    return [candidate for some in found for candidate in some]
-
-
-def _candidates_of(
-    views: Sequence[RunView], shapes: Sequence[GapShape], project: Projection
-) -> list[_Candidate]:
-    """Some of these, at once."""
+) -> list[Array]:
+    """Whitened columns of shapes of equal numbers of scales, less what tables follow."""
     wide = []
     for view in views:
         scales = np.concatenate([s.scales(view) for s in shapes], axis=1)
         columns = scales[None, :, :, None] * view.axes[:, :, None, :]
         wide.append(view.whiten(columns.reshape(*view.axes.shape[:2], -1)))
-    joined = project(np.concatenate(wide))
-    parts = np.split(joined, len(shapes), axis=1)
-    return [_Candidate(s, w) for s, w in zip(shapes, parts, strict=True)]
+    return np.split(project(np.concatenate(wide)), len(shapes), axis=1)
+
+
+def _candidates(
+    views: Sequence[RunView],
+    shapes: Sequence[GapShape],
+    residual: Array,
+    project: Projection,
+) -> list[_Candidate]:
+    """Shapes of equal numbers of scales, by their products; some of them at once."""
+    found = []
+    for k in range(0, len(shapes), TOGETHER):
+        some = shapes[k : k + TOGETHER]
+        for shape, white in zip(some, _columns(views, some, project), strict=True):
+            found.append(_Candidate(shape, white.T @ white, white.T @ residual))
+    return found
+
+
+def _pulled(views: Sequence[RunView], white: Array, project: Projection) -> list[Array]:
+    """Whitened columns (r, q) of every run set up for products with displacements, (p, 3, q)."""
+    columns = project(white).T
+    parts = [[v.vectors(v.whitener.whiten_transposed(part)) for v, part in _parts(views, own)]
+             for own in columns]  # fmt: skip
+    return [np.stack(own, axis=2) for own in zip(*parts, strict=True)]
 
 
 def _screened(
@@ -373,11 +411,11 @@ def _screened(
 ) -> list[_Candidate]:
     """Most promising of many shapes: exact products with the residual, sizes interpolated."""
     if len(shapes) <= EXACT:
-        return _candidates(views, shapes, project)
+        return _candidates(views, shapes, residual, project)
     pull = [v.vectors(v.whitener.whiten_transposed(part)) for v, part in _parts(views, residual)]
     sample = np.unique(np.linspace(0, len(shapes) - 1, EXACT // 2).round().astype(int))
-    exact = _candidates(views, [shapes[k] for k in sample], project)
-    known = np.array([(c.white.T @ c.white).diagonal() for c in exact]).T
+    exact = _candidates(views, [shapes[k] for k in sample], residual, project)
+    known = np.array([c.normal.diagonal() for c in exact]).T
     numbers, gains = np.arange(len(shapes)), []
     diagonals = np.stack([np.interp(numbers, sample, own) for own in known], axis=1)
     for shape, diagonal in zip(shapes, diagonals, strict=True):
@@ -385,18 +423,17 @@ def _screened(
         right = np.asarray(products).ravel()
         gains.append(float((right**2 / np.maximum(diagonal, 1e-300)).sum()))
     best = np.argsort(gains)[::-1][:KEPT]
-    return _candidates(views, [shapes[k] for k in np.sort(best)], project)
+    return _candidates(views, [shapes[k] for k in np.sort(best)], residual, project)
 
 
-def _fit(white: Array, residual: Array) -> tuple[Array, float]:
+def _fit(normal: Array, right: Array) -> tuple[Array, float]:
     """Coefficients and fall of the sum of squares; blind directions stay at rest."""
-    normal = white.T @ white
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     value, vectors = np.linalg.eigh(normal / np.outer(size, size))
     use = value > 1e-6
-    scaled = vectors[:, use] / value[use] @ (vectors[:, use].T @ ((white.T @ residual) / size))
+    scaled = vectors[:, use] / value[use] @ (vectors[:, use].T @ (right / size))
     coefficients = scaled / size
-    return coefficients, float(residual @ (white @ coefficients))
+    return coefficients, float(right @ coefficients)
 
 
 def _parts(views: Sequence[RunView], white: Array) -> Iterator[tuple[RunView, Array]]:
@@ -415,25 +452,36 @@ def _squares(views: Sequence[RunView], white: Array) -> float:
     return sum(float((v.whitener.unwhiten(p) ** 2).sum()) for v, p in _parts(views, white))
 
 
+@dataclass(frozen=True, eq=False)
+class _Best:
+    """The best shape, its columns and coefficients, and the logarithm of its odds."""
+
+    shape: GapShape
+    white: Array
+    value: Array
+    score: float
+
+
 def _best(
     families: Sequence[_Family],
     views: Sequence[RunView],
     residual: Array,
     project: Projection,
-) -> tuple[_Candidate, Array, float]:
-    """Best shape: candidate, coefficients, logarithm of the odds."""
+) -> _Best:
+    """Shape that explains most of a residual."""
     legs = sum(len(v.bounds) for v in views)
     ranked = []
     for family, looked in families:
-        fits = [_fit(c.white, residual) for c in family]
-        best = int(np.argmax([gain for _, gain in fits]))
-        price = 0.5 * family[best].white.shape[1] * np.log(legs) + np.log(looked)
-        ranked.append((family[best], *fits[best], float(price)))
-    candidate, _, _, price = max(ranked, key=lambda r: 0.5 * r[2] - r[3])
-    candidate = _refined(candidate, views, residual, project)
-    value, gain = _fit(candidate.white, residual)
-    variance = _inflation(views, residual - candidate.white @ value)
-    return candidate, value, 0.5 * gain / variance - price
+        gains = [_fit(c.normal, c.right)[1] for c in family]
+        best = int(np.argmax(gains))
+        price = 0.5 * len(family[best].right) * np.log(legs) + np.log(looked)
+        ranked.append((family[best], gains[best], float(price)))
+    candidate, _, price = max(ranked, key=lambda r: 0.5 * r[1] - r[2])
+    shape = _refined(candidate, views, residual, project).shape
+    (white,) = _columns(views, [shape], project)
+    value, gain = _fit(white.T @ white, white.T @ residual)
+    variance = _inflation(views, residual - white @ value)
+    return _Best(shape, white, value, 0.5 * gain / variance - price)
 
 
 def _refined(
@@ -443,15 +491,19 @@ def _refined(
     for _ in range(REFINEMENTS):
         if candidate.shape.finer is None:
             break
-        near = _candidates(views, candidate.shape.finer(), project)
-        candidate = max(near, key=lambda c: _fit(c.white, residual)[1])
+        near = _candidates(views, candidate.shape.finer(), residual, project)
+        candidate = max(near, key=lambda c: _fit(c.normal, c.right)[1])
     return candidate
 
 
-def _removal(taken: Array) -> Projection:
-    """Projection that takes out what a shape that was found can follow."""
+def _basis(taken: Array) -> Array:
+    """Orthonormal basis of the columns of a shape that was found."""
     basis, size, _ = np.linalg.svd(taken, full_matrices=False)
-    basis = basis[:, size > 1e-3 * size.max(initial=1e-300)]
+    return np.asarray(basis[:, size > 1e-3 * size.max(initial=1e-300)])
+
+
+def _removal(basis: Array) -> Projection:
+    """Projection that takes out what orthonormal columns can follow."""
     return lambda wide: np.asarray(wide - basis @ (basis.T @ wide))
 
 
@@ -476,8 +528,9 @@ def _joint_words(
     """Words with the sizes that shapes have when all are fitted together."""
     if not shapes:
         return []
-    white = [_candidates(views, [shape], project)[0].white for shape in shapes]
-    value, _ = _fit(np.concatenate(white, axis=1), residual)
+    white = [_columns(views, [shape], project)[0] for shape in shapes]
+    whole = np.concatenate(white, axis=1)
+    value, _ = _fit(whole.T @ whole, whole.T @ residual)
     ends = np.cumsum([w.shape[1] for w in white])
     parts = np.split(value, ends[:-1])
     return [shape.words(part) for shape, part in zip(shapes, parts, strict=True)]
@@ -515,23 +568,23 @@ def find_structures(
     chosen: list[GapShape] = []
     plain, whole = project, residual
     while families and len(found) < MAX_STRUCTURES:
-        candidate, value, score = _best(families, views, residual, project)
-        before = _squares(views, residual)
-        residual = residual - candidate.white @ value
+        best = _best(families, views, residual, project)
+        before, basis = _squares(views, residual), _basis(best.white)
+        amount, residual = basis.T @ residual, residual - best.white @ best.value
         gain = before - _squares(views, residual)
         share = gain / max(first - noise, 0.1 * noise)
-        if score < NEEDED_SCORE or share < NEEDED_SHARE:
+        if best.score < NEEDED_SCORE or share < NEEDED_SHARE:
             break
-        chosen.append(candidate.shape)
-        found.append(GapStructure(candidate.shape.family, '', min(share, 1.0), score))
+        chosen.append(best.shape)
+        found.append(GapStructure(best.shape.family, '', min(share, 1.0), best.score))
         # axes may each have their own sense of travel; a second step or wave is a refinement
-        family, removal = candidate.shape.family, _removal(candidate.white)
+        family, pull = best.shape.family, _pulled(views, basis, plain)
         families = [
-            ([_Candidate(c.shape, removal(c.white)) for c in part], looked)
+            ([c.without(views, pull, amount) for c in part], looked)
             for part, looked in families
             if family in SEVERAL or part[0].shape.family != family
         ]
-        project = _chained(project, removal)
+        project = _chained(project, _removal(basis))
     words = _joint_words(views, chosen, whole, plain)
     found = [replace(s, words=w) for s, w in zip(found, words, strict=True)]
     return sorted(found, key=lambda s: -s.share)
