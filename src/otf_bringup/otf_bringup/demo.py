@@ -160,7 +160,7 @@ def _start(
         for name, parameters in given.items():
             module = module_of(name)
             nodes.append(NodeProcess(name, module, parameters, out / 'log', environment))
-    except BaseException:
+    except BaseException:  # an interrupt too: no node outlives the demo
         with ended_together(nodes):
             raise
     return nodes

@@ -172,7 +172,7 @@ class Worker:
         try:
             self._seen = look(early.request.samples)
             early.at_the_end.set_result(self._seen is not None and self._seen.to_the_end)
-        except Exception as error:  # for who waits
+        except Exception as error:  # whoever waits for the end of the run gets it, too
             early.at_the_end.set_exception(error)
             raise
         self._wake()

@@ -38,10 +38,11 @@ def test_parameter_has_meaning_bounds_and_a_default_within(kind, info):
     assert getattr(kind(), info.name) == info.default
 
 
-@pytest.mark.parametrize(('kind', 'info'), FIELDS, ids=NAMES)
+@pytest.mark.parametrize(
+    ('kind', 'info'),
+    [pytest.param(*f, id=n) for f, n in zip(FIELDS, NAMES, strict=True) if f[1].low is not None],
+)
 def test_bounds_are_closed_and_what_lies_beyond_is_refused_by_name(kind, info):
-    if info.low is None:
-        pytest.skip('has no bounds')
     for bound, beyond in ((info.low, info.low - 1), (info.high, info.high + 1)):
         value = type(info.default)(bound)
         assert getattr(kind(**{info.name: value}), info.name) == bound

@@ -34,7 +34,7 @@ def test_a_notebook_shows_a_short_table_and_no_markup_from_names(calibrated):
 
 
 def test_a_data_frame_holds_what_the_csv_holds(calibrated, tmp_path):
-    pandas = pytest.importorskip('pandas')
+    pandas = pytest.importorskip('pandas', reason='optional: to_frame needs pandas')
     frame = calibrated.to_frame()
     write_calibration(calibrated, tmp_path, report=False)
     text = (tmp_path / 'error_tables.csv').read_text(encoding='utf-8')
@@ -55,7 +55,7 @@ def test_a_data_frame_holds_what_the_csv_holds(calibrated, tmp_path):
 
 
 def test_a_figure_has_a_panel_an_error_motion_in_mm_and_um(calibrated):
-    pytest.importorskip('matplotlib').use('agg')
+    pytest.importorskip('matplotlib', reason='optional: plot needs matplotlib').use('agg')
     drawn = calibrated.plot()
     panels = {panel.get_title(): panel for panel in drawn.axes}
     assert list(panels) == [str(m) for m in MOTIONS]

@@ -76,7 +76,7 @@ otf_core.cli.__main__.run()
 
 @pytest.mark.parametrize('given', ['', '2'])
 def test_command_begins_no_threads_of_linear_algebra_unless_it_is_told_to(given):
-    pytest.importorskip('threadpoolctl')
+    pytest.importorskip('threadpoolctl', reason='optional: there is no rosdep key for it')
     environment = {k: v for k, v in os.environ.items() if k != 'OPENBLAS_NUM_THREADS'}
     environment |= {'PYTHONPATH': str(Path(otf_core.__file__).parents[1])}
     environment |= {'OPENBLAS_NUM_THREADS': given} if given else {}

@@ -150,7 +150,7 @@ class Streamer:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
             return
-        except Exception as error:
+        except Exception as error:  # a defect: the status states it before the node ends
             text = f'internal error of the backend: {error!r}; the driver ends'
             self._status.report(TrackerStatus.FAULT, text)
             raise

@@ -300,7 +300,7 @@ class OutputFolder:
         os.rename(final, old)
         try:
             os.rename(new, final)
-        except BaseException:
+        except BaseException:  # an interrupt too: the results before stay
             os.rename(old, final)
             raise
         shutil.rmtree(old, ignore_errors=True)

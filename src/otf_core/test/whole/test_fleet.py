@@ -240,7 +240,7 @@ if 'b.mcap' in sys.argv[3] and not first.exists():
 @pytest.fixture
 def dask(plant, monkeypatch):
     """Address of a Dask scheduler with two workers; who first does run b is killed by it."""
-    pytest.importorskip('distributed')
+    pytest.importorskip('distributed', reason='optional: only --scheduler needs Dask')
     (plant / 'killing.py').write_text(KILLING + STUB)
     stub = (sys.executable, str(plant / 'killing.py'))
     (plant / 'as_stub.py').write_text(

@@ -89,7 +89,7 @@ class Link:
             reason = f'{error}; is an emScon server listening there?'
         except OSError as error:
             reason = f'connection lost ({error.strerror or error})'
-        except Exception as error:
+        except Exception as error:  # a defect: who waits for an answer gets it too
             traceback.print_exc()
             self._end(LinkError(f'internal error while reading: {error!r}'))
             raise

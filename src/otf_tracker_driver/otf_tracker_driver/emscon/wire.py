@@ -119,7 +119,7 @@ async def _connected(host: str, port: int) -> socket.socket:
         except OSError as error:
             opened.close()
             failed = error
-        except BaseException:
+        except BaseException:  # cancelled, too
             opened.close()
             raise
     assert failed is not None, 'getaddrinfo returns at least one address'

@@ -148,7 +148,7 @@ class Reader:
     def _work(self) -> None:
         try:
             self._keep_reading()
-        except Exception as error:  # noqa: BLE001 - fetch raises it
+        except Exception as error:  # noqa: BLE001 - a defect in the thread, which fetch raises
             self._defect = error
 
     def _keep_reading(self) -> None:
