@@ -169,12 +169,12 @@ def _start(
 def _report(truth: ErrorTables, result: CalibrationResult) -> None:
     """Print verdicts, headline, what is left of the errors on the same grid, what was lost."""
     folder = Path(result.output_directory)
-    found = load_tables(folder / 'error_tables.json')
+    calibrated = load_tables(folder / 'error_tables.json')
     q = lattice(truth.machine)
     before = exact_position(truth, q) - q
-    fields = before, before - displacement(found.tables, q)
+    fields = before, before - displacement(calibrated.tables, q)
     lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
-    alone = found.extra['headline']['noise_and_misfit_alone']['U']
+    alone = calibrated.extra['headline']['noise_and_misfit_alone']['U']
     summary = (folder / 'summary.txt').read_text(encoding='utf-8')
     print(summary.partition('\n\n')[0])
     print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')

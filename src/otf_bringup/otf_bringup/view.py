@@ -32,11 +32,11 @@ def open_page(page: NodeProcess) -> str:
     """
     deadline = time.monotonic() + PATIENCE
     while page.exit_code is None and time.monotonic() < deadline:
-        found = re.search(r'live view at (http://\S+)', page.last_lines())
-        if found:
+        announcement = re.search(r'live view at (http://\S+)', page.last_lines())
+        if announcement:
             if _has_screen():
-                webbrowser.open(found[1])
-            return found[1]
+                webbrowser.open(announcement[1])
+            return announcement[1]
         time.sleep(0.1)
     return ''
 

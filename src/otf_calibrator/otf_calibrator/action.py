@@ -65,14 +65,14 @@ class CalibrateAction:
             return
         if not self._session.busy:
             goal, self._goal, latest = self._goal, None, self._latest()
-            told = None if latest is self._before else latest
-            goal.execute(lambda goal: self._end(goal, told) if told else self._give_up(goal))
+            result = None if latest is self._before else latest
+            goal.execute(lambda goal: self._end(goal, result) if result else self._give_up(goal))
             return
         shown, now = self._session.progress, time.monotonic()
         if shown != self._shown or now - self._at > REPEAT:
             self._shown, self._at = shown, now
-            left = self._time_left.estimate(*shown, now)
-            feedback = Calibrate.Feedback(stage=shown[0], fraction=shown[1], time_left=left)
+            remaining = self._time_left.estimate(*shown, now)
+            feedback = Calibrate.Feedback(stage=shown[0], fraction=shown[1], time_left=remaining)
             self._goal.publish_feedback(feedback)
 
     def _begin(self, goal: ServerGoalHandle) -> None:

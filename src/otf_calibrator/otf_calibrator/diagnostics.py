@@ -64,10 +64,10 @@ def tell(
     return Diagnostics(node, machine, tasks)
 
 
-def journal(kept: Journal | None) -> Finding:
+def journal(writer: Journal | None) -> Finding:
     """Whether samples are on the disk as they come, and the room left there."""
-    if kept is None:
+    if writer is None:
         return Finding(Level.OK, 'no journal is kept')
-    if kept.trouble:
-        return Finding(Level.ERROR, kept.trouble)
-    return disk(str(kept.directory))
+    if writer.trouble:
+        return Finding(Level.ERROR, writer.trouble)
+    return disk(str(writer.directory))

@@ -59,14 +59,14 @@ class PathReceiver:
             log.error(f'{self._topic} of {sender} ignored: {error}')
             return
         data = serialize_message(convert.path_for_journal(message))
-        taken = self._session.intake.path(path, data)
+        fate = self._session.intake.path(path, data)
         collector, points = self._session.collector, len(message.poses)
-        if taken == PathTaken.USED:
+        if fate == PathTaken.USED:
             log.info(f'new path of {points} points, for {len(collector.buffer)} samples so far')
-        elif taken == PathTaken.WAITS:
+        elif fate == PathTaken.WAITS:
             text = f'another path, of {points} points, was published in mid-run by {sender}'
             collector.remarks.append(text)
-            log.warning(f'{text}; {taken.value}')
+            log.warning(f'{text}; {fate.value}')
 
 
 def status_of(message: TrackerStatus) -> Status:

@@ -125,10 +125,10 @@ class Intake:
 
     def path(self, path: NominalPath, message: bytes) -> PathTaken:
         """Take a path and its message; the journal has that of the run only."""
-        taken = self._collector.set_path(path, message)
-        if taken == PathTaken.USED and self.journal:
+        fate = self._collector.set_path(path, message)
+        if fate == PathTaken.USED and self.journal:
             self.journal.message(PATH, message)
-        return taken
+        return fate
 
     def follow_the_other_path(self) -> None:
         """The samples since another path came follow that one: they are a run of their own."""
@@ -330,10 +330,10 @@ class Intake:
         if self.journal is None:
             return ''
         try:
-            recorded, left = self.journal.take_up(TAKEN_UP)
+            recorded, others = self.journal.take_up(TAKEN_UP)
         except InputError as error:
             return f'an unfinished run cannot be resumed: {error}'
-        said = [f'{p}: a run without a result; otf calibrate reads it' for p in left]
+        said = [f'{p}: a run without a result; otf calibrate reads it' for p in others]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
             for part in recorded.parts:
@@ -364,8 +364,8 @@ class Intake:
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
         """Signals of a run that is taken up."""
-        found = read_signals(folder, (), self.signals.specs)
-        return {s: found[s.name] for s in self.signals.specs if s.name in found}
+        signals = read_signals(folder, (), self.signals.specs)
+        return {s: signals[s.name] for s in self.signals.specs if s.name in signals}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
         collector, now, wrong = self._collector, time.monotonic(), judged(xyz).tolist()

@@ -223,9 +223,9 @@ class Worker:
                 raise Cancelled('the run is calibrated')
 
         task = CalibrationTask(recording_of(request), request.config, request.files.method, NONE)
-        found = self._solver.solve(task, progress)
-        assert isinstance(found, CalibrationResult), 'no effects are removed'
-        return found
+        result = self._solver.solve(task, progress)
+        assert isinstance(result, CalibrationResult), 'no effects are removed'
+        return result
 
     def _calibrate(self, request: Request, early: Early | None) -> Calibrated:
         solved = None if early is None else early.solved
@@ -254,19 +254,19 @@ class Worker:
         return self._solver.solve(task, progress)
 
 
-def _written(found: Solved) -> tuple[CalibrationResult, FilesWriter, dict[str, Writer]]:
+def _written(solved: Solved) -> tuple[CalibrationResult, FilesWriter, dict[str, Writer]]:
     """The result, what writes its files as far as they fit, and what adds the larger ones."""
-    if isinstance(found, CalibrationResult):
-        result, write_first = found, functools.partial(write_calibration, found)
+    if isinstance(solved, CalibrationResult):
+        result, write_first = solved, functools.partial(write_calibration, solved)
         later: dict[str, Writer] = {
-            REPORT_FILE: lambda folder: write_report(folder, facts_of(found)),
-            RESIDUALS_FILE: functools.partial(write_residuals, found.runs),
+            REPORT_FILE: lambda folder: write_report(folder, facts_of(solved)),
+            RESIDUALS_FILE: functools.partial(write_residuals, solved.runs),
         }
     else:
-        result, write_first = found.result, functools.partial(write_with_effects, found)
+        result, write_first = solved.result, functools.partial(write_with_effects, solved)
         later = {
-            REPORT_FILE: functools.partial(write_reports, found),
-            RESIDUALS_FILE: functools.partial(write_residuals_of_both, found),
+            REPORT_FILE: functools.partial(write_reports, solved),
+            RESIDUALS_FILE: functools.partial(write_residuals_of_both, solved),
         }
     return (
         result,

@@ -62,11 +62,11 @@ class SequenceWatch:
         sequence : iterable of int or None
             Numbers of messages in the order of their arrival.
         """
-        found: list[tuple[Publisher, int]] = []
+        counts: list[tuple[Publisher, int]] = []
         for number in sequence:
             if number is None:
                 self._known = []
-                found.append((self._unnumbered, 0))
+                counts.append((self._unnumbered, 0))
                 continue
             publisher, missed = self._goes_on(number), 0
             if publisher is None:
@@ -78,8 +78,8 @@ class SequenceWatch:
                 self._known.remove(publisher)  # the one heard last stays longest
                 self._known.append(publisher)
             del self._known[:-PUBLISHERS]
-            found.append((publisher, missed))
-        return found
+            counts.append((publisher, missed))
+        return counts
 
     def _goes_on(self, number: int) -> Publisher | None:
         """The publisher whose numbers this one goes on with; None: another one."""

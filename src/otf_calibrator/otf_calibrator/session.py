@@ -274,9 +274,9 @@ class Session:
 
     def forget(self) -> tuple[bool, str]:
         """Begin a run anew; tell what was forgotten."""
-        count, kept = len(self.collector.buffer), self.intake.forget()
+        count, place = len(self.collector.buffer), self.intake.forget()
         self.abandon()
-        return True, f'{count} samples discarded{kept}; ready for a run'
+        return True, f'{count} samples discarded{place}; ready for a run'
 
     def finished(self) -> Future[Calibrated] | None:
         """Return a calibration that has come to its end, once."""

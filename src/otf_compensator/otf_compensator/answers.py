@@ -58,9 +58,9 @@ class Answers:
         try:
             points, tables = [_tuple(m.point) for m in own], self._tables_in_use()
             tables.notes(points)
-            for message, found in zip(own, tables.ask(points), strict=True):
+            for message, answer in zip(own, tables.ask(points), strict=True):
                 self.count += 1
-                self._publisher.publish(_message(found, message.header))
+                self._publisher.publish(_message(answer, message.header))
         except OtfError as error:
             self._warn(str(error))
 
@@ -89,14 +89,14 @@ def _tuple(point: Point) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
-def _message(found: Corrected, header: Header) -> Compensation:
-    (x, y, z), (a, b, c) = found.wanted, found.corrected
-    (ex, ey, ez), (ux, uy, uz) = found.error, found.uncertainty
+def _message(answer: Corrected, header: Header) -> Compensation:
+    (x, y, z), (a, b, c) = answer.wanted, answer.corrected
+    (ex, ey, ez), (ux, uy, uz) = answer.error, answer.uncertainty
     return Compensation(
         header=header,
         wanted=Point(x=x, y=y, z=z),
         error=Vector3(x=ex, y=ey, z=ez),
         uncertainty=Vector3(x=ux, y=uy, z=uz),
         corrected=Point(x=a, y=b, z=c),
-        inside=found.inside,
+        inside=answer.inside,
     )

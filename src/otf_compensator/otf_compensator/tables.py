@@ -78,9 +78,14 @@ class Tables:
     def ask(self, wanted: Sequence[Vector]) -> Iterator[Corrected]:
         """Evaluate at positions, m."""
         q = np.array(wanted, dtype=float).reshape(-1, 3)
-        found, corrected = self._predictor.at(q), self._predictor.corrected(q)
-        columns = (q.tolist(), found.error.tolist(), found.u.tolist(), corrected.tolist())
+        prediction, corrected = self._predictor.at(q), self._predictor.corrected(q)
+        columns = (
+            q.tolist(),
+            prediction.error.tolist(),
+            prediction.u.tolist(),
+            corrected.tolist(),
+        )
         for (w, e, u, c), within in zip(
-            zip(*columns, strict=True), found.inside.tolist(), strict=True
+            zip(*columns, strict=True), prediction.inside.tolist(), strict=True
         ):
             yield Corrected(tuple(w), tuple(e), tuple(u), tuple(c), within)

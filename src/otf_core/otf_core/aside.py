@@ -143,9 +143,9 @@ def shared_out(
             box.writelines(k.to_bytes(TICKET, 'little') for k in range(len(items)))
         own = partial(_drawn, function, items, queue)
         with Aside(own, known) as other:
-            found = own()
-            found |= other.result()
-    return [found[k] if k in found else function(item) for k, item in enumerate(items)]
+            results = own()
+            results |= other.result()
+    return [results[k] if k in results else function(item) for k, item in enumerate(items)]
 
 
 def _drawn(function: Callable[[A], R], items: Sequence[A], queue: io.FileIO) -> dict[int, R]:
@@ -183,20 +183,20 @@ def _may_copy() -> bool:
 
 def _within(known: Sequence[object]) -> dict[int, object]:
     """Objects by their ``id``: those given, and all that they hold."""
-    found: dict[int, object] = {}
+    objects: dict[int, object] = {}
     waiting = list(known)
     while waiting:
         one = waiting.pop()
-        if id(one) in found or one is None or isinstance(one, _SMALL):
+        if id(one) in objects or one is None or isinstance(one, _SMALL):
             continue
-        found[id(one)] = one
+        objects[id(one)] = one
         if isinstance(one, Mapping):
             waiting += one.values()
         elif isinstance(one, (list, tuple)):
             waiting += one
         elif is_dataclass(one):
             waiting += vars(one).values()
-    return found
+    return objects
 
 
 class _Pickler(pickle.Pickler):

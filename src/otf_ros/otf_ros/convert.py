@@ -69,10 +69,10 @@ def points_from_messages(
         rows.setdefault(head.frame_id, []).append((stamp_ns, point.x, point.y, point.z))
     return {
         _contract_name(frame): (
-            np.array([row[0] for row in found], np.int64),
-            np.array([row[1:] for row in found], float),
+            np.array([row[0] for row in rows_of_frame], np.int64),
+            np.array([row[1:] for row in rows_of_frame], float),
         )
-        for frame, found in rows.items()
+        for frame, rows_of_frame in rows.items()
     }
 
 

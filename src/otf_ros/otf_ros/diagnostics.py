@@ -74,14 +74,14 @@ class Diagnostics:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         for task, look in self._tasks.items():
-            found = look()
+            finding = look()
             message.status.append(
                 DiagnosticStatus(
-                    level=found.level.value,
+                    level=finding.level.value,
                     name=f'{name}: {task}',
-                    message=found.text,
+                    message=finding.text,
                     hardware_id=hardware,
-                    values=[KeyValue(key=k, value=_text(v)) for k, v in found.values.items()],
+                    values=[KeyValue(key=k, value=_text(v)) for k, v in finding.values.items()],
                 )
             )
         self._publisher.publish(message)

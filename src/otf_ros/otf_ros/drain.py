@@ -76,10 +76,10 @@ class Drain:
         handle, msg_type = self.subscription.handle, self.subscription.msg_type
         with handle:
             while len(messages) < self._most:
-                taken = handle.take_message(msg_type, False)
-                if taken is None:
+                received = handle.take_message(msg_type, False)
+                if received is None:
                     break
-                messages.append(taken[0])
-                numbers.append(taken[1]['publication_sequence_number'])
+                messages.append(received[0])
+                numbers.append(received[1]['publication_sequence_number'])
         if messages:
             self._callback(messages, numbers)

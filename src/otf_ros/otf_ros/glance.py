@@ -35,5 +35,5 @@ class Glance:
         """Return the newest message if there is one that was not returned before."""
         handle = self._subscription.handle
         with handle:
-            taken = handle.take_message(self._subscription.msg_type, False)
-        return taken[0] if taken else None
+            received = handle.take_message(self._subscription.msg_type, False)
+        return received[0] if received else None

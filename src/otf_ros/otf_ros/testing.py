@@ -60,9 +60,9 @@ class Bench:
 
     def heard(self, kind: type, topic: str, profile: Any) -> list[Any]:
         """Return the list that messages of a topic are put into."""
-        found: list[Any] = []
-        self.ear.create_subscription(kind, topic, found.append, profile)
-        return found
+        messages: list[Any] = []
+        self.ear.create_subscription(kind, topic, messages.append, profile)
+        return messages
 
     def call(self, kind: Any, name: str, request: Any = None) -> Any:
         """Call a service of the node and return its answer."""

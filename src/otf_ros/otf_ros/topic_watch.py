@@ -19,8 +19,8 @@ UNKNOWN = 'an unknown node'
 
 def senders(node: Node, topic: str) -> str:
     """Name the nodes that publish on a topic; which of them sent a message rclpy does not say."""
-    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    return ' or '.join(sorted(set(map(name_of, found)))) or UNKNOWN
+    publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    return ' or '.join(sorted(set(map(name_of, publishers)))) or UNKNOWN
 
 
 def name_of(publisher: TopicEndpointInfo) -> str:
@@ -60,8 +60,8 @@ class TopicWatch:
         self._at, self.troubles = time.monotonic(), []
         for topic, asked in self._read.items():
             name = self._node.resolve_topic_name(topic)
-            found = self._node.get_publishers_info_by_topic(name)
-            for publisher in found:
+            publishers = self._node.get_publishers_info_by_topic(name)
+            for publisher in publishers:
                 fits, why = qos_check_compatible(publisher.qos_profile, asked)
                 if fits == QoSCompatibility.ERROR:
                     self.troubles.append(
@@ -69,10 +69,10 @@ class TopicWatch:
                         f'service does not fit ({why.strip("; ")})'
                     )
             if topic == self._single:
-                self.publishers = len(found)
-                if len(found) > 1:
-                    names = ', '.join(sorted(map(name_of, found)))
+                self.publishers = len(publishers)
+                if len(publishers) > 1:
+                    names = ', '.join(sorted(map(name_of, publishers)))
                     self.troubles.append(
-                        f'{len(found)} publishers on {topic} ({names}): only samples of the first '
-                        f'belong to the run; end the others'
+                        f'{len(publishers)} publishers on {topic} ({names}): only samples of the '
+                        f'first belong to the run; end the others'
                     )

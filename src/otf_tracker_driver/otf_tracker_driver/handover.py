@@ -68,9 +68,9 @@ class Handover:
 
     def take(self, first_ns: int) -> Left | None:
         """Return, once, what was left by a stream that a sample of this stamp goes on with."""
-        left, self._left = self._left, NOTHING_LEFT
-        going_on = left.stream_id and 0 < first_ns - left.last_ns < LONGEST
-        return left if going_on else None
+        handed_over, self._left = self._left, NOTHING_LEFT
+        going_on = handed_over.stream_id and 0 < first_ns - handed_over.last_ns < LONGEST
+        return handed_over if going_on else None
 
     def note(self, stream_id: str, samples: int, last_ns: int) -> None:
         """Note how many samples of a stream are published, and the stamp of the last one, ns."""

@@ -21,12 +21,12 @@ def calibrators(node: Node, topic: str) -> int:
     topic : str
         Its full name.
     """
-    found = {
+    subscribers = {
         (info.node_namespace, info.node_name)
         for info in node.get_subscriptions_info_by_topic(topic)
         if info.node_namespace.startswith('/')  # else its node is not discovered yet
     }
-    return sum(_publishes_state(node, *place) for place in found)
+    return sum(_publishes_state(node, *place) for place in subscribers)
 
 
 def _publishes_state(node: Node, namespace: str, name: str) -> bool:

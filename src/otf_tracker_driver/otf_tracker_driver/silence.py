@@ -61,8 +61,10 @@ async def first_of(futures: set[asyncio.Future[Any]], within: float) -> bool:
     silence = Silence()
     while silence.lasted < within:
         step = min(BEAT, within - silence.lasted)
-        done, _ = await asyncio.wait(futures, timeout=step, return_when=asyncio.FIRST_COMPLETED)
-        if done:
+        completed, _ = await asyncio.wait(
+            futures, timeout=step, return_when=asyncio.FIRST_COMPLETED
+        )
+        if completed:
             return True
         silence.beat()
     return False

@@ -178,20 +178,20 @@ class Status:
         if not len(batch) or not (health.clock or health.by_host):
             return
         first_ns = int(batch.stamp_ns[0])
-        left = self._handover.take(first_ns)
-        if left:
-            gap = Gap(left.last_ns, first_ns, 'the driver ended and was started again')
-            self._publish_gap(gap, left)
+        handed_over = self._handover.take(first_ns)
+        if handed_over:
+            gap = Gap(handed_over.last_ns, first_ns, 'the driver ended and was started again')
+            self._publish_gap(gap, handed_over)
 
-    def _publish_gap(self, gap: Gap, left: Left = NOTHING_LEFT) -> None:
+    def _publish_gap(self, gap: Gap, handed_over: Left = NOTHING_LEFT) -> None:
         message = TrackerGap(
             header=self._header(),
             stream_id=self.message.stream_id,
             last=time_from_ns(gap.last_ns),
             first=time_from_ns(gap.first_ns),
             reason=gap.reason,
-            stream_before=left.stream_id,
-            published_before=left.samples,
+            stream_before=handed_over.stream_id,
+            published_before=handed_over.samples,
         )
         self._gaps.publish(message)
         lasted = (gap.first_ns - gap.last_ns) / NS

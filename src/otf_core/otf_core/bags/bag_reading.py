@@ -272,11 +272,11 @@ def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
 
 def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
     """Leave out what repeats."""
-    found: list[NDArray[np.float64]] = []
+    distinct: list[NDArray[np.float64]] = []
     for path in paths:
-        if not any(np.array_equal(path, known, equal_nan=True) for known in found):
-            found.append(path)
-    return found
+        if not any(np.array_equal(path, known, equal_nan=True) for known in distinct):
+            distinct.append(path)
+    return distinct
 
 
 # Samples of several publishers on one topic, and those of one of them.
@@ -415,7 +415,7 @@ def _joined(clocks: Sequence[tuple[int, int, int, int, int]]) -> dict[int, int]:
     A clock is its number, first and last sample, first and newest stamp.
     """
     ends: list[tuple[int, int]] = []
-    found: dict[int, int] = {}
+    groups: dict[int, int] = {}
     for k, first, last, begin, newest in sorted(clocks, key=lambda clock: clock[1]):
         before = [
             (begin - end, g) for g, (at, end) in enumerate(ends) if at < first and end <= begin
@@ -424,8 +424,8 @@ def _joined(clocks: Sequence[tuple[int, int, int, int, int]]) -> dict[int, int]:
         if not before:
             ends.append((last, newest))
         ends[g] = (last, newest)
-        found[k] = g
-    return found
+        groups[k] = g
+    return groups
 
 
 def _by_place(xyz: NDArray[np.float64]) -> Labels | None:

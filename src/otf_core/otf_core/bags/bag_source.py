@@ -89,18 +89,18 @@ class BagSource:
         if self.files[0].suffix == '.db3':  # of MCAP the file itself says it
             self._compare(counts, topics.keys() & wanted.keys(), remarks)
 
-    def _compare(self, found: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
+    def _compare(self, counted: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
         """Refuse files that have lost messages; say that metadata.yaml does not know them."""
         for topic in sorted(asked):
             stated = self.stated.get(topic, 0)
-            if found[topic] < stated:
+            if counted[topic] < stated:
                 raise InputError(
-                    f'{self.path}: is damaged, {topic} has {found[topic]} messages but the bag '
+                    f'{self.path}: is damaged, {topic} has {counted[topic]} messages but the bag '
                     f'states {stated}'
                 )
-        more = [topic for topic in sorted(asked) if found[topic] > self.stated.get(topic, 0)]
+        more = [topic for topic in sorted(asked) if counted[topic] > self.stated.get(topic, 0)]
         if self.stated and more:
-            counts = ', '.join(f'{found[t]} of {t}, not {self.stated.get(t, 0)}' for t in more)
+            counts = ', '.join(f'{counted[t]} of {t}, not {self.stated.get(t, 0)}' for t in more)
             remarks.append(
                 f"metadata.yaml counts too few messages: there are {counts}; 'ros2 bag reindex' "
                 f'writes it anew'
@@ -174,11 +174,11 @@ def _part(path: Path) -> int:
     return int(number) if number.isascii() and number.isdecimal() and len(number) < 7 else -1
 
 
-def _are_parts(found: list[Path]) -> bool:
+def _are_parts(files: list[Path]) -> bool:
     """Tell whether files are the parts that rosbag2 splits a recording into, none missing."""
-    same = {(_bare(p).rpartition('_')[0], _storage(p)) for p in found}
-    numbers = sorted(map(_part, found))
-    return len(same) == 1 and numbers == list(range(len(found)))
+    same = {(_bare(p).rpartition('_')[0], _storage(p)) for p in files}
+    numbers = sorted(map(_part, files))
+    return len(same) == 1 and numbers == list(range(len(files)))
 
 
 def _bare(path: Path) -> str:

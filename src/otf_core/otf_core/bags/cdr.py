@@ -301,18 +301,18 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
     try:
         reader = CdrReader(data)
         reader.numbers('iI')
-        found = reader.text()
-        frame = frame or found
-        if found != frame:
-            raise InputError(frame_text('message', found, frame))
+        own_frame = reader.text()
+        frame = frame or own_frame
+        if own_frame != frame:
+            raise InputError(frame_text('message', own_frame, frame))
         count = int(reader.numbers('I')[0])
         if count * MIN_POSE_SIZE > len(data):
             raise ValueError(f'{count} poses do not fit into {len(data)} bytes')
         for i in range(count):
             reader.numbers('iI')
-            found = reader.text()
-            if found not in ('', frame):
-                raise InputError(frame_text(f'pose {i}', found, frame))
+            own_frame = reader.text()
+            if own_frame not in ('', frame):
+                raise InputError(frame_text(f'pose {i}', own_frame, frame))
             points.append(reader.numbers('7d')[:3])
         reader.finish()
     except ValueError as error:

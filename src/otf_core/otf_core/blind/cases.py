@@ -256,13 +256,13 @@ def names_of(effect: str) -> frozenset[str]:
 
 def _apart(count: int, rng: Rng, besides: Sequence[str] = ()) -> list[str]:
     """Draw causes no two of which have a name in common."""
-    found = list(besides)
+    chosen = list(besides)
     for name in map(str, rng.permutation(KNOWN)):
-        if len(found) < count + len(besides) and not any(
-            names_of(name) & names_of(other) for other in found
+        if len(chosen) < count + len(besides) and not any(
+            names_of(name) & names_of(other) for other in chosen
         ):
-            found.append(name)
-    return found[len(besides) :]
+            chosen.append(name)
+    return chosen[len(besides) :]
 
 
 def draw_names(kind: str, turn: int, rng: Rng) -> list[str]:

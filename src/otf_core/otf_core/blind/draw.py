@@ -272,10 +272,10 @@ class Draw:
 
     def all(self, items: Iterable[Drawn]) -> Parameters:
         """Draw items in their order; later ones replace earlier ones of the same name."""
-        found: Parameters = {}
+        drawn: Parameters = {}
         for item in items:
-            found |= self.one(item)
-        return found
+            drawn |= self.one(item)
+        return drawn
 
     @singledispatchmethod
     def one(self, item: Drawn) -> Parameters:
@@ -303,10 +303,10 @@ class Draw:
 
     @one.register
     def _(self, item: Several) -> Parameters:
-        found: Parameters = {}
+        drawn: Parameters = {}
         for sign in self.rng.choice(SIGNS, int(self.rng.integers(1, item.most + 1))):
-            found |= {n: float(v * sign) for n, v in self.one(item.item).items()}
-        return found
+            drawn |= {n: float(v * sign) for n, v in self.one(item.item).items()}
+        return drawn
 
     @one.register
     def _(self, item: Maybe) -> Parameters:
@@ -325,12 +325,12 @@ class Draw:
         nodes = axis_nodes(self.machine.axes[item.axis])
         length = self.rng.uniform(*item.lengths) * (nodes[1] - nodes[0])
         phase = self.rng.uniform(0.0, 2.0 * np.pi)
-        found = {}
+        drawn = {}
         for low, high in pairwise(nodes):
             wave = np.sin(2.0 * np.pi * 0.5 * (low + high) / length + phase)
             rough = item.rough * self.rng.normal()
-            found[item.name.format(low, high)] = float(item.size * (wave + rough))
-        return found
+            drawn[item.name.format(low, high)] = float(item.size * (wave + rough))
+        return drawn
 
 
 def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> AppliedEffect:

@@ -401,8 +401,8 @@ def warm_air(v: View) -> Nameless:
 
 def slow_settling(v: View) -> Nameless:
     """A soft mount settles for a second or two after every start."""
-    left = np.exp(-v.since_start / v.between(0.5, 1.0))
-    return left[:, None] * v.unit(), on('since_stop', besides=['acceleration'])
+    remainder = np.exp(-v.since_start / v.between(0.5, 1.0))
+    return remainder[:, None] * v.unit(), on('since_stop', besides=['acceleration'])
 
 
 def oil_at_one_end(v: View) -> Nameless:

@@ -339,8 +339,8 @@ class Nature(UnknownEffect):
         return (*self.trial.drawn, Number('A', _SIZE))
 
     def _made(self, state: State, shape: Shape) -> Nameless:
-        made = self.form(view_of(state, shape['draw']))
-        return made if isinstance(made, tuple) else (made, self.depends)
+        displacement = self.form(view_of(state, shape['draw']))
+        return displacement if isinstance(displacement, tuple) else (displacement, self.depends)
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Displacement per unit of A."""

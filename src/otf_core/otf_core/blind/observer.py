@@ -116,15 +116,15 @@ class Sight:
     @cached_property
     def piece_colour(self) -> list[tuple[slice, Array]]:
         """Pieces of every line, lower Cholesky factor of the correlation of their means."""
-        found = []
+        factors = []
         lines = stretches(self.line), stretches(self.line[self.first])
         for samples, rows in zip(*lines, strict=True):
             number = self.piece[samples] - rows.start
             share = (number == np.arange(rows.stop - rows.start)[:, None]).astype(float)
             share /= share.sum(axis=1, keepdims=True)
             half = share @ self.colour[: len(number), : len(number)]
-            found.append((rows, np.linalg.cholesky(half @ half.T)))
-        return found
+            factors.append((rows, np.linalg.cholesky(half @ half.T)))
+        return factors
 
     def white_pieces(self, values: Array) -> Array:
         """Values across the path (p, 2, k) of piece means, freed of their noise."""
@@ -251,12 +251,12 @@ def _between(sight: Sight, values: Array) -> Array:
     """Values (p, 2) of the pieces at their samples (u, 2): straight from centre to centre."""
     time = sight.state.time[sight.use]
     centre = sight.mean(time[:, None])[:, 0]
-    found = np.empty((len(time), 2))
+    angles = np.empty((len(time), 2))
     lines = stretches(sight.line), stretches(sight.line[sight.first])
     for samples, rows in zip(*lines, strict=True):
         for k in range(2):
-            found[samples, k] = np.interp(time[samples], centre[rows], values[rows, k])
-    return found
+            angles[samples, k] = np.interp(time[samples], centre[rows], values[rows, k])
+    return angles
 
 
 @in_one_thread
@@ -324,8 +324,8 @@ class Ruler:
         return _per_piece(self.observer.left(noisy)[0])
 
 
-def _per_piece(left: Sequence[Array]) -> float:
-    both = np.concatenate(left)
+def _per_piece(residuals: Sequence[Array]) -> float:
+    both = np.concatenate(residuals)
     return float(np.sqrt(np.sum(both**2) / len(both)))
 
 

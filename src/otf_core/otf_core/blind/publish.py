@@ -194,8 +194,8 @@ def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery
         words = ', '.join(f'{n} ({c:.2f})' for n, c in pairs) or '-'
         apart = score.told_apart(o, recovered)
         seen = f'{o.size_um[0]:.2f} um' + ('' if all(o.visible) else ', no trace')
-        told = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
-        rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', told))
+        separation = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
+        rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', separation))
     head = ('taken out', 'left in the residual', 'verdict', 'causes (confidence)', 'inputs',
             'best separation (standard deviations)')  # fmt: skip
     first = ('what is hidden', 'cells or causes')

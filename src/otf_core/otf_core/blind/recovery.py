@@ -83,17 +83,17 @@ def parameter_deviations(
     parts: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]]
 ) -> tuple[float, ...]:
     """Deviations of all parameters of rightly named causes, in standard uncertainties."""
-    found = []
+    deviations = []
     for part in parts:
         for cause in causes:
             if cause['effect'] != part['effect'] or not cause['u'] or _is_free(cause):
                 continue
             true, fitted = part['parameters'], cause['parameters']
             if _comparable(part['effect'], true, fitted):
-                found += [
+                deviations += [
                     (fitted[n] - true.get(n, 0.0)) / u for n, u in cause['u'].items() if u > 0
                 ]
-    return tuple(found)
+    return tuple(deviations)
 
 
 def ruler_of(entry: Mapping[str, Any]) -> Ruler:
@@ -114,13 +114,13 @@ def _displacing(applied: Iterable[AppliedEffect]) -> list[AppliedEffect]:
 def fitted_effects(folder: Path, machine: Machine, runs: int) -> list[list[AppliedEffect]]:
     """Effects of every run as an answer wrote them for a simulation; none where it names none."""
     files = [folder / EFFECTS, *(folder / LATER_EFFECTS.format(k + 1) for k in range(1, runs))]
-    found: list[list[AppliedEffect]] = []
+    by_run: list[list[AppliedEffect]] = []
     for file in files:
         if file.exists():
-            found.append(_displacing(read_effects(file, machine)))
+            by_run.append(_displacing(read_effects(file, machine)))
         else:
-            found.append(found[0] if found else [])
-    return found
+            by_run.append(by_run[0] if by_run else [])
+    return by_run
 
 
 def recover(
@@ -144,7 +144,7 @@ def recover(
     """
     true = ruler.displacement(_hidden(entry['parts']))
     said = [displaced(s, one) for s, one in zip(ruler.states, fitted, strict=True)]
-    left = [t - f for t, f in zip(true, said, strict=True)]
+    difference = [t - f for t, f in zip(true, said, strict=True)]
     before = max(ruler.size(true), 1e-12)
     shrink = answer.get('unnamed') or answer['gap']
     true_gap = max(0.0, entry['measured_um'] ** 2 - entry['simulated_um'] ** 2) ** 0.5
@@ -155,8 +155,8 @@ def recover(
         true_gap_um=true_gap,
         shrink_percent=shrink['shrink_percent'],
         interval_percent=tuple(shrink['shrink_interval_percent']),
-        achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(left) / before)),
-        left_snr=ruler.snr(left),
+        achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(difference) / before)),
+        left_snr=ruler.snr(difference),
     )
 
 

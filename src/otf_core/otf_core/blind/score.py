@@ -118,8 +118,8 @@ def _right(name: str, outcomes: Sequence[Outcome]) -> Row:
 
 def _left(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
     """Right answers that leave less than a share of the gap."""
-    left = [o.gap_left for o in outcomes if o.is_right]
-    return Row(name, sum(g is not None and g < share for g in left), len(outcomes))
+    shares = [o.gap_left for o in outcomes if o.is_right]
+    return Row(name, sum(g is not None and g < share for g in shares), len(outcomes))
 
 
 def _inputs(outcomes: Sequence[Outcome]) -> list[Row]:

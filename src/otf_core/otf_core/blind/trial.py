@@ -136,8 +136,8 @@ def ask_all(
     answers: dict[tuple[str, str], Answer] = {}
     for question in questions:
         ended = outcomes[question.name]
-        found = read_json(answer_file(folder, question)) if ended.done else None
-        answers[question.label, question.cell] = found or {
+        answer = read_json(answer_file(folder, question)) if ended.done else None
+        answers[question.label, question.cell] = answer or {
             'failed': ended.message or f'exit code {ended.exit}'
         }
     return answers, outcomes
@@ -181,8 +181,8 @@ def _recover_all(
             )
         )
     ended = run_fleet(jobs, folder, workers, progress)
-    found = (read_json(Path(j.out) / RESULT) for j in jobs if ended[j.name].done)
-    return {data['cell']: recovery_from(data) for data in found if data}, ended
+    recovered = (read_json(Path(j.out) / RESULT) for j in jobs if ended[j.name].done)
+    return {data['cell']: recovery_from(data) for data in recovered if data}, ended
 
 
 def _score(

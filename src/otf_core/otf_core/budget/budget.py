@@ -249,8 +249,8 @@ def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
         samples = run.samples
         if len(samples) < 2:
             continue
-        found = find_standstills(samples, speed)
-        length = float(np.diff(found, axis=1).sum()) * samples.step
+        standstills = find_standstills(samples, speed)
+        length = float(np.diff(standstills, axis=1).sum()) * samples.step
         slowest = max(c.correlation_time for c in run.noise)
         total += length / slowest if length >= MIN_TOTAL else 0.0
     return total
@@ -468,9 +468,9 @@ class Budget:
         ndarray, shape (sources, n)
         """
         whole = self.rows if rows is None else rows @ self.rows
-        found = [np.einsum('ij,ij->i', whole @ s.covariance, whole) for s in self.sources]
-        found.append(self.straight if rows is None else rows**2 @ self.straight)
-        return np.asarray(np.maximum(np.array(found), 0.0))
+        parts = [np.einsum('ij,ij->i', whole @ s.covariance, whole) for s in self.sources]
+        parts.append(self.straight if rows is None else rows**2 @ self.straight)
+        return np.asarray(np.maximum(np.array(parts), 0.0))
 
     def expansion(self, variances: Array) -> tuple[float, float]:
         """Coverage factor for 95 % and degrees of freedom, smallest over values (sources, n)."""
@@ -528,15 +528,15 @@ def make_budget(
     noise = own - misfit - smooth + own @ (parts.corners + parts.between) @ own
     misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
     dof = residual_freedom(joint, check.correlation_factor) + standstill_freedom(runs, speed)
-    found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
-    found.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
+    entries = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
+    entries.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
     declared = declared_sources(runs)
     states = piece_states(runs, joint, tables) if declared else []
     changes = systematic_sensitivities(declared, states, joint)
     for source, change in zip(declared, changes, strict=True):
-        found.append((source.source, change @ change.T, np.inf))
+        entries.append((source.source, change @ change.T, np.inf))
     return Budget(
-        tuple(Source(*entry) for entry in found),
+        tuple(Source(*entry) for entry in entries),
         tuple(s.source for s in SYSTEMATIC if s not in declared),
         check.inflation,
         np.eye(joint.unknowns.full),

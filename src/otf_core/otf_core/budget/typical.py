@@ -103,8 +103,8 @@ def typical_pulls(runs: Sequence[Observed], joint: JointSolution) -> Array:
     tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
     states = piece_states(typical_runs(runs, assumed), joint, tables) if assumed else []
     with one_thread():
-        found = systematic_pulls(_missing(assumed), states, joint)
-    return np.concatenate([np.zeros((joint.unknowns.full, 0)), *found], axis=1)
+        pulls = systematic_pulls(_missing(assumed), states, joint)
+    return np.concatenate([np.zeros((joint.unknowns.full, 0)), *pulls], axis=1)
 
 
 def typical_systematic(

@@ -390,10 +390,10 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 
 
 def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
-    found = []
+    warnings = []
     unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
     if unsure:
-        found.append(
+        warnings.append(
             f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, the '
             f'misfit of the model included'
         )
@@ -402,18 +402,18 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
             loose = table.position[~table.node_identifiable]
             if loose.size:
                 where = f'{loose[0]:g}' if loose.size == 1 else f'{loose[0]:g} ... {loose[-1]:g}'
-                found.append(
+                warnings.append(
                     f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
                     f'continued smoothly'
                 )
     if fit.coverage < 0.98:
-        found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
+        warnings.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
     if fit.residual_ratio > 1.5:
-        found.append(
+        warnings.append(
             f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
             f'single samples: an effect that the rigid-body model does not contain, or more noise'
         )
-    return found
+    return warnings
 
 
 def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
@@ -435,18 +435,18 @@ def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> li
     size, lines = np.linalg.svd(offsets - offsets.mean(axis=0))[1:]
     if np.count_nonzero(size > COLLINEAR_WITHIN) != 1 or np.abs(lines[0]).max() > ALONG_AN_AXIS:
         return []
-    found = []
+    warnings = []
     for axis in machines[0].axis_names:
         rotations = [m for m in MOTIONS if m.axis == axis and not m.is_translation]
         unseen = [m for m in rotations if m in hidden]
         if len(unseen) != 1 or set(machines[0].chain.lever_axes(axis)) - {axis}:
             continue
         others = ' and '.join(m for m in rotations if m not in unseen)
-        found.append(
+        warnings.append(
             f'{others} contain a share of {unseen[0]}, which is set to zero: the target offsets '
             f'do not differ along one machine axis, so that a rotation of {axis} about the line '
             f'between them cannot be observed; the translations of {axis} contain the rest of it. '
             f'Predictions at these offsets are right. Take offsets that differ along a machine '
             f'axis, or a third one'
         )
-    return found
+    return warnings

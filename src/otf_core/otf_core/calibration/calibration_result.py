@@ -228,12 +228,12 @@ def _optional(module: str, needs: str) -> Any:
 
 def coverage_factors(tables: ErrorTables, budget: Budget) -> dict[str, float]:
     """Coverage factor of every motion and squareness error; NaN where nothing is known."""
-    variances, found = budget.variances(), {}
+    variances, factors = budget.variances(), {}
     for name, part in table_places(tables).items():
         own = variances[:, part]
         known = own[:, own.sum(axis=0) > 0]
-        found[name] = budget.expansion(known)[0] if known.size else math.nan
-    return found
+        factors[name] = budget.expansion(known)[0] if known.size else math.nan
+    return factors
 
 
 def one_line(result: CalibrationResult) -> str:
@@ -546,11 +546,11 @@ class CalibrationResult:
         """
         u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
         variances = self.budget_with_typical.variances()
-        found = {}
+        values = {}
         for name, place in table_places(self.tables).items():
             k, _ = self.budget_with_typical.expansion(variances[:, place])
-            found[name] = k * u[place] * (name not in self.not_identifiable)
-        return found
+            values[name] = k * u[place] * (name not in self.not_identifiable)
+        return values
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

@@ -77,17 +77,17 @@ def first_sight(
         says why.
     """
     beginning = NominalPath(driven_part(path, travelled))
-    found = align(samples.in_order(), beginning, config)
-    if found.coverage < MIN_FOLLOWED_SHARE:
+    alignment = align(samples.in_order(), beginning, config)
+    if alignment.coverage < MIN_FOLLOWED_SHARE:
         raise InputError(
             f'the target has travelled {travelled:.2f} m and followed only '
-            f'{100 * found.coverage:.0f} % of the first {beginning.length:.2f} m of the path'
+            f'{100 * alignment.coverage:.0f} % of the first {beginning.length:.2f} m of the path'
         )
     few = np.unique(np.linspace(0, len(samples) - 1, MAX_SAMPLES).astype(int))
-    points = found.T_machine_tracker.apply(samples.xyz[few])
+    points = alignment.T_machine_tracker.apply(samples.xyz[few])
     away = np.linalg.norm(PathDistance(path).deviation(points), axis=1)
     share = min(1.0, travelled / path.length)
-    return FirstSight(found.T_machine_tracker, len(samples), share, float(away.mean()))
+    return FirstSight(alignment.T_machine_tracker, len(samples), share, float(away.mean()))
 
 
 MAX_DISTANCE = 5e-3
@@ -134,12 +134,12 @@ def _on_the_present(run: TwoPaths, newer: Samples, config: CalibrationConfig) ->
     """Tell whether what came since lies on the present path, the tracker standing still."""
     beginning = NominalPath(driven_part(run.present, run.travelled))
     try:
-        found = align(run.samples.in_order(), beginning, config)
+        alignment = align(run.samples.in_order(), beginning, config)
     except InputError:
         return False
-    if found.coverage < MIN_FOLLOWED_SHARE:
+    if alignment.coverage < MIN_FOLLOWED_SHARE:
         return False
     few = np.unique(np.linspace(0, len(newer) - 1, MAX_SAMPLES).astype(int))
-    points = found.T_machine_tracker.apply(newer.xyz[few])
+    points = alignment.T_machine_tracker.apply(newer.xyz[few])
     away = np.linalg.norm(PathDistance(run.present).deviation(points), axis=1)
     return float(np.mean(away < MAX_DISTANCE)) >= MIN_FOLLOWED_SHARE

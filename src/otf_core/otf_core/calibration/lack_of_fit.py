@@ -148,17 +148,17 @@ def _told(
 
 def _rows(joint: JointSolution, places: Index) -> Array:
     """Derivatives (m, 3, full) across the path of pieces, counted through all runs."""
-    found = np.zeros((len(places), 3, joint.unknowns.full))
+    rows = np.zeros((len(places), 3, joint.unknowns.full))
     first = 0
     for run in joint.runs:
         end = first + len(run.system.q)
         own = (places >= first) & (places < end)
         piece = places[own] - first
-        found[own] = np.einsum(
+        rows[own] = np.einsum(
             'cpi,cpk->pik', run.system.axes[:, piece], run.system.rows.dense(piece)
         )
         first = end
-    return found
+    return rows
 
 
 def _pairs(

@@ -117,8 +117,8 @@ class Verdict:
         if self.passed:
             return f'{count} of {count} {limits} met'
         states = [one.state for one in self.judged]
-        found = [(states.count(s), WORDS[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
-        (first, state), *more = found
+        counts = [(states.count(s), WORDS[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
+        (first, state), *more = counts
         rest = ''.join(f', {number} {word}' for number, word in more)
         return f'{first} of {count} {limits} {state}{rest}'
 

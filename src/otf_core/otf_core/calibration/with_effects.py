@@ -94,8 +94,8 @@ class Estimates:
         ends = np.cumsum([e.size for e in self.effects])
         u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
         stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
-        found = self.change @ self.covariance @ self.change.T
-        return TakenOff(stated, found + missing_in_tables(solved, self.effects))
+        covariance = self.change @ self.covariance @ self.change.T
+        return TakenOff(stated, covariance + missing_in_tables(solved, self.effects))
 
 
 @dataclass(frozen=True)
@@ -174,15 +174,15 @@ def corrected(
     tables : ErrorTables, optional
         For the place along the path, as far as they are known.
     """
-    found = []
+    corrected_runs = []
     for number, run in enumerate(runs):
         q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
         places = _places(run, state_at(run, q, run.pose, nodes, tables), effects)
         moves = (places.columns(e.effect, partial(e.displacement, run=number), 1) for e in effects)
         shift = sum(moves, start=np.zeros((len(run.pieces), 3)))
         xyz = run.pieces.xyz - shift @ run.pose.rotation
-        found.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
-    return found
+        corrected_runs.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
+    return corrected_runs
 
 
 def estimates(
@@ -272,8 +272,8 @@ def solve_with_effects(
     now, whole = tuple(effects), list(runs)
     solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
     for _ in range(MAX_ROUNDS):
-        found, step, size = estimates(solved.runs, solved.joint, now)
-        now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
+        fitted, step, size = estimates(solved.runs, solved.joint, now)
+        now, largest = fitted.effects, float(np.max(np.abs(step) * size, initial=0.0))
         if largest < MAX_FINAL_CHANGE:
             break
         tables = tables_of(runs[0].machine, solved.joint.unknowns, solved.joint.solution)
@@ -288,7 +288,7 @@ def solve_with_effects(
         start = Start.after(clean[0].machine, solved.joint)
         again = solve_robustly(clean, solved.joint.unknowns, config, progress, start)
         solved = ReversalSolution(*again, solved.choice, solved.plain)
-    return solved, found
+    return solved, fitted
 
 
 def calibrate_without(
@@ -305,13 +305,13 @@ def calibrate_without(
         At least one.
     progress : callable(stage, fraction), optional
     """
-    solved, found = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
-    result = assemble(solved, config, examined.findings, found.taken_off(solved))
+    solved, fitted = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
+    result = assemble(solved, config, examined.findings, fitted.taken_off(solved))
     stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
     run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
     result = replace(result, run_id=run_id[: len(result.run_id)])
     runs = range(len(examined.runs))
-    parameters = tuple(tuple(e.applied(k).parameters for e in found.effects) for k in runs)
+    parameters = tuple(tuple(e.applied(k).parameters for e in fitted.effects) for k in runs)
     return Corrected(result, parameters)
 
 
@@ -415,8 +415,8 @@ def calibrate_with_file(
 
 def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
     """Effects of a file that can be removed; ConfigError states why one cannot."""
-    found = read_effects(file, recordings[0].machine)
-    for one in found:
+    stated = read_effects(file, recordings[0].machine)
+    for one in stated:
         if one.effect.belongs_to is BelongsTo.NOISE:
             raise ConfigError(
                 f'{file}: {one.effect.name}: noise is not a displacement that could be removed; '
@@ -427,9 +427,9 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
                 f'{file}: {one.effect.name}: belongs to the tables and is not removed; the '
                 f'tables follow the data as finely as needed; leave it out of the file'
             )
-    if not found:
+    if not stated:
         raise ConfigError(f'{file}: names no effect; leave --effects out for plain tables')
-    return list(found)
+    return list(stated)
 
 
 def listed(taking: Sequence[Taken]) -> str:

@@ -441,14 +441,16 @@ def _place(point: NDArray[np.float64]) -> str:
     return ', '.join(f'{v:.0f}' for v in point + 0.0)
 
 
-def _missing(samples: Samples, path: NominalPath, found: Alignment, margin: float) -> list[int]:
+def _missing(
+    samples: Samples, path: NominalPath, alignment: Alignment, margin: float
+) -> list[int]:
     """Legs of the published path of which less than half was seen."""
     legs = Legs(path.corners()[0])
-    on = found.leg != OFF_PATH
-    number = found.leg[on]
-    published = number if found.published is None else found.published[number]
+    on = alignment.leg != OFF_PATH
+    number = alignment.leg[on]
+    published = number if alignment.published is None else alignment.published[number]
     on, number = np.flatnonzero(on)[published != OFF_PATH], published[published != OFF_PATH]
-    along = legs.along(found.T_machine_tracker.apply(samples.xyz[on]), number)
+    along = legs.along(alignment.T_machine_tracker.apply(samples.xyz[on]), number)
     low, high = np.full(len(legs.length), np.inf), np.full(len(legs.length), -np.inf)
     np.minimum.at(low, number, along)
     np.maximum.at(high, number, along)

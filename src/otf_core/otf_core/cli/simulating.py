@@ -258,9 +258,9 @@ def _plan_rotary(
     with progress_of(arguments, 'choosing lines', PLAN) as progress:
         parts = plan_parts(machine, config)
         progress('forecasting', 0.0)
-        found = forecast_parts(machine, parts, place, config, judged, noise)
+        forecast = forecast_parts(machine, parts, place, config, judged, noise)
         durations = [duration_of(machine, part, config) for part in parts]
-        plan = RotaryPlan(machine, parts, durations, place, found, sights(machine, place))
+        plan = RotaryPlan(machine, parts, durations, place, forecast, sights(machine, place))
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             files = write_plan(plan, folder, about)

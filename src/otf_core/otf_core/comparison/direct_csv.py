@@ -175,9 +175,9 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
         rows.setdefault(axis, []).append((run, way, numbers))
     middle = 0.5 * (machine.lower + machine.upper)
     axes = {}
-    for axis, found in rows.items():
+    for axis, own_rows in rows.items():
         point = stated.get(f'point {axis}', middle)
         point = np.where(np.isnan(point), middle, point)
-        axes[axis] = AxisReadings(*_grid(found, f'{path}: axis {axis}'), point)
+        axes[axis] = AxisReadings(*_grid(own_rows, f'{path}: axis {axis}'), point)
     scale = float(stated.get('u_length_scale', np.zeros(1))[0])
     return DirectMeasurement(axes, stated.get('target_offset'), scale, '; '.join(notes))

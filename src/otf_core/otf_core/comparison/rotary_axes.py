@@ -118,7 +118,7 @@ def _same_line(a: Axis, b: Axis) -> bool:
 def _reasons(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, str]:
     """What cannot be compared, and why."""
     machine = a.tables.machine
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     one_gauge = a.extra.get('gauge') == b.extra.get('gauge') and a.extra.get('gauge') is not None
     ends = [table_ranges(s.tables) for s in (a, b)]
     for k, axis in enumerate(machine.axis_names):
@@ -127,11 +127,11 @@ def _reasons(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, 
         width = machine.axes[axis].max - machine.axes[axis].min
         apart = max(abs(ends[0][j][k] - ends[1][j][k]) for j in (0, 1))
         if not one_gauge:
-            found |= dict.fromkeys(own, 'the files do not state one gauge')
+            reasons |= dict.fromkeys(own, 'the files do not state one gauge')
         elif apart > SAME_RANGE * width:
-            found |= dict.fromkeys(own, f'the tables cover different ranges of {axis}')
+            reasons |= dict.fromkeys(own, f'the tables cover different ranges of {axis}')
     if not one_gauge:
-        found |= dict.fromkeys(machine.squareness, 'the files do not state one gauge')
+        reasons |= dict.fromkeys(machine.squareness, 'the files do not state one gauge')
     for name, source in zip(names, (a, b), strict=True):
         listed = source.extra.get('not_identifiable')
         hidden = set(listed) if isinstance(listed, list) else set()
@@ -139,8 +139,8 @@ def _reasons(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, 
         hidden |= {n for n, v in source.tables.location.items() if not v.identifiable}
         for error in (*machine.scalars, *map(str, machine.motions)):
             if error in hidden:
-                found[error] = f'{name} does not determine it'
-    return found
+                reasons[error] = f'{name} does not determine it'
+    return reasons
 
 
 def _motion(a: TablesFile, b: TablesFile, name: str) -> MotionComparison:

@@ -111,8 +111,8 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     share : ndarray, shape (p, segments)
     """
     columns = offset_columns(rows, share, kind)
-    left, score = fit.left(columns), fit.score(columns)
-    root, vectors = linalg.eigh(left)
+    information, score = fit.left(columns), fit.score(columns)
+    root, vectors = linalg.eigh(information)
     root, projection = np.maximum(root, 0.0), vectors.T @ score
     variance = (MAX_WIDTH / 10) ** 2
     noise = fit.ratio**2
@@ -190,14 +190,14 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
     return FoundAgain(run, segment, best)
 
 
-def shifted(run: Run, found: FoundAgain) -> Run:
+def shifted(run: Run, again: FoundAgain) -> Run:
     """Take the offsets of its segments off the samples and pieces of a run."""
-    samples, pieces, value = run.samples, run.pieces, found.offsets.value
-    if found.offsets.kind == 'range':
+    samples, pieces, value = run.samples, run.pieces, again.offsets.value
+    if again.offsets.kind == 'range':
         beam = samples.xyz / np.linalg.norm(samples.xyz, axis=1)[:, None]
-        offset: Array = beam * value[found.segment]
+        offset: Array = beam * value[again.segment]
     else:
-        offset = (value @ run.pose.rotation)[found.segment]
+        offset = (value @ run.pose.rotation)[again.segment]
     xyz = pieces.xyz - pieces.mean_of([offset[pieces.samples]])
     samples = replace(samples, xyz=samples.xyz - offset)
     return replace(run, samples=samples, pieces=replace(pieces, xyz=xyz))
@@ -220,7 +220,7 @@ def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
     offsets, breaks = again.offsets, int(again.segment[-1])
     times = f'{breaks} times' if breaks > 1 else 'once'
     along = ' along the beam' if offsets.kind == 'range' else ''
-    done = (
+    repair_words = (
         f'; offsets of the parts between breaks are estimated (u '
         f'{np.mean(offsets.u) * 1e6:.2g} um) and removed'
         if repair
@@ -228,6 +228,6 @@ def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
     )
     return Finding('found again', WARNING, (
         f'{name}the beam was lost {times} and found again, each time '
-        f'about {1e6 * offsets.step:.1f} um off{along}{done}. Check the seat '
+        f'about {1e6 * offsets.step:.1f} um off{along}{repair_words}. Check the seat '
         f'of the target, and how the tracker sets its range after a break'
     ))  # fmt: skip

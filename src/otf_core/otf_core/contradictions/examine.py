@@ -51,17 +51,19 @@ def check_chain(model: Model) -> list[Finding]:
     """Try all orders of axes where the stated chain fits badly."""
     if model.fit.ratio < MAX_RATIO:
         return []
-    chain, left = model.rows.machine.chain, model.left_by_order
+    chain, residual = model.rows.machine.chain, model.left_by_order
     stated = (*chain.table_side, *chain.target_side)
-    best = min(left.values())
-    if best > MAX_SHARE * left[stated]:
+    best = min(residual.values())
+    if best > MAX_SHARE * residual[stated]:
         return []
-    fits = sorted((o for o in left if left[o] < EQUAL_FIT * best), key=lambda o: left[o])
+    fits = sorted(
+        (o for o in residual if residual[o] < EQUAL_FIT * best), key=lambda o: residual[o]
+    )
     named = '; or '.join(
-        f'{" ".join(o)} ({1e6 * left[o]:.2f} um: {", ".join(chains_of(o))})' for o in fits
+        f'{" ".join(o)} ({1e6 * residual[o]:.2f} um: {", ".join(chains_of(o))})' for o in fits
     )
     return [Finding('chain', GATE, (
-        f'{model.rows.machine.chain} leaves {1e6 * left[stated]:.2f} um; other orders of axes '
+        f'{model.rows.machine.chain} leaves {1e6 * residual[stated]:.2f} um; other orders of axes '
         f'from workpiece to tool leave less: {named}. The position of b cannot be '
         f'determined from the data; correct the chain in machine.yaml'
     ))]  # fmt: skip
@@ -102,8 +104,8 @@ def check_target_offset(model: Model) -> list[Finding]:
         return []
     tried = _flips(offsets)
     chain = model.rows.machine.chain
-    left = model.left_with([chain] * (len(tried) + 1), [offsets, *(t.offsets for t in tried)])
-    stated, others = left[0], left[1:]
+    residual = model.left_with([chain] * (len(tried) + 1), [offsets, *(t.offsets for t in tried)])
+    stated, others = residual[0], residual[1:]
     if not tried or others.min() > MAX_SHARE * stated:
         return []
     named = '; or '.join(
@@ -129,7 +131,7 @@ class _Flip:
 
 def _flips(offsets: Array) -> list[_Flip]:
     """Other signs of the offset of each group of runs with the same one."""
-    found = []
+    flips = []
     for offset in (
         np.unique(np.round(offsets / MIN_OFFSET_DIFFERENCE), axis=0) * MIN_OFFSET_DIFFERENCE
     ):
@@ -137,8 +139,8 @@ def _flips(offsets: Array) -> list[_Flip]:
         free = [(1.0, -1.0) if abs(v) > MIN_OFFSET_DIFFERENCE else (1.0,) for v in offset]
         for signs in list(product(*free))[1:]:
             moved = np.where(member[:, None], np.array(signs) * offsets, offsets)
-            found.append(_Flip(offset, np.array(signs) * offset, moved))
-    return found
+            flips.append(_Flip(offset, np.array(signs) * offset, moved))
+    return flips
 
 
 def _metres(offset: Array) -> str:
@@ -211,8 +213,8 @@ def _errors(model: Model) -> float:
         whole * np.sqrt(fit.weight),
         rcond=None,
     )[0]
-    left = whole - posed @ value
-    return float(np.sqrt(fit.weight @ left**2 / fit.weight.sum()))
+    residual = whole - posed @ value
+    return float(np.sqrt(fit.weight @ residual**2 / fit.weight.sum()))
 
 
 def _outsider(alone: Sequence[Model]) -> str:
@@ -325,8 +327,8 @@ def _lever(samples: Samples) -> Array:
 
 def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
     """Compare noise as measured and as specified, run by run; runs alike are reported once."""
-    found = [f for run in model.runs if (f := _check(model, run, config)) is not None]
-    return found[:1]
+    findings = [f for run in model.runs if (f := _check(model, run, config)) is not None]
+    return findings[:1]
 
 
 def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
@@ -395,22 +397,22 @@ def examine(
         If the runs are of different machines.
     """
     alone: list[Model] = []
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for run in runs:
         model = Model.of([run])
         if not check_chain(model):  # its misfit is taken for a step otherwise
-            model, found = _repaired(model, found, nodes, config, repair=repair)
+            model, findings = _repaired(model, findings, nodes, config, repair=repair)
         alone.append(model)
     whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
-    found += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
-    found += check_driven_range(whole)
-    found += check_noise_level(whole, config)
-    return list(whole.runs), tuple(found)
+    findings += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
+    findings += check_driven_range(whole)
+    findings += check_noise_level(whole, config)
+    return list(whole.runs), tuple(findings)
 
 
 def _repaired(
     model: Model,
-    found: list[Finding],
+    findings: list[Finding],
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     *,
@@ -424,9 +426,9 @@ def _repaired(
     spacing = tuple(nodes[a] for a in model.rows.machine.axis_names)
     again, words = settle_offsets(model, repair=repair)
     if model.runs[0].pieces.standstill:
-        return again, found + words
+        return again, findings + words
     stepped, steps = settle_steps(model, spacing, config, repair=repair)
     if not words or (steps and stepped.fit.ratio < MAX_RATIO_OF_STEPS * again.fit.ratio):
-        return stepped, found + steps
+        return stepped, findings + steps
     again, steps = settle_steps(again, spacing, config, repair=repair)
-    return again, found + words + steps
+    return again, findings + words + steps

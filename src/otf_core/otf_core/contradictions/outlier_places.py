@@ -214,15 +214,15 @@ def _repeated(cell: Index, leg: Index, out: NDArray[np.bool_]) -> float:
     both = cell * legs + leg
     passes, lost = (_different(values) // legs for values in (both, both[out]))
     count = int(cell.max(initial=0)) + 1
-    driven, left = np.bincount(passes, minlength=count), np.bincount(lost, minlength=count)
+    driven, rejected = np.bincount(passes, minlength=count), np.bincount(lost, minlength=count)
     again = driven[cell] > 1
     repeated = out & again
     if repeated.sum() < 0.5 * max(out.sum(), 1):
         return 0.0
     several = driven > 1
-    share = left[several].sum() / driven[several].sum()
+    share = rejected[several].sum() / driven[several].sum()
     chance = float(np.mean(share ** (driven[cell][repeated] - 1.0)))
-    agreement = float((left[cell] == driven[cell])[repeated].mean())
+    agreement = float((rejected[cell] == driven[cell])[repeated].mean())
     return max(0.0, (agreement - chance) / (1.0 - chance)) if chance < 1.0 else 0.0
 
 
@@ -235,8 +235,8 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
     """Middles of the stretches of samples that were left out, the fullest first."""
     own, inverse, count = np.unique(cell, return_inverse=True, return_counts=True)
     middle = np.stack([np.bincount(inverse.reshape(-1), q[:, k], len(own)) for k in range(3)])
-    found = (middle / np.maximum(count, 1)).T[np.argsort(-count, kind='stable')]
-    return tuple(tuple(float(round(v, 4)) for v in row) for row in found)
+    places = (middle / np.maximum(count, 1)).T[np.argsort(-count, kind='stable')]
+    return tuple(tuple(float(round(v, 4)) for v in row) for row in places)
 
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:

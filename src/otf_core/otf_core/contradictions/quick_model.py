@@ -91,14 +91,14 @@ class Rows:
     def take(self, pieces: Index) -> Rows:
         """Return the rows of some pieces only, given by their places."""
         across = {'axes', 'deviation', 'sigma'}
-        found = {
+        selection = {
             f.name: getattr(self, f.name)[:, pieces]
             if f.name in across
             else getattr(self, f.name)[pieces]
             for f in fields(self)
             if f.name != 'machines'
         }
-        return Rows(self.machines, **found)
+        return Rows(self.machines, **selection)
 
     def component(self, vectors: Array) -> Array:
         """Rows of vectors (p, 3) along ``axes``, shape (c p,)."""
@@ -175,7 +175,7 @@ def drift_columns(rows: Rows, order: int = 3) -> Array:
     ndarray, shape (c p, 6 order runs)
     """
     pose, components = pose_columns(rows), len(rows.axes)
-    found = []
+    columns = []
     for run in range(rows.runs):
         mine = rows.run == run
         time = rows.time[mine]
@@ -183,8 +183,8 @@ def drift_columns(rows: Rows, order: int = 3) -> Array:
         x[mine] = 2.0 * (time - time.min()) / max(float(np.ptp(time)), 1e-9) - 1.0
         for n in range(1, order + 1):
             value = np.where(mine, np.polynomial.Legendre.basis(n)(x), 0.0)
-            found.append(pose * np.tile(value, components)[:, None])
-    return np.concatenate(found, axis=1)
+            columns.append(pose * np.tile(value, components)[:, None])
+    return np.concatenate(columns, axis=1)
 
 
 def poses_by_run(rows: Rows) -> Array:
@@ -254,8 +254,8 @@ class AxisTables:
         ----------
         weight : ndarray, shape (c, p)
         """
-        left, right = self.influence * weight[:, None], other.influence
-        pairs = sum(a[:, None] * b for a, b in zip(left, right, strict=True))
+        weighted, right = self.influence * weight[:, None], other.influence
+        pairs = sum(a[:, None] * b for a, b in zip(weighted, right, strict=True))
         hats = (self.hat[:, None] * other.hat).reshape(-1, len(self.first))
         steps = np.arange(len(self.hat))[:, None] * other.nodes + np.arange(len(other.hat))
         places = steps.reshape(-1, 1) + self.first * other.nodes + other.first
@@ -335,14 +335,14 @@ class Design:
         """Weighted products of all columns, shape (k + n, k + n); the lower triangle of them."""
         width = self.usual.shape[1]
         starts = width + np.cumsum([0, *(6 * a.nodes for a in self.axes)])
-        found = np.zeros((starts[-1], starts[-1]))
-        found[:, :width] = self.products(self.usual * weight[:, None])
+        matrix = np.zeros((starts[-1], starts[-1]))
+        matrix[:, :width] = self.products(self.usual * weight[:, None])
         of_pieces = weight.reshape(self.axes[0].influence.shape[0], -1)
         for i, a in enumerate(self.axes):
             for j, b in enumerate(self.axes[: i + 1]):
                 own, other = (slice(starts[k], starts[k + 1]) for k in (i, j))
-                found[own, other] = a.products(b, of_pieces)
-        return found
+                matrix[own, other] = a.products(b, of_pieces)
+        return matrix
 
 
 PRIOR_SIGMA = 1e-3
@@ -402,12 +402,12 @@ class Fit:
         return np.asarray(columns.T @ (self.weight * self.residual))
 
 
-def gain(left: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, Array]:
+def gain(information: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, Array]:
     """Drop of the sum of squares that further columns bring, and their values.
 
     Parameters
     ----------
-    left : ndarray, shape (..., k, k)
+    information : ndarray, shape (..., k, k)
         From ``Fit.left``; one or many.
     score : ndarray, shape (..., k)
     prior : float
@@ -418,7 +418,7 @@ def gain(left: Array, score: Array, prior: float = PRIOR_SIGMA) -> tuple[Array, 
     drop : ndarray, shape (...)
     value : ndarray, shape (..., k)
     """
-    root, vectors = np.linalg.eigh(left)
+    root, vectors = np.linalg.eigh(information)
     least = np.maximum(1e-9 * root[..., -1:], 1.0 / prior**2)
     projection = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
     value = np.einsum('...ij,...j->...i', vectors, projection)
@@ -514,21 +514,21 @@ class Model:
         chosen = _spread(len(self.rows), MAX_PIECES_OF_COMPARISON)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
-        usual, found = usual_columns(rows), []
+        usual, squares = usual_columns(rows), []
         for chain, offset in zip(chains, offsets, strict=True):
             machines = [
                 replace(machine, chain=chain, target_offset=own)
                 for machine, own in zip(rows.machines, offset, strict=True)
             ]
-            found.append(solve(rows, Design.of(rows, usual, machines), weight).square)
-        return np.asarray(np.sqrt(np.array(found) / weight.sum()))
+            squares.append(solve(rows, Design.of(rows, usual, machines), weight).square)
+        return np.asarray(np.sqrt(np.array(squares) / weight.sum()))
 
     @cached_property
     def left_by_order(self) -> dict[tuple[str, ...], float]:
         """What every order of axes from workpiece to tool leaves, m, as ``left_with``."""
         orders = list(permutations(self.rows.machine.axis_names))
-        left = self.left_with([Chain((), o) for o in orders], [self.offsets] * len(orders))
-        return dict(zip(orders, left.tolist(), strict=True))
+        residual = self.left_with([Chain((), o) for o in orders], [self.offsets] * len(orders))
+        return dict(zip(orders, residual.tolist(), strict=True))
 
     @property
     def offsets(self) -> Array:

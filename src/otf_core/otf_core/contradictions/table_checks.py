@@ -117,12 +117,12 @@ def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
 
 def sample_noise(runs: Sequence[Run]) -> float:
     """Largest standard deviation of single samples among runs, m."""
-    found = []
+    levels = []
     for run in runs:
         distance = np.linalg.norm(run.pieces.xyz, axis=1)
         level = run.noise.level
-        found.append(float(np.hypot(level[0], level[1:].max() * distance.max())))
-    return max(found)
+        levels.append(float(np.hypot(level[0], level[1:].max() * distance.max())))
+    return max(levels)
 
 
 def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Finding]:

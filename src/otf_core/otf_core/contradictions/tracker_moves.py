@@ -94,8 +94,8 @@ def step_profile(
     half = linalg.solve_triangular(
         fit.factor[0], cross.T, lower=True, overwrite_b=True, check_finite=False
     ).reshape(-1, len(starts), width)
-    left = own - np.einsum('amk,aml->mkl', half, half)
-    return Profile(starts, *gain(left, score, prior))
+    information = own - np.einsum('amk,aml->mkl', half, half)
+    return Profile(starts, *gain(information, score, prior))
 
 
 MAX_ORDER, ORDER_OF_DRIFT = 6, 3
@@ -116,11 +116,11 @@ def sharp_share(rows: Rows, fit: Fit, run: int, time: float) -> float:
     pose = pose_columns(rows)
     step = pose * _per_row(rows, mine & (rows.time >= time))
     smooth = np.concatenate(_smooth(rows, mine, pose), axis=1)
-    left, score = fit.left(np.hstack([step, smooth])), fit.score(np.hstack([step, smooth]))
-    both, _ = gain(left, score)
+    information, score = fit.left(np.hstack([step, smooth])), fit.score(np.hstack([step, smooth]))
+    both, _ = gain(information, score)
     width = step.shape[1]
-    alone, _ = gain(left[:width, :width], score[:width])
-    followed, _ = gain(left[width:, width:], score[width:])
+    alone, _ = gain(information[:width, :width], score[:width])
+    followed, _ = gain(information[width:, width:], score[width:])
     return float((both - followed) / alone)
 
 
@@ -135,13 +135,13 @@ def _smooth(rows: Rows, mine: NDArray[np.bool_], pose: Array) -> list[Array]:
         for i, j in pairs
     ], axis=1)  # fmt: skip
     other = np.hstack([strain, reversal_columns(rows)])
-    found = []
+    columns = []
     for order in range(1, MAX_ORDER + 1):
         course = _per_row(rows, np.where(mine, Legendre.basis(order)(x), 0.0))
-        found.append(other * course)
+        columns.append(other * course)
         if order > ORDER_OF_DRIFT:
-            found.append(pose * course)
-    return found
+            columns.append(pose * course)
+    return columns
 
 
 def _per_row(rows: Rows, values: Array | NDArray[np.bool_]) -> Array:
@@ -330,7 +330,7 @@ def settle_steps(
     model : Model
         Of the parts.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     whole = model
     name = model.runs[0].recording.name
     for _ in range(MAX_STEPS):
@@ -341,19 +341,19 @@ def settle_steps(
         run = model.runs[step.run]
         parts = split(run, step, nodes, config) if repair else None
         stated = replace(step, time=run.late + step.time)
-        found.append(_finding(name, stated, parts is not None, repair=repair))
+        findings.append(_finding(name, stated, parts is not None, repair=repair))
         if parts is None:
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
         model = Model.of(runs)
-    if len(found) == MAX_STEPS or (len(found) > 1 and _leaves_much(model, whole)):
-        return whole, [_restless(name, len(found))]
-    return model, found
+    if len(findings) == MAX_STEPS or (len(findings) > 1 and _leaves_much(model, whole)):
+        return whole, [_restless(name, len(findings))]
+    return model, findings
 
 
 def _leaves_much(parts: Model, whole: Model) -> bool:
-    left, before = (max(m.fit.ratio**2 - 1.0, 0.0) for m in (parts, whole))
-    return left > MAX_SHARE_AFTER_STEPS * before
+    after, before = (max(m.fit.ratio**2 - 1.0, 0.0) for m in (parts, whole))
+    return after > MAX_SHARE_AFTER_STEPS * before
 
 
 def _restless(name: str, count: int) -> Finding:

@@ -251,8 +251,8 @@ def rotary_words(machine: Machine) -> list[str]:
         'errors are those of the target relative to the table, at the programmed angle, in the '
         'directions X, Y, Z of the side of the axis towards the bed, and act about the centre',
         'location errors move the line of the axis: X0C along X, A0C about X through the centre',
-        'datum: machine and table frames coincide where all axes are at zero, and rotary axes have '
-        'no error at 0 degrees: keep their zero positions',
+        'datum: machine and table frames coincide where all axes are at zero, and rotary axes '
+        'have no error at 0 degrees: keep their zero positions',
         WORKPIECE_WORDS,
     ]
     for name in machine.rotary_names:

@@ -452,30 +452,30 @@ def _refuse_other_axes(table: TextTable) -> None:
             )
 
 
-def _with_units_below(found: Columns, units: Sequence[str]) -> Columns:
+def _with_units_below(columns_read: Columns, units: Sequence[str]) -> Columns:
     """Take units from a line of their own under the names: 's;mm;mm;mm'."""
-    columns = (*found.point, *found.time)
-    if not units or any(c.unit for c in found.point):
-        return found
+    columns = (*columns_read.point, *columns_read.time)
+    if not units or any(c.unit for c in columns_read.point):
+        return columns_read
     given = [
         replace(c, unit=units[c.place].lower())
         if c.unit is None and c.place < len(units) and is_unit(units[c.place])
         else c
         for c in columns
     ]
-    return replace(found, point=(given[0], given[1], given[2]), time=tuple(given[3:]))
+    return replace(columns_read, point=(given[0], given[1], given[2]), time=tuple(given[3:]))
 
 
-def _with_unit_of_head(found: Columns, table: TextTable) -> Columns:
+def _with_unit_of_head(columns_read: Columns, table: TextTable) -> Columns:
     """Take the unit of the point from a line such as 'AXES = CARTESIAN: X Y Z (mm)'."""
     stated = [
         m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line)) and is_unit(m[1])
     ]
     stated = [unit for unit in stated if unit in LENGTHS or unit in OTHERS]
-    if found.polar or not stated or any(c.unit for c in found.point):
-        return found
-    x, y, z = (Column(c.place, stated[0], c.name) for c in found.point)
-    return replace(found, point=(x, y, z))
+    if columns_read.polar or not stated or any(c.unit for c in columns_read.point):
+        return columns_read
+    x, y, z = (Column(c.place, stated[0], c.name) for c in columns_read.point)
+    return replace(columns_read, point=(x, y, z))
 
 
 def _labels_between(table: TextTable) -> Columns | None:

@@ -482,14 +482,14 @@ class Klartext:
         self._centre = {'X': x, 'Y': y}
 
     def _move(
-        self, number: int, text: str, kind: str, goal: Position, found: dict[str, str]
+        self, number: int, text: str, kind: str, goal: Position, words: dict[str, str]
     ) -> None:
-        frame = MACHINE if {'M91'} & found.keys() else ACTIVE_PRESET
+        frame = MACHINE if {'M91'} & words.keys() else ACTIVE_PRESET
         if kind == 'L':
             self._path.line_to(number, text, goal, frame)
             return
-        sense = found.get('DR')
-        radius = found.get('R')
+        sense = words.get('DR')
+        radius = words.get('R')
         if kind == 'C' and self._centre is None:
             refuse(self._where, number, text, 'is a circle without a centre (CC)')
         if sense is None or (kind == 'CR' and radius is None):

@@ -426,11 +426,11 @@ def _is_decimal(texts: Sequence[str]) -> bool:
     return sum(is_number(text) or text.lower() in NOT_FINITE for text in first) > len(first) // 2
 
 
-def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None:
+def _refuse_many(table: TextTable, faults: Mapping[int, str], usable: int) -> None:
     """Refuse a table of which many lines are no samples."""
-    if len(faults) > MAX_LEFT_OUT * (len(faults) + kept):
+    if len(faults) > MAX_LEFT_OUT * (len(faults) + usable):
         raise InputError(
-            f'{table.where}: {len(faults)} of {len(faults) + kept} lines are no samples: '
+            f'{table.where}: {len(faults)} of {len(faults) + usable} lines are no samples: '
             f'{fault_words(faults)}; give one table per file, and export the samples that were '
             f'measured only'
         )

@@ -234,5 +234,5 @@ def _number(value: float) -> float | None:
 
 
 def _rounded(values: Array, digits: int) -> list[Any]:
-    found: list[Any] = np.round(values, digits).tolist()
-    return found
+    rounded: list[Any] = np.round(values, digits).tolist()
+    return rounded

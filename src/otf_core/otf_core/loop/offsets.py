@@ -78,28 +78,28 @@ def component() -> Any:
 
 
 def look(
-    made: Any, axes: list[Row], table: Table, last: tuple[Row, float] | None
+    component: Any, axes: list[Row], table: Table, last: tuple[Row, float] | None
 ) -> tuple[Row, float]:
     """Set the offsets once; return position and time of this look."""
     now = time.monotonic()
-    q = [1e-3 * (made[f'believed-{a}'] - made[f'offset-{a}']) for a in 'xyz']
+    q = [1e-3 * (component[f'believed-{a}'] - component[f'offset-{a}']) for a in 'xyz']
     ahead = q
     if last is not None:
         before, then = last
         step = now - then
-        made['slowest'] = max(made['slowest'], step)
+        component['slowest'] = max(component['slowest'], step)
         if step > MAX_DELAY and q != before:
-            made['fault'] = True
+            component['fault'] = True
             sys.stderr.write(f'otf-volume: position read {step:.3f} s late at {q}: feed held\n')
         if 0 < step < MAX_DELAY:
             ahead = [b + (b - a) * LEAD_TIME / step for a, b in zip(before, q, strict=True)]
     error = error_at(axes, table, ahead)
     if max(map(abs, error)) > MAX_OFFSET:
-        made['fault'] = True
+        component['fault'] = True
         sys.stderr.write(f'otf-volume: correction {error} m beyond {MAX_OFFSET} m: feed held\n')
     else:
         for axis, value in zip('xyz', error, strict=True):
-            made[f'counts-{axis}'] = round(-value / COUNT)
+            component[f'counts-{axis}'] = round(-value / COUNT)
     return q, now
 
 

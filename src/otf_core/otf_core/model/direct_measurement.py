@@ -130,7 +130,7 @@ def motion_readings(measurement: DirectMeasurement, machine: Machine) -> dict[st
     """
     offset = measurement.target_offset
     at = machine if offset is None else replace(machine, target_offset=offset)
-    found = {}
+    readings_by_motion = {}
     for axis, readings in measurement.axes.items():
         q = np.tile(readings.point, (len(readings.position), 1))
         q[:, machine.column(axis)] = readings.position
@@ -149,10 +149,10 @@ def motion_readings(measurement: DirectMeasurement, machine: Machine) -> dict[st
         ):
             if known:
                 rows = _relative_to_own_mean(column)
-                found[f'E{letter}{axis}'] = MotionReadings(
+                readings_by_motion[f'E{letter}{axis}'] = MotionReadings(
                     readings.position, rows[:, 0], rows[:, 1]
                 )
-    return found
+    return readings_by_motion
 
 
 def tables_of_readings(

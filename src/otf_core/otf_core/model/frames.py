@@ -68,7 +68,7 @@ def rigid_fit(source: Array, target: Array) -> RigidTransform:
         Minimises the sum of squares of ``target - apply(source)``.
     """
     centre_source, centre_target = source.mean(axis=0), target.mean(axis=0)
-    left, _, right = np.linalg.svd((target - centre_target).T @ (source - centre_source))
-    turn = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
-    rotation = left @ turn @ right
+    u, _, v = np.linalg.svd((target - centre_target).T @ (source - centre_source))
+    turn = np.diag([1.0, 1.0, np.linalg.det(u @ v)])
+    rotation = u @ turn @ v
     return RigidTransform(rotation, centre_target - rotation @ centre_source)

@@ -225,8 +225,8 @@ class Seen:
         """Rotations (n, 3, 3) of the link of the reflector; None where none turns."""
 
     def _joints(self, *, reverse: bool = False) -> list[tuple[Joint, Array, Array | None]]:
-        found = list(zip(self.sight.joints, self._own, self._rotation, strict=True))
-        return found[::-1] if reverse else found
+        joints = list(zip(self.sight.joints, self._own, self._rotation, strict=True))
+        return joints[::-1] if reverse else joints
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -237,40 +237,40 @@ class Seen:
     def velocity(self) -> Array:
         """Derivative of the position by every axis of the machine, shape (n, 3, k)."""
         machine = self.sight.machine
-        found = np.zeros((len(self.q), 3, len(machine.axis_names)))
+        columns = np.zeros((len(self.q), 3, len(machine.axis_names)))
         for k, joint in enumerate(self.sight.joints):
             moved = np.broadcast_to(joint.direction, self.position.shape)
             if joint.axis.rotary:
                 moved = np.cross(joint.direction, self._before[k] - joint.centre)
             column = machine.column(joint.name)
-            found[:, :, column] = joint.sense * _turned(self._outer[k], np.asarray(moved))
-        return found
+            columns[:, :, column] = joint.sense * _turned(self._outer[k], np.asarray(moved))
+        return columns
 
     @cached_property
     def motions(self) -> dict[str, Array]:
         """Displacement per unit of the six motions of every axis met, shape (n, 3, 6)."""
-        found = {}
+        influences = {}
         for k, joint in enumerate(self.sight.joints):
             turn, lever = self._place_of_errors(k)
-            found[joint.name] = _six(turn, joint.sense, lever)
-        return found
+            influences[joint.name] = _six(turn, joint.sense, lever)
+        return influences
 
     @cached_property
     def scalars(self) -> dict[str, Array]:
         """Displacement (n, 3) per unit of squareness and location errors met, by name."""
-        found: dict[str, Array] = {}
+        influences: dict[str, Array] = {}
         for k, (joint, own, turn) in enumerate(self._joints()):
             if not joint.axis.rotary:
                 for name, tilt in TILTS[joint.name]:
                     moved = joint.sense * own[:, None] * tilt
-                    found[name] = _turned(self._outer[k], moved)
+                    influences[name] = _turned(self._outer[k], moved)
                 continue
             before = _six(self._outer[k], 1.0, self._before[k] - joint.centre)
             inner = _then(self._outer[k], turn)
             moved = before - _six(inner, 1.0, self._after[k] - joint.centre)
             for name in location_names(joint.name):
-                found[name] = moved[:, :, DIRECTIONS.index(name[0])]
-        return found
+                influences[name] = moved[:, :, DIRECTIONS.index(name[0])]
+        return influences
 
     def _place_of_errors(self, k: int) -> tuple[Array | None, Array]:
         """Rotations before the place of the error of a joint, and the lever of the reflector."""

@@ -87,9 +87,9 @@ def turned(along: int, arm: Points) -> Points:
 
     Several times faster than ``numpy.cross``, which counts where positions come one by one.
     """
-    found = np.zeros_like(arm)
-    _add_turned(found, along, arm, 1.0)
-    return found
+    displacement = np.zeros_like(arm)
+    _add_turned(displacement, along, arm, 1.0)
+    return displacement
 
 
 def _add_turned(total: Points, along: int, arm: Points, angle: Points | float) -> None:

@@ -395,7 +395,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
 
 def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
     """Places of reflectors; ``tool`` states its uncertainty alone."""
-    found: dict[str, Target] = {}
+    targets: dict[str, Target] = {}
     for name in fields.keys:
         own = fields.mapping(name)
         link = own.text('link') if own.has('link') or name != TOOL else SPINDLE
@@ -411,8 +411,8 @@ def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
         usual = USUAL_U if link == TABLE else 0.0
         u = own.number('u', low=0.0, high=0.05, unit='m', closed=True) if own.has('u') else usual
         own.done(known=('link', 'place', 'u'))
-        found[name] = Target(link, (place[0], place[1], place[2]), u)
-    return found
+        targets[name] = Target(link, (place[0], place[1], place[2]), u)
+    return targets
 
 
 def _tracker(fields: Fields, chain: Chain) -> TrackerSpec:

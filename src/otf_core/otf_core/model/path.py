@@ -110,11 +110,11 @@ class NominalPath:
         for i in range(1, len(self.points)):
             if np.linalg.norm(self.points[i] - self.points[keep[-1]]) > MIN_LEG:
                 keep.append(i)
-        kept = np.array(keep)
-        step = np.diff(self.points[kept], axis=0)
+        used = np.array(keep)
+        step = np.diff(self.points[used], axis=0)
         unit = step / np.linalg.norm(step, axis=1)[:, None]
         turn = np.linalg.norm(np.diff(unit, axis=0), axis=1) > 1e-6
-        index = kept[np.concatenate([[True], turn, [True]])]
+        index = used[np.concatenate([[True], turn, [True]])]
         return self.points[index], index
 
 
@@ -162,10 +162,10 @@ class Legs:
 
     def at(self, along: Array, leg: NDArray[np.int64]) -> Array:
         """Points on legs (n,) at positions (n,), m from their start, shape (n, 3), m."""
-        found = self.corners.take(leg, axis=0)
+        positions = self.corners.take(leg, axis=0)
         for k in range(3):
-            found[:, k] += along * self.unit[:, k].take(leg)
-        return np.asarray(found)
+            positions[:, k] += along * self.unit[:, k].take(leg)
+        return np.asarray(positions)
 
 
 def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -55,9 +55,9 @@ class Signal:
 
 def lagged(time: Array, value: Array, lag: float) -> Array:
     """Response of first order to a signal that stays between its samples, shape (n,)."""
-    found = np.empty_like(value)
-    found[0] = value[0]
+    filtered = np.empty_like(value)
+    filtered[0] = value[0]
     keep = np.exp(-np.diff(time) / lag)
     for k in range(1, len(value)):
-        found[k] = value[k - 1] + (found[k - 1] - value[k - 1]) * keep[k - 1]
-    return found
+        filtered[k] = value[k - 1] + (filtered[k - 1] - value[k - 1]) * keep[k - 1]
+    return filtered

@@ -299,25 +299,25 @@ def _location(data: Mapping[str, Any], name: str, where: str) -> LocationError:
 
 def _mapping(data: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
     """Mapping under a key; empty where there is none."""
-    found = data.get(key)
-    if found is None:
+    mapping = data.get(key)
+    if mapping is None:
         return {}
-    if not isinstance(found, Mapping):
-        raise ConfigError(f'{where}: {key}: expected a mapping, got {shown(found)}')
-    return found
+    if not isinstance(mapping, Mapping):
+        raise ConfigError(f'{where}: {key}: expected a mapping, got {shown(mapping)}')
+    return mapping
 
 
 def _named(
     data: Mapping[str, Any], key: str, names: Collection[str], where: str
 ) -> Mapping[str, Any]:
     """The same, with keys that are all among ``names``."""
-    found = _mapping(data, key, where)
-    unknown = sorted(set(found) - set(names))
+    mapping = _mapping(data, key, where)
+    unknown = sorted(set(mapping) - set(names))
     if unknown:
         raise ConfigError(
             f'{where}: {key}: {shortened(unknown[0])}: unknown; known: {", ".join(names)}'
         )
-    return found
+    return mapping
 
 
 def tables_from_dict(data: Any, where: str) -> TablesFile:

@@ -160,8 +160,8 @@ def left_out_fits(windows: list[Array], step: float) -> list[NoiseModel]:
     groups = min(GROUPS, len(windows))
     if groups < 2:
         return []
-    kept = [[w for k, w in enumerate(windows) if k % groups != g] for g in range(groups)]
-    return [NoiseModel(*fit_colour(rest, step)) for rest in kept]
+    groups_kept = [[w for k, w in enumerate(windows) if k % groups != g] for g in range(groups)]
+    return [NoiseModel(*fit_colour(rest, step)) for rest in groups_kept]
 
 
 def jackknife_u(values: Array) -> Array:
@@ -260,7 +260,7 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
     chance = f_ratio.isf(FALSE_ALARM / (bins * len(seen.density)), freedom, of_background)
     chance *= freedom / chi2.median(freedom)
     width = seen.frequency[1]
-    found = []
+    peaks = []
     for quantity, density in enumerate(seen.density):
         shape = np.maximum(expected[quantity], 1e-9 * expected[quantity].max() + 1e-300)
         background = shape * median_filter(density / shape, 2 * NEIGHBOURS + 1, mode='nearest')
@@ -271,5 +271,5 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
             top = low + int(density[low:high].argmax())
             near = slice(max(low - 1, 0), high + 1)
             power = float(np.sum(density[near] - background[near])) * width
-            found.append(Peak(quantity, float(seen.frequency[top]), float(np.sqrt(power))))
-    return tuple(found)
+            peaks.append(Peak(quantity, float(seen.frequency[top]), float(np.sqrt(power))))
+    return tuple(peaks)

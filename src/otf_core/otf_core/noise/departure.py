@@ -107,8 +107,8 @@ def _student_density(t: Array, freedom: float) -> Array:
 
 def _tails(windows: list[Array], step: float) -> tuple[float, float]:
     """Likeliest degrees of freedom, and probability that they are below ``HEAVY_TAILS``."""
-    found = [student_likelihood(column) for column in fast_part(windows, step).T]
-    student, normal = np.sum([s for s, _ in found], axis=0), sum(n for _, n in found)
+    likelihoods = [student_likelihood(column) for column in fast_part(windows, step).T]
+    student, normal = np.sum([s for s, _ in likelihoods], axis=0), sum(n for _, n in likelihoods)
     heavy = FREEDOMS < HEAVY_TAILS
     beyond = logsumexp(student[heavy]) - np.log(heavy.sum())
     specified = logsumexp([*student[~heavy], normal]) - np.log(1 + (~heavy).sum())

@@ -130,35 +130,35 @@ def _warnings(
     measured: MeasuredNoise, windows: list[Array], duration: float, lost: Lost, count: int
 ) -> tuple[str, ...]:
     coarse = _coarse(windows)
-    found = [coarse] if coarse else []
+    warnings = [coarse] if coarse else []
     if lost.samples > MAX_LOST_SHARE * count:
-        found.append(
+        warnings.append(
             f'{lost.samples} samples lost in {lost.gaps} gaps '
             f'({100 * lost.samples / (lost.samples + count):.0f} %), the longest '
             f'{lost.longest:.2f} s: check tracker, driver and network'
         )
     if duration < MIN_TOTAL_FOR_COLOUR:
-        found.append(
+        warnings.append(
             f'only {duration:.1f} s of standstill: levels and colour are rough; '
             f'{MIN_TOTAL_FOR_COLOUR:g} s or more in stops of a second or more are needed'
         )
     if measured.left_out > measured.windows:
-        found.append(
+        warnings.append(
             f'in {measured.left_out} of {measured.left_out + measured.windows} windows the target '
             f'itself seems to have moved; left out'
         )
     time = measured.noise.range.correlation_time
     if time > LONG_TIME_SHARE * longest_time(windows, duration / measured.samples):
-        found.append(
+        warnings.append(
             f'the slow part is slower than the standstills can show: its correlation time is '
             f'{time:.1f} s or more, and its level a lower bound'
         )
     if measured.noise.level.max() > MAX_LEVEL:
-        found.append(
+        warnings.append(
             'noisier than laser trackers are: the target itself seems to move; fasten it and '
             'record again'
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:

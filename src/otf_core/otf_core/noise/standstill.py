@@ -175,10 +175,10 @@ def at_rest(samples: Samples, runs: Index) -> Index:
     deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
     blocks = [blocks_of(d, size) for d in deviations]
     quiet = quiet_blocks(blocks, resolution(deviations))
-    found = []
+    spans = []
     for (first, last), (mean, deviation) in zip(runs, blocks, strict=True):
         if len(mean) < MIN_BLOCKS:
-            found.append((first, last))
+            spans.append((first, last))
             continue
         jump = np.any(np.abs(np.diff(mean, axis=0)) > MAX_BLOCK_CHANGE * quiet.change, axis=1)
         bad = np.any(deviation > MAX_RATIO_AT_REST * quiet.deviation, axis=1)
@@ -188,8 +188,8 @@ def at_rest(samples: Samples, runs: Index) -> Index:
         start, stop = _settled(mean[low:high], quiet.away)
         if stop > start:
             end = last if low + stop == len(mean) else first + (low + stop) * size
-            found.append((first + (low + start) * size, end))
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+            spans.append((first + (low + start) * size, end))
+    return np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
 QUIET_BLOCKS_ASIDE = 3
@@ -271,7 +271,7 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
     limit = MAX_BLOCK_CHANGE * np.hypot(
         quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0)
     )
-    found = []
+    steps = []
     for (first, _), (mean, _) in zip(runs, blocks, strict=True):
         places = np.arange(QUIET_BLOCKS_ASIDE, len(mean) - QUIET_BLOCKS_ASIDE)
         if not len(places):
@@ -284,9 +284,9 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
         while height.max() > 1.0:
             best = int(height.argmax())
             sample = first + round((places[best] + 0.5) * size)
-            found.append(Step(float(samples.time[sample]), change[best]))
+            steps.append(Step(float(samples.time[sample]), change[best]))
             height[max(best - QUIET_BLOCKS_ASIDE, 0) : best + QUIET_BLOCKS_ASIDE + 1] = 0.0
-    return tuple(sorted(found, key=lambda s: s.time))
+    return tuple(sorted(steps, key=lambda s: s.time))
 
 
 def find_drift(samples: Samples, rest: Index) -> Drift | None:
@@ -387,17 +387,17 @@ def fast_part(windows: Sequence[Array], step: float) -> Array:
 
 def tails(windows: Sequence[Array], step: float) -> tuple[Tails, ...]:
     """Tails of each quantity over windows (n, c) of values ``step`` seconds apart."""
-    found = []
+    fits = []
     for column in fast_part(windows, step).T:
         square = float(np.mean(column**2)) or 1.0
-        found.append(
+        fits.append(
             Tails(
                 float(np.mean(column**4) / square**2 - 3.0),
                 student_freedom(column),
                 float(np.mean(np.abs(column) > 4.0 * np.sqrt(square))),
             )
         )
-    return tuple(found)
+    return tuple(fits)
 
 
 MIN_DURATION = 0.25
@@ -488,7 +488,7 @@ class MeasuredNoise:
 
 def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
     """Deviations in equal parts of each standstill, no longer than ``WINDOW``."""
-    found = []
+    windows = []
     for first, last in rest:
         length = (last - first) * step
         parts = int(np.ceil(length / WINDOW - 1e-9))
@@ -496,8 +496,8 @@ def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
         if length >= MIN_TIME_OF_DRIFT:
             line = np.linspace(-1.0, 1.0, last - first)
             deviations -= np.outer(line, line @ deviations / (line @ line))
-        found += np.array_split(deviations, parts)
-    return found
+        windows += np.array_split(deviations, parts)
+    return windows
 
 
 def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
@@ -568,10 +568,10 @@ def standstill_noise(
 
 def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> MeasuredNoise:
     """Level, colour and tails of windows (n, 3) of values ``step`` seconds apart."""
-    found = tails(windows, step)
-    parts = zip(fit_colour(windows, step), found, strict=True)
+    heaviness = tails(windows, step)
+    parts = zip(fit_colour(windows, step), heaviness, strict=True)
     noise = NoiseModel(*(replace(c, dof=t.freedom) for c, t in parts))
-    return MeasuredNoise(noise, found, len(windows), sum(len(w) for w in windows), left_out)
+    return MeasuredNoise(noise, heaviness, len(windows), sum(len(w) for w in windows), left_out)
 
 
 def _near(samples: Samples, seen: MeasuredNoise) -> tuple[float, float]:
@@ -593,9 +593,13 @@ def _stretch(seen: NoiseModel, level: Array, near: NDArray[np.bool_]) -> float:
     Short stops fix the fast part, and of the slow part only variance over time: the time goes
     with the variance. It was fitted to all components, and is stretched alike for all these.
     """
-    slow, taken = seen.level**2 - seen.white**2, level**2 - seen.white**2
+    slow, slow_specified = seen.level**2 - seen.white**2, level**2 - seen.white**2
     shown = float(np.sum((slow / level**2)[near]))
-    return min(max(float(np.sum((taken / level**2)[near])) / shown, 0.2), 5.0) if shown else 1.0
+    return (
+        min(max(float(np.sum((slow_specified / level**2)[near])) / shown, 0.2), 5.0)
+        if shown
+        else 1.0
+    )
 
 
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:

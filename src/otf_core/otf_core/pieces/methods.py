@@ -125,14 +125,14 @@ def match_in_order(measured: Array, nominal: Array, tolerance: float) -> Index:
     best = np.zeros((count + 1, points), dtype=np.int64)
     for i in range(count):  # most assigned stops among the first i, the last one at point <= j
         best[i + 1] = np.maximum.accumulate(np.maximum(best[i], best[i] + near[i]))
-    found = np.full(count, OFF_PATH, dtype=np.int64)
+    matched = np.full(count, OFF_PATH, dtype=np.int64)
     j = points - 1
     for i in range(count, 0, -1):
         if best[i, j] == best[i - 1, j]:
             continue
         j = int(np.argmax(best[i, : j + 1] == best[i, j]))
-        found[i - 1] = j
-    return found
+        matched[i - 1] = j
+    return matched
 
 
 def _rough_pose(stops: Stops, points: Array, tolerance: float) -> RigidTransform:
@@ -168,19 +168,19 @@ def align_stops(
     points, stops = _distinct_points(path), find_stops(samples, config)
     pose = _rough_pose(stops, points, config.match_tolerance)
     for _ in range(3):
-        found = match_in_order(pose.apply(stops.xyz), points, 2 * config.match_tolerance)
-        use = found != OFF_PATH
+        matched = match_in_order(pose.apply(stops.xyz), points, 2 * config.match_tolerance)
+        use = matched != OFF_PATH
         if use.sum() < MIN_STOPS:
             raise InputError(f'only {use.sum()} stops lie at points of the path')
-        pose = rigid_fit(stops.xyz[use], points[found[use]])
+        pose = rigid_fit(stops.xyz[use], points[matched[use]])
     leg = np.full(len(samples), OFF_PATH, dtype=np.int32)
-    for (first, last), point in zip(stops.span, found, strict=True):
+    for (first, last), point in zip(stops.span, matched, strict=True):
         leg[first:last] = point
-    coverage = len(np.unique(found[use])) / len(points)
+    coverage = len(np.unique(matched[use])) / len(points)
     return (
-        Alignment(pose, points, leg, coverage, bool(found.max() == len(points) - 1)),
+        Alignment(pose, points, leg, coverage, bool(matched.max() == len(points) - 1)),
         stops,
-        found,
+        matched,
     )
 
 
@@ -219,15 +219,15 @@ def prepare_stops(
 ) -> tuple[list[Run], dict[str, Array]]:
     """Align and average stops for a common set of table nodes; see ``runs.prepare_runs``."""
     check_same_machine(recordings)
-    found, pieces, ranges = [], [], []
+    aligned, pieces, ranges = [], [], []
     for recording in recordings:
         with errors_of(recording.name):
-            found.append(align_stops(recording.samples, recording.path, config))
-            pieces.append(stop_pieces(recording.samples, *found[-1]))
-            ranges.append(covered_range(found[-1][0], recording))
+            aligned.append(align_stops(recording.samples, recording.path, config))
+            pieces.append(stop_pieces(recording.samples, *aligned[-1]))
+            ranges.append(covered_range(aligned[-1][0], recording))
     nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
-    for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
+    for recording, (alignment, _, _), part in zip(recordings, aligned, pieces, strict=True):
         with errors_of(recording.name):
             samples, spec = recording.samples, recording.machine.tracker
             noise = noise_model(samples, spec, config.standstill_speed)

@@ -266,12 +266,12 @@ class Pieces:
             'duration',
             'speed',
         )
-        kept = {name: getattr(self, name)[~drop] for name in arrays}
+        fields = {name: getattr(self, name)[~drop] for name in arrays}
         stays = ~drop[self.piece]
         lost = int(self.count[drop].sum())
         return replace(
             self,
-            **kept,
+            **fields,
             samples=self.samples[stays],
             piece=(np.cumsum(~drop, dtype=self.piece.dtype) - 1)[self.piece[stays]],
             chord=self.chord[~drop] if len(self.chord) else self.chord,

@@ -320,12 +320,12 @@ def prepare_runs(
     for recording in recordings:
         with errors_of(recording.name):
             samples, path = recording.samples, recording.path
-            alignments.append(found := align(samples, path, config, recording.seen))
+            alignments.append(aligned := align(samples, path, config, recording.seen))
             check_partial(
                 samples,
                 path,
-                found.T_machine_tracker,
-                found.coverage,
+                aligned.T_machine_tracker,
+                aligned.coverage,
                 config.match_tolerance,
             )
             ranges.append(covered_range(alignments[-1], recording))

@@ -245,13 +245,13 @@ class Forecast:
     @property
     def loose_nodes(self) -> dict[ErrorMotion, Array]:
         """Nodes of seen motions that are interpolated only: motion to positions, m."""
-        found = {}
+        loose_by_motion = {}
         for motion in MOTIONS:
             if motion in self.solution.accepted:
                 loose = ~self.determined[motion]
                 if loose.any():
-                    found[motion] = self.nodes[motion.axis][loose]
-        return found
+                    loose_by_motion[motion] = self.nodes[motion.axis][loose]
+        return loose_by_motion
 
 
 def beside(machine: Machine) -> Array:
@@ -470,27 +470,29 @@ Planned = tuple[Observed, JointSolution, ErrorTables]
 """What a plan shows, and solution and tables with zero deviations."""
 
 
-def planned_solution(plan: Plan, setup: Setup, found: Forecast) -> Planned:
+def planned_solution(plan: Plan, setup: Setup, forecast: Forecast) -> Planned:
     """What the plan shows, and solution and tables with zero deviations."""
     observed = Observed(
         machine=setup.machine,
         shape=straight_shape(plan.path.points),
-        pieces=found.pieces,
+        pieces=forecast.pieces,
         pose=tracker_pose(setup),
         noise=setup.noise,
     )
-    return solution_of_pieces(observed, found)
+    return solution_of_pieces(observed, forecast)
 
 
-def solution_of_pieces(observed: Observed, found: Forecast) -> Planned:
+def solution_of_pieces(observed: Observed, forecast: Forecast) -> Planned:
     """What pieces show, planned or recorded, and solution and tables with zero deviations."""
     machine = observed.machine
-    system = build_system(machine, found.pieces, observed.pose, found.unknowns)
-    whitener = Whitener.of(system, found.pieces, observed.noise)
+    system = build_system(machine, forecast.pieces, observed.pose, forecast.unknowns)
+    whitener = Whitener.of(system, forecast.pieces, observed.noise)
     solved = SolvedRun(observed.pose, system, whitener, np.zeros_like(system.deviation))
-    nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
-    solution = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
-    return observed, solution, tables_of(machine, found.unknowns, found.solution)
+    nothing = Roughness({}, np.zeros((forecast.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
+    solution = JointSolution(
+        forecast.unknowns, forecast.solution, nothing, forecast.normal, (solved,), 1
+    )
+    return observed, solution, tables_of(machine, forecast.unknowns, forecast.solution)
 
 
 @dataclass(frozen=True)
@@ -528,21 +530,21 @@ class PlannedSystematic:
         }
 
 
-def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
+def planned_systematic(planned: Planned, forecast: Forecast) -> PlannedSystematic:
     """Forecast the grid with declared contributions, and with typical ones for the others.
 
     Parameters
     ----------
     planned : tuple of Observed, JointSolution, ErrorTables
         See ``planned_solution``.
-    found : Forecast
+    forecast : Forecast
         Of the same plan.
     """
     run, solution, tables = planned
-    rows = table_rows(found.unknowns, found.nodes)
+    rows = table_rows(forecast.unknowns, forecast.nodes)
 
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
-        total = np.zeros_like(found.covariance)
+        total = np.zeros_like(forecast.covariance)
         states = piece_states(runs, solution, tables) if sources else []
         for free in systematic_sensitivities(sources, states, solution):
             change = rows @ free
@@ -550,14 +552,14 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
         return total
 
     def lengths(covariance: Array) -> Array:
-        free = grid_uncertainty(run.machine, found.nodes, covariance, found.grid)[1]
+        free = grid_uncertainty(run.machine, forecast.nodes, covariance, forecast.grid)[1]
         return np.asarray(np.linalg.norm(free, axis=1))
 
     keys = missing_keys([run])
     missing = [s for s in SYSTEMATIC if set(s.keys) & set(keys)]
     declared = declared_sources([run])
-    own = found.covariance + added(declared, [run])
-    noise = np.linalg.norm(found.grid_u_free, axis=1)
+    own = forecast.covariance + added(declared, [run])
+    noise = np.linalg.norm(forecast.grid_u_free, axis=1)
     stated = lengths(own) if declared else noise
     whole = lengths(own + added(missing, typical_runs([run], keys))) if missing else stated
     expected = Expected(
@@ -570,7 +572,7 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
     return PlannedSystematic(
         tuple(s.source for s in declared),
         expected.assumed,
-        found.mean_grid_u,
+        forecast.mean_grid_u,
         float(stated.mean()),
         float(whole.mean()),
         expected,

@@ -82,14 +82,14 @@ class CandidateLines:
     target: Array
     visible: tuple[str, ...]
 
-    def at_feeds(self, kept: NDArray[np.bool_]) -> CandidateLines:
+    def at_feeds(self, selected: NDArray[np.bool_]) -> CandidateLines:
         """Return the lines at some of the feeds only."""
         size = self.prior.shape[0]
-        information = self.information.reshape(*self.cost.shape, size, size)[:, kept]
+        information = self.information.reshape(*self.cost.shape, size, size)[:, selected]
         return replace(
             self,
-            feeds=self.feeds[kept],
-            cost=self.cost[:, kept],
+            feeds=self.feeds[selected],
+            cost=self.cost[:, selected],
             information=np.ascontiguousarray(information.reshape(-1, size, size)),
         )
 
@@ -432,9 +432,9 @@ class PathOptimiser:
         dwell[[0, -1]] = self._config.end_dwell
         return Plan(NominalPath(path), np.concatenate(feeds), dwell)
 
-    def _missing(self, found: Forecast) -> tuple[str, ...]:
-        loose = found.loose_nodes
-        missing = (set(self.lines.visible) & set(found.not_identifiable)) | set(loose)
+    def _missing(self, forecast: Forecast) -> tuple[str, ...]:
+        loose = forecast.loose_nodes
+        missing = (set(self.lines.visible) & set(forecast.not_identifiable)) | set(loose)
         return tuple(n for n in self.lines.visible if n in missing)
 
     def _attempt(self, budget: float) -> OptimisedPlan | None:

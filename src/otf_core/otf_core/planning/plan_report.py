@@ -198,11 +198,11 @@ def _chosen(
 
 
 def _judged(
-    plan: Plan, setup: Setup, found: Forecast, planned: Planned
+    plan: Plan, setup: Setup, forecast: Forecast, planned: Planned
 ) -> tuple[list[TrackerPlace], float, PlannedSystematic]:
     """Places of the tracker compared, what is left at the one chosen, what is systematic."""
-    judge = judge_places(plan, setup, found.solution.accepted)
-    systematic = planned_systematic(planned, found)
+    judge = judge_places(plan, setup, forecast.solution.accepted)
+    systematic = planned_systematic(planned, forecast)
     return compare_places(plan, setup, judge), judge(setup.place), systematic
 
 

@@ -130,10 +130,10 @@ def positions_of(machine: Machine, **axes: Array | float) -> Array:
     Axes that are not given stand at zero, or where zero is outside their range in its middle.
     """
     count = max(np.atleast_1d(np.asarray(own)).size for own in axes.values())
-    found = np.tile(rest(machine), (count, 1))
+    positions = np.tile(rest(machine), (count, 1))
     for name, own in axes.items():
-        found[:, machine.column(name)] = own
-    return found
+        positions[:, machine.column(name)] = own
+    return positions
 
 
 def rest(machine: Machine) -> Array:
@@ -233,17 +233,17 @@ def creeps(machine: Machine, axis: str, target: str) -> list[Array]:
     own = machine.axes[axis]
     across = np.array(own.direction)
     side = np.cross(across, np.eye(3)[np.argmin(np.abs(across))])
-    found = []
+    paths = []
     table = axis in machine.chain.table_side
     for x, y, z in CREEP_PLACES:
         at = REACH * np.array([x, y, z])
         start = np.array(own.centre) + at if table else nominal + 0.5 * at
         for drift in (CREEP * across, CREEP * side / np.linalg.norm(side)):
             try:
-                found.append(creep(machine, axis, start - 0.5 * drift, drift, target))
+                paths.append(creep(machine, axis, start - 0.5 * drift, drift, target))
             except ConfigError:
                 continue
-    return found
+    return paths
 
 
 def _middle(machine: Machine) -> Array:
@@ -462,12 +462,12 @@ def forecast_parts(
     accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
     prior = expected_precision(unknowns, limit, judged.error_size)
     solution = solve(normal, unknowns, limit, accepted, prior)
-    done = AxisSolution(
+    solved = AxisSolution(
         machine, unknowns, solution, cast(Any, None), normal, (), (pose,), places, 0
     )
-    values = gauge_matrix(machine, nodes) @ raw_rows(done, nodes)
+    values = gauge_matrix(machine, nodes) @ raw_rows(solved, nodes)
     cover = values @ solution.covariance @ values.T
-    seen = determined(done, values, limit)
+    seen = determined(solved, values, limit)
     u, hidden = _by_name(machine, nodes, np.sqrt(np.maximum(np.diag(cover), 0.0)), seen)
     field = field_rows(machine, nodes, evenly_spread(low, high))
     variance = np.einsum('ij,ij->i', field @ cover, field).reshape(-1, 3).sum(axis=1)
@@ -488,20 +488,20 @@ def _by_name(
     machine: Machine, nodes: Mapping[str, Array], u: Array, seen: NDArray[np.bool_]
 ) -> tuple[dict[str, float], list[str]]:
     """Uncertainty of every error, and those of which most nodes are not determined."""
-    found, hidden = {}, []
+    by_name, hidden = {}, []
     start = len(machine.scalars)
     for k, name in enumerate(machine.scalars):
-        found[name] = float(u[k])
+        by_name[name] = float(u[k])
         if not seen[k]:
             hidden.append(name)
     for motion in machine.motions:
         own = slice(start, start + len(nodes[motion.axis]))
         start = own.stop
         loose = u[own] > 0.0
-        found[str(motion)] = float(np.sqrt(np.mean(u[own] ** 2)))
+        by_name[str(motion)] = float(np.sqrt(np.mean(u[own] ** 2)))
         if not loose.any() or np.mean(seen[own][loose]) <= 0.5:
             hidden.append(str(motion))
-    return found, hidden
+    return by_name, hidden
 
 
 def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str:
@@ -617,11 +617,11 @@ def check_side(machine: Machine, place: Array) -> None:
     ConfigError
         Says in which share of the positions, and on which side the tracker must stand.
     """
-    for name, found in sights(machine, place).items():
-        if found.open < LEAST_OPEN:
+    for name, sight in sights(machine, place).items():
+        if sight.open < LEAST_OPEN:
             good = ', '.join(f'{v:.2f}' for v in beside(machine))
             raise ConfigError(
-                f'tracker_place: the table hides {name} in {100 * (1 - found.open):.0f} % of the '
+                f'tracker_place: the table hides {name} in {100 * (1 - sight.open):.0f} % of the '
                 f'positions of its rotary axes; stand on the side to which it tilts, such as '
                 f'{good} m'
             )

@@ -61,7 +61,7 @@ class OffsetBound:
         """All of them in one sentence; empty if there are none."""
         if not self.contains:
             return ''
-        unseen = dict.fromkeys(r for found in self.contains.values() for r in found)
+        unseen = dict.fromkeys(r for rotations in self.contains.values() for r in rotations)
         return (
             f'valid only at the target offset {offset_words(self.offset)}: '
             f'{", ".join(self.contains)}; they contain {", ".join(unseen)} times the lever arm of '
@@ -73,7 +73,7 @@ class OffsetBound:
         return {
             'unit': 'm',
             'offset': self.offset.tolist(),
-            'contains': {name: list(found) for name, found in self.contains.items()},
+            'contains': {name: list(rotations) for name, rotations in self.contains.items()},
         }
 
 
@@ -94,7 +94,7 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
     basis = np.concatenate([rigid_columns(q), *columns], axis=2).reshape(3 * len(q), -1)
     scale = np.linalg.norm(basis, axis=0)
     used = scale > 0
-    found: dict[str, list[str]] = {}
+    contained: dict[str, list[str]] = {}
     for rotation in (m for m in MOTIONS if m in hidden and not m.is_translation):
         arm = np.broadcast_to(machine.target_offset, q.shape)
         functions = _shapes(rotation, s[:, rotation.place])
@@ -109,11 +109,11 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
         for name, own in zip(names, columns, strict=True):
             stop = start + own.shape[2]
             if size[start:stop].max() > LEAST:
-                found.setdefault(name, []).append(rotation)
+                contained.setdefault(name, []).append(rotation)
             start = stop
     return OffsetBound(
         machine.target_offset,
-        {n: tuple(found[n]) for n in (*SQUARENESS, *MOTIONS) if n in found},
+        {n: tuple(contained[n]) for n in (*SQUARENESS, *MOTIONS) if n in contained},
     )
 
 

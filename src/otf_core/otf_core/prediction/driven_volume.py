@@ -72,20 +72,20 @@ def _hull(points: Array) -> tuple[Array, Array]:
     flat = [np.r_[sign * axes[k], 0.0] for k in range(size, 3) for sign in (1.0, -1.0)]
     if size > 1:
         hull = ConvexHull(local[:, :size])
-        kept = np.sort(hull.vertices)
+        vertices = np.sort(hull.vertices)
         faces = np.unique(hull.equations, axis=0)  # qhull cuts a face into triangles
         planes = np.column_stack([faces[:, :-1] @ axes[:size], faces[:, -1]])
     elif size == 1:
         ends = np.array([local[:, 0].argmax(), local[:, 0].argmin()])
-        kept = np.sort(ends)
+        vertices = np.sort(ends)
         planes = np.array(
             [[*s * axes[0], -s * local[k, 0]] for s, k in zip((1, -1), ends, strict=True)]
         )
     else:
-        kept, planes = np.zeros(1, dtype=int), np.empty((0, 4))
+        vertices, planes = np.zeros(1, dtype=int), np.empty((0, 4))
     planes = np.concatenate([planes, np.reshape(flat, (-1, 4))])
     planes[:, 3] -= planes[:, :3] @ centre
-    return kept, planes
+    return vertices, planes
 
 
 def driven_volume(points: Array, margin: float) -> DrivenVolume:

@@ -159,9 +159,14 @@ def predict(
     notes = [*check_points(predictor.tables, q, where), *predictor.lacking]
     if not predictor.correlated:
         notes.append('the tables hold no covariance; u takes their nodes as independent')
-    found = predictor.at(q)
-    notes += _outside_note(found.inside, predictor.prior)
+    prediction = predictor.at(q)
+    notes += _outside_note(prediction.inside, predictor.prior)
     notes += _unseen_note(predictor.unseen(q), predictor.prior)
     return Prediction(
-        found.error, found.u, found.inside, predictor.correlated, predictor.holds, tuple(notes)
+        prediction.error,
+        prediction.u,
+        prediction.inside,
+        predictor.correlated,
+        predictor.holds,
+        tuple(notes),
     )

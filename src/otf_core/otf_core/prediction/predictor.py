@@ -147,15 +147,15 @@ class Predictor:
 
 def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
     """What a file does not say, ``u`` only where it is taken ``from_nodes``."""
-    found = []
+    notes = []
     if content.without_value:
-        found.append(
+        notes.append(
             f'the tables do not contain {", ".join(content.without_value)}: taken as zero'
         )
     if content.without_u and from_nodes:
         names = ', '.join(content.without_u)
-        found.append(f'the tables hold no u of {names}: taken as exact, so u is too small')
-    return tuple(found)
+        notes.append(f'the tables hold no u of {names}: taken as exact, so u is too small')
+    return tuple(notes)
 
 
 def _independent(tables: ErrorTables) -> Array:

@@ -171,7 +171,7 @@ def unseen_columns(
     mapping of name to ndarray, shape (n, 3), m/rad
         Displacement per rad that the tables do not hold; without those that have none.
     """
-    found = {}
+    columns_by_name = {}
     for name in names:
         if name in SQUARENESS:
             columns = squareness_influence(name, q - np.clip(q, low, high))
@@ -181,8 +181,8 @@ def unseen_columns(
             change = _lever_change(tables, motion.axis, q, low, high, offset)
             columns = turned(motion.along, change)
         if np.any(np.abs(columns) > NO_LEVER):
-            found[name] = columns
-    return found
+            columns_by_name[name] = columns
+    return columns_by_name
 
 
 def unseen_variance(

@@ -587,7 +587,7 @@ def facts_of(
 
 
 def write_with_effects(
-    done: EffectsCalibration,
+    both: EffectsCalibration,
     folder: str | Path,
     *,
     residuals: bool = True,
@@ -604,7 +604,7 @@ def write_with_effects(
     folder = Path(folder)
     files = []
     written = write_calibration(
-        done.result,
+        both.result,
         folder,
         residuals=residuals,
         residuals_csv=residuals_csv,
@@ -612,20 +612,20 @@ def write_with_effects(
         certificate=certificate,
         missing=missing,
     )
-    machine = done.result.tables.machine
-    for number, applied in enumerate(done.applied):
-        if applied and (not number or _differs(applied, done.applied[0])):
+    machine = both.result.tables.machine
+    for number, applied in enumerate(both.applied):
+        if applied and (not number or _differs(applied, both.applied[0])):
             name = f'{EFFECTS_FILE}_run_{number + 1}' if number else EFFECTS_FILE
             files.append(folder / f'{name}.yaml')
             write_effects(files[-1], applied, machine)
-    if done.applied[0]:
+    if both.applied[0]:
         plain = folder / PLAIN_FOLDER
         lost: dict[str, str] | None = None if missing is None else {}
         if write_if_it_fits(
             missing,
             PLAIN_FOLDER,
             lambda: write_calibration(
-                done.plain, plain, residuals=residuals, report=report, missing=lost
+                both.plain, plain, residuals=residuals, report=report, missing=lost
             ),
         ):
             files.append(plain / TABLES_FILE)
@@ -635,18 +635,18 @@ def write_with_effects(
     return [*written, *files]
 
 
-def write_reports(done: EffectsCalibration, folder: Path) -> None:
+def write_reports(both: EffectsCalibration, folder: Path) -> None:
     """Write the reports that ``write_with_effects`` has left out."""
-    write_report(folder, facts_of(done.result))
-    if done.applied[0]:
-        write_report(folder / PLAIN_FOLDER, facts_of(done.plain))
+    write_report(folder, facts_of(both.result))
+    if both.applied[0]:
+        write_report(folder / PLAIN_FOLDER, facts_of(both.plain))
 
 
-def write_residuals_of_both(done: EffectsCalibration, folder: Path) -> None:
+def write_residuals_of_both(both: EffectsCalibration, folder: Path) -> None:
     """Write residuals.npz where ``write_with_effects`` has left it out."""
-    write_residuals(done.result.runs, folder)
-    if done.applied[0]:
-        write_residuals(done.plain.runs, folder / PLAIN_FOLDER)
+    write_residuals(both.result.runs, folder)
+    if both.applied[0]:
+        write_residuals(both.plain.runs, folder / PLAIN_FOLDER)
 
 
 def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:

@@ -96,10 +96,12 @@ def _squareness(data: Mapping[str, Any], name: str) -> str:
     return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
 
 
-def offset_remarks(done: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+def offset_remarks(results: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
     """What is to be minded where values hold at the target offset of their own run only."""
     bound = {
-        name: data['target_offset_bound'] for name, data in done if 'target_offset_bound' in data
+        name: data['target_offset_bound']
+        for name, data in results
+        if 'target_offset_bound' in data
     }
     contains = [
         n for n in (*SQUARENESS, *MOTIONS) if any(n in b['contains'] for b in bound.values())

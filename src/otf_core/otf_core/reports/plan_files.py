@@ -256,17 +256,17 @@ def _margin(report: PlanReport) -> float:
     return float(max(inside, 0.0))
 
 
-def _errors(found: Forecast) -> dict[str, Any]:
+def _errors(forecast: Forecast) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for name in (*SQUARENESS, *MOTIONS):
         entry: dict[str, Any] = {'unit': unit_of(name)}
         if name in MOTIONS:
             axis = ErrorMotion.of(name).axis
-            entry |= {'axis': axis, 'position': found.nodes[axis].tolist()}
+            entry |= {'axis': axis, 'position': forecast.nodes[axis].tolist()}
         entry |= {
-            'identifiable': name in found.solution.accepted,
-            'node_identifiable': found.seen_at(name).tolist(),
-            'u': found.u[name].tolist(),
+            'identifiable': name in forecast.solution.accepted,
+            'node_identifiable': forecast.seen_at(name).tolist(),
+            'u': forecast.u[name].tolist(),
         }
         entries[name] = entry
     return entries
@@ -313,13 +313,16 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
     }
 
 
-def _error_lines(found: Forecast) -> list[str]:
+def _error_lines(forecast: Forecast) -> list[str]:
     lines = [f'{"error":6} {"mean u":>10} {"max u":>10}']
     for name in (*SQUARENESS, *MOTIONS):
-        if name not in found.solution.accepted:
+        if name not in forecast.solution.accepted:
             lines.append(f'{name:6} not identifiable')
             continue
-        u, unit = 1e6 * found.u[name], 'um' if name in MOTIONS and unit_of(name) == 'm' else 'urad'
+        u, unit = (
+            1e6 * forecast.u[name],
+            'um' if name in MOTIONS and unit_of(name) == 'm' else 'urad',
+        )
         lines.append(f'{name:6} {u.mean():10.3f} {u.max():10.3f} {unit}')
     return lines
 

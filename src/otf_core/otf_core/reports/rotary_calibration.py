@@ -125,8 +125,8 @@ def _run_to_dict(result: AxisCalibration, number: int) -> dict[str, Any]:
 
 def verdicts_of(result: AxisCalibration) -> Verdicts:
     """Verdict on the measurement, and on the machine by its limits."""
-    made = result.made
-    machine = judge_axes(result.tables, made.covariance, made.hidden)
+    tabulated = result.made
+    machine = judge_axes(result.tables, tabulated.covariance, tabulated.hidden)
     return Verdicts(result.failed_gates, machine)
 
 
@@ -289,13 +289,13 @@ def _motions(result: AxisCalibration) -> Section:
 
 def _pictures(result: AxisCalibration) -> Sequence[Picture]:
     names = result.machine.axis_names
-    found = []
+    pictures = []
     for axis in names:
         panels = tuple(_panel(result, ErrorMotion(d, axis)) for d in DIRECTIONS)
         rotary = result.machine.axes[axis].rotary
-        found.append(Picture(panels, '', columns=3, title=f'Axis {axis}'))
+        pictures.append(Picture(panels, '', columns=3, title=f'Axis {axis}'))
         if rotary:
-            found.append(
+            pictures.append(
                 Picture(
                     (_polar(result, axis),),
                     f'Radial motion of {axis} about its average line; the circle is zero, the '
@@ -303,7 +303,7 @@ def _pictures(result: AxisCalibration) -> Sequence[Picture]:
                     title=f'Radial motion of {axis}',
                 )
             )
-    return found
+    return pictures
 
 
 def _panel(result: AxisCalibration, motion: ErrorMotion) -> str:
@@ -428,9 +428,9 @@ def _volume(result: AxisCalibration) -> Section:
 
 
 def _with(q: Array, columns: list[int], values: Array) -> Array:
-    found = q.copy()
-    found[:, columns] = values
-    return found
+    positions = q.copy()
+    positions[:, columns] = values
+    return positions
 
 
 def _targets(result: AxisCalibration) -> Section:

@@ -60,7 +60,7 @@ class RotaryPlan:
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
     """Return a plan as plain data in the layout of plan.json."""
-    found = plan.forecast
+    forecast = plan.forecast
     return {
         'schema': SCHEMA,
         'machine': plan.machine.to_dict(),
@@ -81,10 +81,10 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
             for name, own in plan.sight.items()
         },
         'forecast': {
-            'duration': found.duration,
-            'grid_u': found.grid_u,
-            'u': {n: {'u': u, 'unit': unit_of(n)} for n, u in found.u.items()},
-            'hidden': dict(found.hidden),
+            'duration': forecast.duration,
+            'grid_u': forecast.grid_u,
+            'u': {n: {'u': u, 'unit': unit_of(n)} for n, u in forecast.u.items()},
+            'hidden': dict(forecast.hidden),
         },
         'provenance': dict(about),
     }
@@ -92,14 +92,14 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
 
 def plan_words(plan: RotaryPlan) -> str:
     """Return the plan in words: parts, what will be seen how well, what not and why."""
-    machine, found = plan.machine, plan.forecast
+    machine, forecast = plan.machine, plan.forecast
     link = 'bed' if machine.tracker.link == BED else 'table'
     at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
     order = [part.path.target for part in plan.parts]
     moves = sum(a != b for a, b in pairwise(order))
     lines = [
         f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
-        f'{found.duration / 60:.1f} min of driving, {moves} moves of the reflector by hand '
+        f'{forecast.duration / 60:.1f} min of driving, {moves} moves of the reflector by hand '
         f'(about {moves * HAND_MOVE / 60:.0f} min); the tracker stays where it is throughout',
         '',
     ]
@@ -115,19 +115,20 @@ def plan_words(plan: RotaryPlan) -> str:
         )
     lines += [
         '',
-        f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * found.grid_u:.2f} um '
-        f'on average over the ranges driven; of errors (um, urad; root mean square of the nodes):',
+        f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * forecast.grid_u:.2f} '
+        f'um on average over the ranges driven; of errors (um, urad; root mean square of the '
+        f'nodes):',
     ]
-    shown = [n for n in found.u if n not in found.hidden]
+    shown = [n for n in forecast.u if n not in forecast.hidden]
     groups = [list(machine.squareness), list(machine.location)]
     groups += [[str(m) for m in machine.motions if m.axis == a] for a in machine.axis_names]
     for group in groups:
-        stated = [f'{n} {1e6 * found.u[n]:.2f}' for n in group if n in shown]
+        stated = [f'{n} {1e6 * forecast.u[n]:.2f}' for n in group if n in shown]
         if stated:
             lines.append('  ' + ', '.join(stated))
-    if found.hidden:
+    if forecast.hidden:
         lines += ['', 'Will not be seen:']
-        lines += [f'  {name}: {why}' for name, why in found.hidden.items()]
+        lines += [f'  {name}: {why}' for name, why in forecast.hidden.items()]
     return '\n'.join(lines) + '\n'
 
 

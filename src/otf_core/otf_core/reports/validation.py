@@ -42,9 +42,9 @@ def _space(items: list[Item], points: Array, title: str) -> str:
     return scene([*box(low, high), *items], low, high, title, turns=False)
 
 
-def draw_path(found: Validation, folder: str | Path) -> Path:
+def draw_path(validation: Validation, folder: str | Path) -> Path:
     """Figure 1: path, measured points, points after rough alignment."""
-    run = found.example
+    run = validation.example
     points = run.samples.xyz[:: max(1, len(run.samples) // 3000)]
     pose = align(run.samples, run.plan.path, CalibrationConfig()).T_machine_tracker
     path, aligned = run.plan.path.points, pose.apply(points)
@@ -59,9 +59,9 @@ def draw_path(found: Validation, folder: str | Path) -> Path:
     return write_sheet(folder, 'figure1-path', [picture], 1, title, key=key)
 
 
-def draw_reference(found: Validation, folder: str | Path) -> Path:
+def draw_reference(validation: Validation, folder: str | Path) -> Path:
     """Figure 2: trajectory of the reference points."""
-    points = found.cells[0].reference.reference.path.points
+    points = validation.cells[0].reference.reference.path.points
     picture = _space(
         [_line(points, 'noise thin'), Dots('after node', points)], points, 'reference points'
     )
@@ -69,9 +69,9 @@ def draw_reference(found: Validation, folder: str | Path) -> Path:
     return write_sheet(folder, 'figure2-reference-points', [picture], 1, title)
 
 
-def draw_frame(found: Validation, folder: str | Path) -> Path:
+def draw_frame(validation: Validation, folder: str | Path) -> Path:
     """Figure 3: path coordinate systems at some points of the path."""
-    run = found.example
+    run = validation.example
     solved = run.result.runs[0]
     pieces, pose = solved.pieces, run.result.T_machine_tracker
     shown = np.linspace(0, len(pieces) - 1, 12).astype(int)
@@ -90,9 +90,9 @@ def draw_frame(found: Validation, folder: str | Path) -> Path:
     return write_sheet(folder, 'figure3-path-frame', [picture], 1, title, key=key)
 
 
-def draw_residuals(found: Validation, folder: str | Path) -> Path:
+def draw_residuals(validation: Validation, folder: str | Path) -> Path:
     """Figure 4: what compensation leaves on the path and on a grid, against the truth."""
-    run = found.example
+    run = validation.example
     solved, tables = run.result.runs[0], run.result.tables
     remainder = displacement(run.truth, solved.q) - displacement(tables, solved.q)
     every = slice(None, None, max(1, len(solved.q) // 1000))
@@ -111,9 +111,9 @@ def draw_residuals(found: Validation, folder: str | Path) -> Path:
     return write_sheet(folder, 'figure4-residuals', pictures, 2, title, caption, key)
 
 
-def draw_prediction(found: Validation, folder: str | Path) -> Path:
+def draw_prediction(validation: Validation, folder: str | Path) -> Path:
     """Figure 5: prediction of the reference points by each calibration, mean over the cells."""
-    tests = [c.reference for c in found.cells]
+    tests = [c.reference for c in validation.cells]
     values = {'uncompensated': [t.uncompensated for t in tests]}
     for method in tests[0].residual:
         label = method if not method.isdigit() else f'{method} mm/min'
@@ -131,13 +131,13 @@ def draw_prediction(found: Validation, folder: str | Path) -> Path:
 
 
 def draw_validation(
-    found: Validation, measurement: DirectMeasurement, folder: str | Path
+    validation: Validation, measurement: DirectMeasurement, folder: str | Path
 ) -> list[Path]:
     """Write all figures; ``measurement`` is the direct one of the first cell."""
     drawn = (draw_path, draw_reference, draw_frame, draw_residuals, draw_prediction)
-    files = [draw(found, folder) for draw in drawn]
-    comparison = found.cells[0].direct
-    readings = motion_readings(measurement, found.cells[0].reference.truth.machine)
+    files = [draw(validation, folder) for draw in drawn]
+    comparison = validation.cells[0].direct
+    readings = motion_readings(measurement, validation.cells[0].reference.truth.machine)
     for number, motion in enumerate(FIGURE_MOTIONS, start=6):
         name = f'figure{number}-{motion}'
         files.append(draw_motion(comparison, motion, folder, name, readings[motion]))
@@ -146,7 +146,7 @@ def draw_validation(
 
 
 def write_validation(
-    found: Validation, measurement: DirectMeasurement, folder: str | Path
+    validation: Validation, measurement: DirectMeasurement, folder: str | Path
 ) -> list[Path]:
     """Write the figures, and the table as ``write_table`` does.
 
@@ -156,8 +156,8 @@ def write_validation(
         The direct one of the first cell.
     """
     folder = ensure_folder(folder)
-    files = draw_validation(found, measurement, folder)
-    return [*files, *write_table(found.seeds, found.rows, folder)]
+    files = draw_validation(validation, measurement, folder)
+    return [*files, *write_table(validation.seeds, validation.rows, folder)]
 
 
 def write_table(seeds: Sequence[int], rows: Sequence[Row], folder: Path) -> list[Path]:

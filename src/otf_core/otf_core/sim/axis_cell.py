@@ -95,18 +95,20 @@ class JointDrive:
         """Programmed positions (n, k) at times (n,), s."""
         k = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
         elapsed = np.clip(time - self._start[k], 0.0, self._moving[k])
-        peak, left = self._peak[k], self._moving[k] - elapsed
+        peak, remaining = self._peak[k], self._moving[k] - elapsed
         ramp = peak / self._acceleration
-        done = np.select(
-            [elapsed < ramp, left < ramp],
+        travelled = np.select(
+            [elapsed < ramp, remaining < ramp],
             [
                 0.5 * self._acceleration * elapsed**2,
-                self._size[k] - 0.5 * self._acceleration * left**2,
+                self._size[k] - 0.5 * self._acceleration * remaining**2,
             ],
             peak * (elapsed - 0.5 * ramp),
         )
         corners = np.arange(len(self._reach), dtype=float)
-        return position_at(self._positions, np.interp(self._low[k] + done, self._reach, corners))
+        return position_at(
+            self._positions, np.interp(self._low[k] + travelled, self._reach, corners)
+        )
 
 
 def simulate_parts(

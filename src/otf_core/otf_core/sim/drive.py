@@ -73,10 +73,10 @@ class Drive:
     def _travelled(self, leg: NDArray[np.int64], elapsed: Array) -> Array:
         peak, acceleration = self._peak[leg], self._acceleration
         ramp = peak / acceleration
-        left = self._moving[leg] - elapsed
+        remaining = self._moving[leg] - elapsed
         length = self._plan.path.leg_lengths[leg]
         return np.select(
-            [elapsed < ramp, left < ramp],
-            [0.5 * acceleration * elapsed**2, length - 0.5 * acceleration * left**2],
+            [elapsed < ramp, remaining < ramp],
+            [0.5 * acceleration * elapsed**2, length - 0.5 * acceleration * remaining**2],
             peak * (elapsed - 0.5 * ramp),
         )

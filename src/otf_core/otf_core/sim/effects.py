@@ -115,14 +115,14 @@ def _stated(one: AppliedEffect, state: State) -> str:
 
 def changed_noise(noise: NoiseModel, effects: Sequence[AppliedEffect]) -> NoiseModel:
     """Noise once tracker_noise has acted on it; the last one counts."""
-    found = noise
+    model = noise
     for one in effects:
         if isinstance(one.effect, TrackerNoise):
             shape = one.effect.complete_shape(one.parameters)
             factors = (shape['level_range'], *[shape['level_angle']] * 2)
             parts = (_changed(c, f, shape) for c, f in zip(noise, factors, strict=True))
-            found = NoiseModel(*parts)
-    return found
+            model = NoiseModel(*parts)
+    return model
 
 
 def _changed(noise: NoiseComponent, factor: float, shape: Shape) -> NoiseComponent:

@@ -55,14 +55,14 @@ def simulated_signals(
             specs[wanted] = _undeclared(wanted)
     time = np.arange(0.0, duration + STEP, STEP)
     stamps = start_ns + np.rint(1e9 * time).astype(np.int64)
-    found = {}
+    signals = {}
     for wanted, spec in specs.items():
         course = _load(time / max(duration, STEP), rng)
         if spec.type in RANGES:
             course = lagged(time, course, FOLLOWS * duration)
         low, high = ranges.get(wanted) or RANGES.get(spec.type, (0.0, 1.0))
-        found[spec] = Signal(stamps, low + (high - low) * course)
-    return found
+        signals[spec] = Signal(stamps, low + (high - low) * course)
+    return signals
 
 
 def signal_courses(signals: Mapping[SignalSpec, Signal], start_ns: int, time: Array) -> Courses:

@@ -225,7 +225,7 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
     least : float
         m.
     """
-    found, points = np.zeros((len(legs), 2)), track.points
+    lengths, points = np.zeros((len(legs), 2)), track.points
     centre, unit = (values[legs] for values in track.lines)
     first, last = track.start[legs], track.stop[legs]
     outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
@@ -238,8 +238,8 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
     )
     for k, side in np.argwhere(doubtful & long_enough[:, None]).tolist():
         way = points[first[k] : last[k] + 1][:: -1 if side else 1]
-        found[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
-    return found
+        lengths[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
+    return lengths
 
 
 def _rounding_length(way: Array, centre: Array, unit: Array, corner: Array, least: float) -> float:
@@ -391,12 +391,12 @@ def _coverage(match: Match, guide: Guide, slack: float) -> float:
 def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
     """Driven spans of every leg, m from its start."""
     places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
-    found: dict[int, list[tuple[float, float]]] = {}
+    spans: dict[int, list[tuple[float, float]]] = {}
     for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
         j = int(match.leg[k])
         low, high = sorted(float((p[k] - legs.corners[j]) @ legs.unit[j]) for p in places)
-        found.setdefault(j, []).append((max(low, 0.0), min(high, float(legs.length[j]))))
-    return found
+        spans.setdefault(j, []).append((max(low, 0.0), min(high, float(legs.length[j]))))
+    return spans
 
 
 @dataclass(frozen=True)
@@ -453,7 +453,7 @@ def align(
     known = followed(samples, path, config, seen)
     tolerance, driven, pose = config.match_tolerance, known.driven, known.pose
     exclusion = config.corner_exclusion
-    found = Alignment(
+    alignment = Alignment(
         pose,
         driven.shape.corners,
         sample_chords(known.match, driven, pose, samples.xyz, exclusion, 4 * tolerance),
@@ -464,8 +464,8 @@ def align(
         known.rounded,
     )
     if driven.shape.straight:
-        return found
-    return _on_arcs(found, pose.apply(samples.xyz), SHORT_CURVE * exclusion)
+        return alignment
+    return _on_arcs(alignment, pose.apply(samples.xyz), SHORT_CURVE * exclusion)
 
 
 def followed(
@@ -504,40 +504,40 @@ def followed(
     return Followed(measured, path, config, guide, match, driven, rounded, pose)
 
 
-def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
+def _on_arcs(alignment: Alignment, points: Array, least: float) -> Alignment:
     """Take the arcs through the joints of curves for the path, if they were driven."""
-    lines = Lines.of(found.shape)
-    on = np.flatnonzero(found.leg != OFF_PATH)
-    on = on[lines.shape.curved[found.leg[on]]]
-    bulge = bulge_of(points[on], found.leg[on].astype(np.int64), lines, least)
+    lines = Lines.of(alignment.shape)
+    on = np.flatnonzero(alignment.leg != OFF_PATH)
+    on = on[lines.shape.curved[alignment.leg[on]]]
+    bulge = bulge_of(points[on], alignment.leg[on].astype(np.int64), lines, least)
     if bulge is None or not bulge.arcs:
-        return replace(found, bulge=bulge)
+        return replace(alignment, bulge=bulge)
     shape, start, parent = with_arcs(lines)
-    leg = np.where(found.leg == OFF_PATH, OFF_PATH, start[found.leg])
+    leg = np.where(alignment.leg == OFF_PATH, OFF_PATH, start[alignment.leg])
     on = np.flatnonzero(leg != OFF_PATH)
     leg[on] = Lines.of(shape).settled(points[on], leg[on])
-    assert found.published is not None and found.rounded is not None
+    assert alignment.published is not None and alignment.rounded is not None
     return replace(
-        found,
+        alignment,
         corners=shape.corners,
         leg=leg.astype(np.int32),
         curves=shape,
-        published=found.published[parent],
-        rounded=found.rounded[parent],
+        published=alignment.published[parent],
+        rounded=alignment.rounded[parent],
         bulge=bulge,
     )
 
 
 def _rounding_of_legs(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
     """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
-    found = np.zeros((len(driven.shape.stretch), 2))
+    rounding = np.zeros((len(driven.shape.stretch), 2))
     legs = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
     chord = driven.chord[legs]
     corners = Legs(driven.shape.corners).seen_from(match.pose).corners
     ends = np.stack([corners[chord], corners[chord + 1]], axis=1)
     rounded = rounded_ends(match.track, legs, ends, config.corner_exclusion)
-    np.maximum.at(found, chord, rounded)
-    return found
+    np.maximum.at(rounding, chord, rounded)
+    return rounding
 
 
 def _reaches_end(match: Match, vertices: Array, tolerance: float) -> bool:

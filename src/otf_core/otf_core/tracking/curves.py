@@ -74,11 +74,11 @@ class PathShape:
     def vertices(self, tolerance: float) -> Index:
         """Corner points that are matched: curves thinned to within ``tolerance``, m."""
         bounds = [*np.unique(self.stretch).tolist(), len(self.stretch)]
-        kept = [
+        parts = [
             a + simplify(self.corners[a : b + 1], tolerance)[:-1] if b - a > 1 else [a]
             for a, b in pairwise(bounds)
         ]
-        return np.concatenate([*kept, [len(self.stretch)]]).astype(np.int64)
+        return np.concatenate([*parts, [len(self.stretch)]]).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -240,26 +240,26 @@ def curve_boundaries(corners: Array, nodes: tuple[Array, ...], size: float) -> A
         m.
     """
     legs = Legs(corners)
-    step, length, done, unit = legs.step, legs.length, legs.reach, legs.unit
-    cuts = [done[[0, -1]]]
+    step, length, reach, unit = legs.step, legs.length, legs.reach, legs.unit
+    cuts = [reach[[0, -1]]]
     for axis in range(3):
         moving = np.flatnonzero(np.abs(step[:, axis]) > 1e-9)
         place = (nodes[axis] - corners[moving, axis, None]) / step[moving, axis, None]
         chord, node = np.nonzero((place >= 0) & (place <= 1))
-        cuts.append(done[moving[chord]] + place[chord, node] * length[moving[chord]])
+        cuts.append(reach[moving[chord]] + place[chord, node] * length[moving[chord]])
         sense = np.where(np.abs(unit[:, axis]) > MOVING, np.sign(unit[:, axis]), 0.0)
-        cuts.append(done[1:-1][np.diff(sense) != 0])
+        cuts.append(reach[1:-1][np.diff(sense) != 0])
     marks = np.unique(np.concatenate(cuts))
     marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
     # the direction between the middles of chords, as if the curve turned evenly
     turned = np.concatenate([[0.0], np.cumsum(turns(unit))])
-    angle = np.interp(marks, 0.5 * (done[1:] + done[:-1]), turned)
+    angle = np.interp(marks, 0.5 * (reach[1:] + reach[:-1]), turned)
     counts = np.maximum(np.diff(marks) / size, np.diff(angle) / MAX_TURN)
     parts = [
         np.linspace(a, b, max(1, int(np.ceil(count))), endpoint=False)
         for (a, b), count in zip(pairwise(marks), counts, strict=True)
     ]
-    return np.concatenate([*parts, [done[-1]]])
+    return np.concatenate([*parts, [reach[-1]]])
 
 
 MIN_SAGITTA = 2e-7
@@ -302,14 +302,14 @@ class Bulge:
     @property
     def remark(self) -> str:
         """What the reader of a result should know; empty if all is clear."""
-        left = min(abs(self.share), abs(1.0 - self.share)) * self.sagitta
+        distance = min(abs(self.share), abs(1.0 - self.share)) * self.sagitta
         size = f'sagitta of the published chords: {1e6 * self.sagitta:.2g} um'
         if not self.u < MAX_U_OF_SHARE and self.sagitta > MIN_SAGITTA_REMARK:
             return (
                 f'the samples do not show whether curves were driven along chords or arcs '
                 f'({size}); chords are assumed: publish finer chords'
             )
-        if left > MIN_SAGITTA_REMARK and left > 3.0 * self.u * self.sagitta:
+        if distance > MIN_SAGITTA_REMARK and distance > 3.0 * self.u * self.sagitta:
             return (
                 f'curves were driven neither along their chords nor along arcs through their '
                 f'joints ({100 * self.share:.0f} % of the way between, {size}): publish finer '

@@ -221,9 +221,9 @@ def follow(
     free : bool
         Allow jumps and the other sense; without, legs only advance, which takes half the time.
     """
-    found = _follow(pose, track, corners, tolerance, free, np.inf)
-    assert found is not None, 'given up for nothing'
-    return found
+    match = _follow(pose, track, corners, tolerance, free, np.inf)
+    assert match is not None, 'given up for nothing'
+    return match
 
 
 def follow_within(
@@ -263,8 +263,8 @@ def _follow(
         if backward is not None:
             back.step(backward.reversed(legs), off, start + JUMP_COST + entry, jump, at)
         start += off
-    left = np.minimum(EDGE_COST * (legs - 1 - number), cap)
-    final = np.concatenate([[np.inf], ahead.score + left, back.score + left])
+    to_the_end = np.minimum(EDGE_COST * (legs - 1 - number), cap)
+    final = np.concatenate([[np.inf], ahead.score + to_the_end, back.score + to_the_end])
     state = int(np.argmin(final))
     cost = float(final[state])
     leg, sense = _traced(state, ahead, back)
@@ -335,7 +335,7 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
     slack : float
         m; a leg that begins anew by more is driven anew.
     """
-    found: list[Visit] = []
+    visited: list[Visit] = []
     unit = Legs(vertices).unit
     starts, ends = match.pose.apply(match.track.starts), match.pose.apply(match.track.ends)
     reached = 0.0
@@ -343,20 +343,20 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
         leg, sense = int(match.leg[k]), int(match.sense[k])
         begin = sense * float((starts[k] - vertices[leg]) @ unit[leg])
         end = sense * float((ends[k] - vertices[leg]) @ unit[leg])
-        same = bool(found) and (leg, sense) == (found[-1].leg, found[-1].sense)
+        same = bool(visited) and (leg, sense) == (visited[-1].leg, visited[-1].sense)
         if same and begin > reached - slack:
-            found[-1] = Visit(leg, sense, found[-1].first, k)
+            visited[-1] = Visit(leg, sense, visited[-1].first, k)
             reached = max(reached, end)
         else:
-            found.append(Visit(leg, sense, k, k))
+            visited.append(Visit(leg, sense, k, k))
             reached = end
-    return found
+    return visited
 
 
-def as_planned(found: list[Visit]) -> bool:
+def as_planned(driven: list[Visit]) -> bool:
     """Tell whether legs were only driven forward and in order."""
-    return all(v.sense == FORWARD for v in found) and all(
-        a.leg < b.leg for a, b in pairwise(found)
+    return all(v.sense == FORWARD for v in driven) and all(
+        a.leg < b.leg for a, b in pairwise(driven)
     )
 
 
@@ -426,18 +426,18 @@ def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> 
         m.
     """
     path, vertices = shape.corners, shape.corners[vertex]
-    found = visits(match, vertices, slack)
+    driven = visits(match, vertices, slack)
     chord = np.full(len(match.leg), OFF_PATH)
     last = chord.copy()
     on = match.leg != OFF_PATH
-    if as_planned(found):
+    if as_planned(driven):
         chord[on], last[on] = vertex[match.leg[on]], vertex[match.leg[on] + 1] - 1
         return Driven(shape, chord, last, np.arange(len(shape.stretch)))
     route, low, high = _Route(), path.min(axis=0), path.max(axis=0)
-    for k, visit in enumerate(found):
+    for k, visit in enumerate(driven):
         number = _numbers(vertex, visit.leg, visit.sense)
         if k:
-            before = found[k - 1]
+            before = driven[k - 1]
             passed = _passed(before, visit, match, vertices, 2 * slack)
             for leg in passed:
                 route.leg(path, _numbers(vertex, leg, visit.sense))

@@ -41,7 +41,7 @@ def leg_starts(
     leg : ndarray of int32, shape (n,)
         Of every sample, ``OFF_PATH`` where there is none.
     """
-    found, own = np.full(len(lines.length), np.nan), lines.seen_from(pose)
+    moments, own = np.full(len(lines.length), np.nan), lines.seen_from(pose)
     first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))
     last = np.append(first[1:], len(leg))
     for low, high in zip(first.tolist(), last.tolist(), strict=True):
@@ -49,8 +49,8 @@ def leg_starts(
         corner, unit = own.corners[number], own.unit[number]
         moves = np.flatnonzero((samples.xyz[low:high] - corner) @ unit > MIN_TRAVEL)
         if len(moves):
-            found[number] = _start(samples, corner, unit, low + int(moves[0]))
-    return found
+            moments[number] = _start(samples, corner, unit, low + int(moves[0]))
+    return moments
 
 
 def _start(samples: Samples, corner: Array, unit: Array, first: int) -> float:

@@ -42,14 +42,14 @@ WINDOWS_PER_LENGTH = 12
 
 def dense_points(corners: Array, step: float) -> tuple[Array, Array]:
     """Points along a polyline at most ``step`` m apart, and their path lengths, m."""
-    done = Legs(corners).reach
-    along = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / step)) + 1))
-    return at_length(corners, done, along), along
+    reach = Legs(corners).reach
+    along = np.linspace(0.0, reach[-1], max(2, int(np.ceil(reach[-1] / step)) + 1))
+    return at_length(corners, reach, along), along
 
 
-def at_length(points: Array, done: Array, along: Array) -> Array:
+def at_length(points: Array, reach: Array, along: Array) -> Array:
     """Points of a polyline at path lengths, shape (n, 3), m."""
-    return np.stack([np.interp(along, done, points[:, k]) for k in range(3)], axis=1)
+    return np.stack([np.interp(along, reach, points[:, k]) for k in range(3)], axis=1)
 
 
 def _mutual(windows: Array) -> Array:
@@ -70,23 +70,25 @@ def _track_windows(track: Track, span: float) -> Array:
     windows = [np.empty((0, POINTS_PER_WINDOW, 3))]
     for low, high in pairwise(bounds):
         points = track.points[track.start[low] : track.stop[high - 1] + 1]
-        done = Legs(points).reach
+        reach = Legs(points).reach
         starts = (
-            np.linspace(0.0, done[-1] - span, 8 * WINDOWS_PER_LENGTH)
-            if done[-1] > span
+            np.linspace(0.0, reach[-1] - span, 8 * WINDOWS_PER_LENGTH)
+            if reach[-1] > span
             else np.empty(0)
         )
         place = starts[:, None] + np.linspace(0.0, span, POINTS_PER_WINDOW)
-        windows.append(at_length(points, done, place.ravel()).reshape(-1, POINTS_PER_WINDOW, 3))
-    found = np.concatenate(windows)
-    if not len(found):
-        return found
-    spread = np.linalg.svd(found - found.mean(axis=1, keepdims=True), compute_uv=False)
+        windows.append(at_length(points, reach, place.ravel()).reshape(-1, POINTS_PER_WINDOW, 3))
+    points_of = np.concatenate(windows)
+    if not len(points_of):
+        return points_of
+    spread = np.linalg.svd(points_of - points_of.mean(axis=1, keepdims=True), compute_uv=False)
     # the widest of every part of the run: a part that was driven otherwise must not take all
-    parts = np.array_split(np.argsort(np.arange(len(found)), kind='stable'), WINDOWS_PER_LENGTH)
+    parts = np.array_split(
+        np.argsort(np.arange(len(points_of)), kind='stable'), WINDOWS_PER_LENGTH
+    )
     best = [int(p[np.argmax(spread[p, 1] + spread[p, 2])]) for p in parts if len(p)]
     order = np.argsort(-(spread[best, 1] + spread[best, 2]), kind='stable')
-    return np.asarray(found[np.array(best)[order]])
+    return np.asarray(points_of[np.array(best)[order]])
 
 
 def _hits(difference: Array, limit: float) -> list[int]:
@@ -164,10 +166,10 @@ def _measured_windows(track: Track, width: int) -> Array:
             windows.append(_sliding(corners, width))
     if not windows:
         return np.empty((0, width, 3))
-    found = np.concatenate(windows)
-    spread = np.linalg.svd(found - found.mean(axis=1, keepdims=True), compute_uv=False)
+    points_of = np.concatenate(windows)
+    spread = np.linalg.svd(points_of - points_of.mean(axis=1, keepdims=True), compute_uv=False)
     order = np.argsort(-(spread[:, 1] + spread[:, 2]), kind='stable')
-    return found[order[:_MAX_WINDOWS]]
+    return points_of[order[:_MAX_WINDOWS]]
 
 
 def _hypotheses(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:
@@ -222,16 +224,16 @@ def distinct_poses(
         m.
     """
     probe = points[:: max(1, len(points) // 50)]
-    found: list[RigidTransform] = []
+    distinct: list[RigidTransform] = []
     places: list[Array] = []
     for k in np.argsort(-score, kind='stable'):
         moved = poses[k].apply(probe)
         if all(np.abs(moved - p).max() > apart for p in places):
-            found.append(poses[k])
+            distinct.append(poses[k])
             places.append(moved)
-        if len(found) >= most:
+        if len(distinct) >= most:
             break
-    return found
+    return distinct
 
 
 def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> Track:
@@ -248,15 +250,15 @@ def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> 
     """
     if not len(cuts):
         return track
-    found = set()
+    places = set()
     inverse = (cuts - pose.translation) @ pose.rotation
     for point, near in zip(inverse, track.tree.query_ball_point(inverse, reach), strict=True):
         hops = np.sort(np.array(near, dtype=np.int64))
         for passage in np.split(hops, np.flatnonzero(np.diff(hops) > 1) + 1):
             if len(passage):
                 distance = np.linalg.norm(track.points[passage] - point, axis=1)
-                found.add(int(passage[np.argmin(distance)]))
-    return track.cut_at(np.array(sorted(found), dtype=np.int64))
+                places.add(int(passage[np.argmin(distance)]))
+    return track.cut_at(np.array(sorted(places), dtype=np.int64))
 
 
 def _until_all(
@@ -277,14 +279,14 @@ def _all_planned(
 ) -> list[Match]:
     """Follow the path as planned under all poses; under the best alone if that is enough."""
     best = follow(poses[0], track, corners, tolerance, False)
-    found: list[Match | None] = [best]
+    matches: list[Match | None] = [best]
     for pose in poses[1:]:
-        found.append(match := follow_within(best.cost, pose, track, corners, tolerance))
+        matches.append(match := follow_within(best.cost, pose, track, corners, tolerance))
         if match is not None and match.cost < best.cost:
             best = match
     if best.explained > MIN_SHARE_AS_PLANNED:
         return [best]
-    pairs = zip(found, poses, strict=True)
+    pairs = zip(matches, poses, strict=True)
     return [m or follow(p, track, corners, tolerance, False) for m, p in pairs]
 
 
@@ -318,9 +320,9 @@ def _by_length(track: Track, corners: Array, tolerance: float) -> list[RigidTran
     probe = track.points[:: max(1, len(track.points) // _PROBES)]
     near = [tree.query(p.apply(probe), distance_upper_bound=5 * tolerance)[0] for p in poses]
     share = np.array([float(np.isfinite(d).mean()) for d in near])
-    kept = np.flatnonzero(share > MIN_MATCHED_SHARE)
+    good = np.flatnonzero(share > MIN_MATCHED_SHARE)
     return distinct_poses(
-        [poses[k] for k in kept], share[kept], track.points, 5 * tolerance, _MAX_ARCS
+        [poses[k] for k in good], share[good], track.points, 5 * tolerance, _MAX_ARCS
     )
 
 

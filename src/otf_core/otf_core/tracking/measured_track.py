@@ -190,11 +190,11 @@ def reversals(points: Array) -> Index:
     step = points[HOPS_OF_DIRECTION:] - points[:-HOPS_OF_DIRECTION]
     turn = np.einsum('ij,ij->i', step[HOPS_OF_DIRECTION:], step[:-HOPS_OF_DIRECTION])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], turn < 0, [False]])))
-    found = [
+    places = [
         int(low + np.argmin(turn[low:high])) + HOPS_OF_DIRECTION
         for low, high in zip(edges[::2], edges[1::2], strict=True)
     ]
-    return np.array(found, dtype=np.int64)
+    return np.array(places, dtype=np.int64)
 
 
 def simplify(points: Array, tolerance: float) -> Index:
@@ -242,13 +242,13 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
     index, points = np.arange(0, len(samples), stride), samples.xyz[::stride].copy()
     if len(points) > 2:
         points[1:-1] = _middle_of_three(points)
-    kept = _hop_selection(points) if len(points) else index
-    if len(kept) < 10:
+    selected = _hop_selection(points) if len(points) else index
+    if len(selected) < 10:
         raise InputError(
             f'the target hardly moved in {len(samples)} samples; record while the machine drives '
             f'the path'
         )
-    hops, points = index[kept], points[kept]
+    hops, points = index[selected], points[selected]
     quiet = np.diff(samples.stamp_ns[hops])  # a pause is no gap: look at the sample before
     before = samples.stamp_ns[hops[1:]] - samples.stamp_ns[np.maximum(hops[1:] - stride, 0)]
     gap = np.minimum(quiet, before) > max(GAP_TIME * 1e9, 5 * stride * samples.step_ns)

@@ -116,14 +116,14 @@ def _beside_lines(match: Match, corners: Array) -> float:
     track = match.track
     points = match.pose.apply(track.points)
     unit = Legs(corners).unit
-    found = []
+    distances = []
     for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
         low, high = (int(first + share * (last - first)) for share in INNER_PART_OF_LEG)
         if leg == OFF_PATH or high - low < 2:
             continue
         away = points[low:high] - corners[leg]
-        found.append(float(np.mean(np.linalg.norm(np.cross(away, unit[leg]), axis=1))))
-    return float(np.percentile(found, 75)) if found else 0.0
+        distances.append(float(np.mean(np.linalg.norm(np.cross(away, unit[leg]), axis=1))))
+    return float(np.percentile(distances, 75)) if distances else 0.0
 
 
 def standing_out(samples: Samples) -> tuple[float, float]:

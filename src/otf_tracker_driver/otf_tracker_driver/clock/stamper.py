@@ -177,8 +177,8 @@ class Stamper:
         if self._given is not None:
             at, given = self._given
             off = given - at - int(line.at(at))
-            left = np.maximum(abs(off) - SLEW * (device - at), 0.0)
-            stamp = stamp + np.rint(np.sign(off) * left).astype(np.int64)
+            excess = np.maximum(abs(off) - SLEW * (device - at), 0.0)
+            stamp = stamp + np.rint(np.sign(off) * excess).astype(np.int64)
         least = self._last_ns + STEP * np.arange(1, len(device) + 1)
         self.squeezed += int(np.count_nonzero(stamp < least))
         stamp = np.maximum(stamp, least)

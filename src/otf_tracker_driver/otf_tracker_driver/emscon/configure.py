@@ -184,9 +184,9 @@ async def _set_system(link: Link, measured: bool) -> tuple[str, ...]:
     if not measured:
         settings[WEATHER] = 0
     await link.ask(Command.SET_SYSTEM_SETTINGS, *settings)
-    kept = await link.ask(Command.GET_SYSTEM_SETTINGS)
+    actual = await link.ask(Command.GET_SYSTEM_SETTINGS)
     warnings = []
-    for place, (wanted, got) in enumerate(zip(settings, kept, strict=True)):
+    for place, (wanted, got) in enumerate(zip(settings, actual, strict=True)):
         if wanted == got:
             continue
         text = f'setting {NAMES[place]} (command 47) is acknowledged, but stays at {got}'

@@ -75,10 +75,10 @@ class Intake:
             sane = np.isfinite(packet.value).all(axis=1) & (distance < FURTHEST) & (distance > 0)
         if np.any(usable & ~sane):
             state.left_out['no point'] += int(np.count_nonzero(usable & ~sane))
-        kept = usable & sane
-        if kept.any():
-            self.last_range = float(distance[kept][-1])
-        self._hand_on(self._stamper.take(packet.device_ns, packet.value, arrival_ns, kept))
+        valid = usable & sane
+        if valid.any():
+            self.last_range = float(distance[valid][-1])
+        self._hand_on(self._stamper.take(packet.device_ns, packet.value, arrival_ns, valid))
         return not len(status) or not np.all(status == SampleStatus.PRISM_ERROR)
 
     def _usable(self, packet: Measurements) -> NDArray[np.bool_]:

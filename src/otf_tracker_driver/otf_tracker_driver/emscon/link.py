@@ -145,12 +145,12 @@ class Link:
         return await self._patiently(Command.GET_REFLECTORS, (), self._list)
 
     async def _list(self, answers: asyncio.Queue[packets.Answer]) -> dict[int, str]:
-        found: dict[int, str] = {}
+        reflectors: dict[int, str] = {}
         for _ in range(MOST_REFLECTORS):
             total, number, _, _, name = await self._answer(Command.GET_REFLECTORS, answers)
-            found[int(number)] = str(name)
-            if len(found) >= int(total):
-                return found
+            reflectors[int(number)] = str(name)
+            if len(reflectors) >= int(total):
+                return reflectors
         raise LinkError(f'the tracker lists more than {MOST_REFLECTORS} reflectors')
 
     async def _patiently(

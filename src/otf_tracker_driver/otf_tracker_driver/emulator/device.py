@@ -113,8 +113,8 @@ class Device:
             return [answer(command, Status.NOT_IMPLEMENTED)]
         if command == C.SET_REFLECTOR and values[0] not in REFLECTORS:
             return [answer(command, Status.WRONG_REFLECTOR)]
-        kept, event = SETTERS[command]
-        self.kept[kept] = values
+        setting, event = SETTERS[command]
+        self.kept[setting] = values
         return [answer(command, Status.OK), encode_event(event)]
 
     def _facts(self) -> dict[Command, tuple[Value, ...]]:

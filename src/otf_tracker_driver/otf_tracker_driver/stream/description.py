@@ -136,11 +136,11 @@ def read_description(path: str | Path) -> Description:
 
 def _source(top: Fields) -> Source:
     text = top.text('source')
-    found = re.fullmatch(r'(tcp|udp|serial)://(.+):(\d{1,7})', text)
-    if not found:
+    address = re.fullmatch(r'(tcp|udp|serial)://(.+):(\d{1,7})', text)
+    if not address:
         top.fail('source', f'{shown(text)}; give tcp://HOST:PORT, udp://ADDRESS:PORT (listens '
                  f'there), or serial:///dev/ttyUSB0:115200')  # fmt: skip
-    kind, host, port = found[1], found[2], int(found[3])
+    kind, host, port = address[1], address[2], int(address[3])
     if kind == 'serial' and port not in BAUDS:
         top.fail('source', f'{port} baud; possible: {", ".join(map(str, BAUDS))}')
     if kind != 'serial' and not 0 < port < 65536:

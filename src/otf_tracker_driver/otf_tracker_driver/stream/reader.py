@@ -188,14 +188,14 @@ class Reader:
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
         # a source that is told to start is silent before, as a rule
-        self._lines, told = Lines(self._transport.cuts_in and not self._how.start), 0
+        self._lines, started = Lines(self._transport.cuts_in and not self._how.start), 0
         while not self._ended.is_set():
             wanted = self._wanted
-            if wanted != told:
-                if told:
+            if wanted != started:
+                if started:
                     self._tell(self._how.stop)
                 self._begin(wanted)
-                told = wanted
+                started = wanted
             chunk = self._transport.receive(WAIT)
             if not wanted:
                 self._pass_by(chunk)
@@ -206,7 +206,7 @@ class Reader:
                 self._take(chunk)
             if self._silence.beat() > SILENT_FOR:
                 self._hinder(Flow.SILENT, self._silent())
-        if told:
+        if started:
             with contextlib.suppress(OSError):
                 self._tell(self._how.stop)
 

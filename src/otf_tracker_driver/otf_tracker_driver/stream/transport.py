@@ -156,22 +156,22 @@ def opened(source: Source, peer: str = '') -> Transport:
         ) from None
 
 
-def _probed(made: socket.socket) -> socket.socket:
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+def _probed(opened: socket.socket) -> socket.socket:
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in PROBES.items():
         if hasattr(socket, name):
-            made.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-    return made
+            opened.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+    return opened
 
 
 def _listening(source: Source) -> socket.socket:
     family, kind, protocol, _, address = socket.getaddrinfo(
         source.host, source.port, type=socket.SOCK_DGRAM
     )[0]
-    made = socket.socket(family, kind, protocol)
+    opened = socket.socket(family, kind, protocol)
     try:
-        made.bind(address)
+        opened.bind(address)
     except OSError:
-        made.close()
+        opened.close()
         raise
-    return made
+    return opened

@@ -138,15 +138,15 @@ def dates(first: datetime, last: datetime, marks: int = 5) -> Scale:
         count = (ends[1].year - ends[0].year) * 12 + ends[1].month - ends[0].month
         if count // step <= marks and count // step >= MIN_MARKS:
             text = '%Y' if step % 12 == 0 else '%Y-%m'
-            found = _months(ends[0], ends[1], step)
+            moments = _months(ends[0], ends[1], step)
             break
     else:
         text = '%m-%d' if span > LONGEST_BY_HOUR else '%H:%M'
         days = next((d for d in DAYS if span / d <= marks), count * 31 / marks)
         start = ends[0].replace(hour=0, minute=0, second=0, microsecond=0)
         count = int((ends[1] - start) / (days * DAY)) + 1
-        found = [start + k * days * DAY for k in range(count)]
-    named = [((m - first) / DAY, m.strftime(text)) for m in found if m >= ends[0]]
+        moments = [start + k * days * DAY for k in range(count)]
+    named = [((m - first) / DAY, m.strftime(text)) for m in moments if m >= ends[0]]
     label = {'%Y': 'year', '%Y-%m': 'month', '%m-%d': f'{first:%Y}, month-day'}
     return Scale(low, high, label.get(text, f'{first:%Y-%m-%d}'), named=tuple(named))
 

@@ -216,7 +216,7 @@ def _crowd(items: Sequence[Item], centre: Array, size: float) -> Array:
 
 
 def _spot(
-    item: Label, x: float, y: float, taken: Sequence[Box], crowd: Array
+    item: Label, x: float, y: float, placed: Sequence[Box], crowd: Array
 ) -> tuple[str, float, float, Box]:
     """Where a label overlaps nothing that stands there already, and the box it takes."""
     best, least = ('', 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)), math.inf
@@ -224,7 +224,7 @@ def _spot(
         own = _label_box(item, kind, x + dx, y + dy)
         outside = max(0.0, -own[0]) + max(0.0, own[2] - WIDTH) + max(0.0, own[3] - HEIGHT)
         covered = np.all((crowd > own[:2]) & (crowd < own[2:]), axis=1).sum()
-        cost = sum(_overlap(own, other) for other in taken) + LINE * (outside + float(covered))
+        cost = sum(_overlap(own, other) for other in placed) + LINE * (outside + float(covered))
         if cost < least:
             best, least = (kind, dx, dy, own), cost
     return best

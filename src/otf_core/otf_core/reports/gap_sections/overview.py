@@ -473,9 +473,9 @@ def _separating_plane(diagnosis: Diagnosis) -> tuple[int, int]:
     names = [diagnosis.where.grouping, *(s['grouping'] for s in diagnosis.where.separation)]
     own = set(_grouping_axes(names[0]))
     for name in names:
-        found = _grouping_axes(name)
-        if len(found) == 2 and own <= set(found):
-            return axes.index(found[0]), axes.index(found[1])
+        grouping = _grouping_axes(name)
+        if len(grouping) == 2 and own <= set(grouping):
+            return axes.index(grouping[0]), axes.index(grouping[1])
     return next(p for p in combinations(range(3), 2) if own <= {axes[k] for k in p})
 
 

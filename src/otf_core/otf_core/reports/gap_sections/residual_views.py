@@ -211,13 +211,13 @@ def _size_panel(view: RunView, causes: bool, top: float) -> str:
 
 
 def _mean_panel(view: RunView, causes: bool, axis: int) -> str:
-    found = [
+    parts = [
         (_leg_means(view, getattr(view, n), axis), kind) for n, kind in _residual_names(causes)
     ]
-    values = np.concatenate([[0.0], *(part[1] for part, _ in found)])
+    values = np.concatenate([[0.0], *(part[1] for part, _ in parts)])
     panel = Panel(_time_scale(view), around(values, 'mean (µm)'))
     marks = [panel.level(0.0, 'soft')]
-    marks += [panel.dots(*part, f'{kind} node') for part, kind in found]
+    marks += [panel.dots(*part, f'{kind} node') for part, kind in parts]
     return panel.draw(marks, f'residual along {XYZ[axis]} against time', f'along {XYZ[axis]}')
 
 
@@ -311,7 +311,7 @@ def _cells_of(views: Sequence[RunView], state: ResidualState, plane: tuple[int, 
 
 def _plane_panel(
     views: Sequence[RunView],
-    found: Cells,
+    cells: Cells,
     plane: tuple[int, int],
     step: float,
     longest: float,
@@ -328,15 +328,15 @@ def _plane_panel(
         height=VIEW_HEIGHT + 62.0,
     )
     marks = []
-    corners = panel.points(1e3 * found.low[:, 0], 1e3 * (found.low[:, 1] + found.size[1]))
-    wide, tall = found.size / metre
-    for (x, y), level in zip(corners, heat_classes(found.rms, step), strict=True):
+    corners = panel.points(1e3 * cells.low[:, 0], 1e3 * (cells.low[:, 1] + cells.size[1]))
+    wide, tall = cells.size / metre
+    for (x, y), level in zip(corners, heat_classes(cells.rms, step), strict=True):
         marks.append(
             f'<rect class="area heat h{level}" x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" '
             f'height="{tall:.1f}"/>'
         )
-    centre = found.low + 0.5 * found.size
-    reach = 0.5 * ARROW_CELLS * found.size.min() / max(longest, 1e-9) * found.mean
+    centre = cells.low + 0.5 * cells.size
+    reach = 0.5 * ARROW_CELLS * cells.size.min() / max(longest, 1e-9) * cells.mean
     marks.append(panel.arrows(1e3 * (centre - reach), 1e3 * (centre + reach), 'dark thin'))
     names = ' and '.join(XYZ[k] for k in plane)
     return panel.draw(marks, f'residual over {names}, {label}', label)
@@ -408,7 +408,9 @@ def _wave_bands(axis: int | None, low: float, high: float) -> Bands:
     return Bands(axis, np.geomspace(low, high, count), [str(k) for k in range(count + 1)])
 
 
-def _spectrum_panel(view: RunView, bands: Bands, found: Mapping[str, Sequence[Group]]) -> str:
+def _spectrum_panel(
+    view: RunView, bands: Bands, groups_by_kind: Mapping[str, Sequence[Group]]
+) -> str:
     """Root mean square by band, per half octave, of every kind of state."""
     own = '' if bands.axis is None else view.axis_names[bands.axis]
     name = f'wavelength along {own} (mm)' if own else 'frequency (Hz)'
@@ -416,7 +418,7 @@ def _spectrum_panel(view: RunView, bands: Bands, found: Mapping[str, Sequence[Gr
     edges = bands.edges
     ratio = float(np.sqrt(edges[1] / edges[0]))
     lines: list[tuple[Array, Array, str]] = []
-    for kind, groups in found.items():
+    for kind, groups in groups_by_kind.items():
         inner = [g for g in groups if int(g.label) < len(edges)]
         middle = np.array([float(edges[int(g.label)]) / ratio for g in inner])
         middle = 1e3 / middle if own else middle
