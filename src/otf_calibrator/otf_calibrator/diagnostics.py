@@ -21,7 +21,6 @@ def tell(
 
     Parameters
     ----------
-    node : rclpy.node.Node
     folder : callable
         Returns where results go.
     machine : callable

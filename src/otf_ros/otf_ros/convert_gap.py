@@ -24,7 +24,6 @@ def gap_to_message(data: Mapping[str, Any], stamp: Time) -> GapReport:
     ----------
     data : mapping
         In the layout of gap.json.
-    stamp : builtin_interfaces.msg.Time
     """
     gap, unexplained, where = data['gap'], data['unexplained'], data['where']
     low, high = gap['shrink_interval_percent']

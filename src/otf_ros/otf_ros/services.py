@@ -22,7 +22,6 @@ def offer(node: Node, name: str, action: Callable[[], tuple[bool, str]]) -> None
 
     Parameters
     ----------
-    node : rclpy.node.Node
     action : callable
         Returns at once: success, and one sentence on what was done or what to do first.
     """
@@ -39,7 +38,6 @@ def offer_lasting(node: Node, name: str, begin: Callable[[], Future[str]]) -> No
 
     Parameters
     ----------
-    node : rclpy.node.Node
     begin : callable
         Returns at once; its future gives one sentence on what came of it. OtfError, at once or
         later, is answered as a failure.

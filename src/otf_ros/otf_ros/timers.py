@@ -18,7 +18,6 @@ def create_timer(
 
     Parameters
     ----------
-    node : rclpy.node.Node
     period : float
         s of the computer, whatever the parameter ``use_sim_time`` says.
     autostart : bool

@@ -17,7 +17,6 @@ def calibrators(node: Node, topic: str) -> int:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     topic : str
         Its full name.
     """

@@ -38,7 +38,6 @@ class Recovery:
         (Fitted less true) parameters over their standard uncertainties.
     shrink_percent : float
         Predicted by the answer.
-    interval_percent : tuple of two floats
     achieved_percent : float
         Share of what the effects leave that the fitted causes really take away.
     left_snr : float

@@ -75,12 +75,7 @@ class Stated(NamedTuple):
 
 
 def reliability(said: Sequence[tuple[float, bool]]) -> list[Stated]:
-    """Share of the causes that are there, by the confidence stated for them.
-
-    Parameters
-    ----------
-    said : sequence of (confidence, whether it is there)
-    """
+    """Share of the causes that are there, by the confidence stated for them."""
     classes = []
     for low, high in pairwise(CLASSES):
         own = [(c, there) for c, there in said if low <= c < high or c == high == 1.0]

@@ -70,7 +70,6 @@ def qualify_moves(findings: Sequence[Finding], unnamed: Unnamed | None) -> tuple
 
     Parameters
     ----------
-    findings : sequence of Finding
     unnamed : Unnamed, optional
         What explains the gap, if it has no name.
     """
@@ -109,16 +108,16 @@ def named_causes(
     states : sequence of State
         Of the pieces of every run.
     """
-    left = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
+    gaps = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
     units = {s.name: s.unit for s in states[0].machine.signals}
     named: list[NamedCause] = []
-    for part, before, after in zip(fitted, left[:-1], left[1:], strict=True):
+    for part, before, after in zip(fitted, gaps[:-1], gaps[1:], strict=True):
         cause = _named_cause(part, before, after, units)
         sizes = sizes_of(part, states, cause.curves)
         _add(named, replace(cause, direction=_direction(part, states), sizes=sizes))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
-        named.append(_noise_cause(noise, left[-1], gap.after_um, states[0].machine))
+        named.append(_noise_cause(noise, gaps[-1], gap.after_um, states[0].machine))
     return tuple(named)
 
 

@@ -76,8 +76,8 @@ class FittedCause:
             if axis and abs(value) > SIGNIFICANT * u:
                 strength[axis] = strength.get(axis, 0.0) + (value * size) ** 2
         largest = max(strength.values(), default=0.0)
-        kept = {a: s for a, s in strength.items() if s > 0.02 * largest}
-        return tuple(sorted(kept, key=lambda a: -kept[a]))
+        involved = {a: s for a, s in strength.items() if s > 0.02 * largest}
+        return tuple(sorted(involved, key=lambda a: -involved[a]))
 
     def applied(self, run: int) -> AppliedEffect:
         """The effect with its fitted parameters in one run."""
@@ -162,13 +162,11 @@ class Curve:
         Direction, rotation or coefficient of the formula that follows it.
     axis : str
         Machine axis of the term, if any.
-    input, input_unit : str
     at : tuple of float
         Values of the input, SI.
     value, u : tuple of float
         Value and its standard uncertainty, in ``unit``, but for what the data do not see, such as
         the mean of a shift, which the place of the tracker holds as well.
-    unit : str
     held : mapping of str to float
         Values of the other inputs.
     """
@@ -192,7 +190,6 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
 
     Parameters
     ----------
-    part : FittedCause
     units : mapping of str to str
         Of declared signals, by their names as inputs.
     """
@@ -201,7 +198,7 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
         return ()
     count = option.terms.columns.shape[2]
     per_term = len(effect.form.numbers)
-    found: list[tuple[float, Curve]] = []
+    by_size: list[tuple[float, Curve]] = []
     covariance = _seen_covariance(part)
     for first in range(0, count, per_term):
         place = np.flatnonzero((option.take >= first) & (option.take < first + per_term))
@@ -211,10 +208,10 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
         assert option.terms.names[first] == coefficient_name(term, effect.form.numbers[0])
         for curve in _curves(part, covariance, effect, place, term, units):
             size = float(np.sqrt(np.mean(np.square(curve.value)))) * float(option.size[place[0]])
-            found.append((size, curve))
-    largest = max((size for size, _ in found), default=0.0)
-    kept = [(s, c) for s, c in found if s > LEAST_SHARE * largest]
-    return tuple(c for _, c in sorted(kept, key=lambda pair: -pair[0]))
+            by_size.append((size, curve))
+    largest = max((size for size, _ in by_size), default=0.0)
+    relevant = [(s, c) for s, c in by_size if s > LEAST_SHARE * largest]
+    return tuple(c for _, c in sorted(relevant, key=lambda pair: -pair[0]))
 
 
 def _seen_covariance(part: FittedCause) -> Array:
@@ -338,7 +335,6 @@ class CauseSize:
         SI.
     u : float, optional
         Standard uncertainty; none of what is chosen, not estimated.
-    unit : str
     remark : str
         What kind of size it is, in words.
     """
@@ -367,7 +363,6 @@ def sizes_of(
 
     Parameters
     ----------
-    part : FittedCause
     states : sequence of State
         Of the pieces of every run.
     curves : sequence of Curve
@@ -377,16 +372,16 @@ def sizes_of(
         return (_of_curves(curves),)
     in_run = [_InRun(part, k, states) for k in range(_runs_of_its_own(part, states))]
     strongest = max(in_run, key=lambda one: one.displacement)
-    found = [strongest.evaluated(s) for s in strongest.sizes()] or [strongest.whole()]
-    return tuple([s for s in found if s.significant] or found[:1])
+    sizes = [strongest.evaluated(s) for s in strongest.sizes()] or [strongest.whole()]
+    return tuple([s for s in sizes if s.significant] or sizes[:1])
 
 
 def chosen_sizes(
     effect: str, parameters: dict[str, float], machine: Machine
 ) -> tuple[CauseSize, ...]:
     """Sizes of an effect without coefficients."""
-    found = REGISTRY[effect].sizes(Coefficients({}, {}, (), parameters, machine))
-    return tuple(CauseSize(s.of, s.chosen, None, s.unit, s.remark) for s in found)
+    sizes = REGISTRY[effect].sizes(Coefficients({}, {}, (), parameters, machine))
+    return tuple(CauseSize(s.of, s.chosen, None, s.unit, s.remark) for s in sizes)
 
 
 def sizes_words(sizes: Sequence[CauseSize], direction: str) -> str:

@@ -61,7 +61,7 @@ class FoundCauses:
 
     def to_take(self, config: CalibrationConfig) -> tuple[list[Taken], list[str]]:
         """What is taken off, and warnings."""
-        chosen = [taken(list(found), FOUND) for found in zip(*self.applied, strict=True)]
+        chosen = [taken(list(in_runs), FOUND) for in_runs in zip(*self.applied, strict=True)]
         return _to_take(chosen, self.told, config)
 
     def stays(self, config: CalibrationConfig, plain: CalibrationResult) -> list[str]:
@@ -73,20 +73,20 @@ class FoundCauses:
             With nothing taken off.
         """
         words = [f'{name} is in the error tables, which follow it' for name in self.followed]
-        left = _left(config)
-        for one, told in zip(self.applied[0], self.told, strict=True):
-            if one.effect.belongs_to not in left:
+        held_by_tables = _left(config)
+        for one, description in zip(self.applied[0], self.told, strict=True):
+            if one.effect.belongs_to not in held_by_tables:
                 continue
             if one.effect.belongs_to is BelongsTo.TABLES:
-                words.append(f'{told.words} is in the error tables, which follow it')
+                words.append(f'{description.words} is in the error tables, which follow it')
             elif plain.reversal.model == 'none':
                 words.append(
-                    f'{told.words} belongs in reversal tables, which this calibration does not '
-                    f'have'
+                    f'{description.words} belongs in reversal tables, which this calibration '
+                    f'does not have'
                 )
             else:
-                held = in_reversal_tables(plain.reversal, told.axes)
-                words.append(f'{told.words} is in the reversal tables{held}')
+                held = in_reversal_tables(plain.reversal, description.axes)
+                words.append(f'{description.words} is in the reversal tables{held}')
         return words
 
 
@@ -127,7 +127,7 @@ def in_reversal_tables(reversal: Reversal, axes: Sequence[str]) -> str:
     held = {a: reversal.backlash[a] for a in axes if a in reversal.backlash}
     if not held:
         return ''
-    sizes = ', '.join(f'{axis} {found.words}' for axis, found in held.items())
+    sizes = ', '.join(f'{axis} {backlash.words}' for axis, backlash in held.items())
     return (
         f' ({sizes}, k = 2: there every motion of every axis may reverse, while the diagnosis '
         f'fits only the causes it names)'
@@ -149,14 +149,14 @@ def _left(config: CalibrationConfig) -> set[BelongsTo]:
 
 
 def _to_take(
-    found: Sequence[Taken], told: Sequence[Told], config: CalibrationConfig
+    removable: Sequence[Taken], descriptions: Sequence[Told], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    left = _left(config)
-    names = {name for kind in left for name in names_of(kind)}
+    held_by_tables = _left(config)
+    names = {name for kind in held_by_tables for name in names_of(kind)}
     taking, warnings = [], []
-    for one, about in zip(found, told, strict=True):
-        if one.effect.belongs_to in left:
+    for one, about in zip(removable, descriptions, strict=True):
+        if one.effect.belongs_to in held_by_tables:
             continue
         taking.append(one)
         said = []

@@ -208,20 +208,20 @@ def _search(
     nodes, solution = observed.nodes, observed.solution
     progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
-    straight = partial(straight_rows, done=solution, nodes=nodes, config=config, exclude=exclude)
+    straight = partial(straight_rows, joint=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
     progress('diagnosing', 0.2)
     with Ahead() as ahead:
         ahead.begin(simulated_residual_um, rows, nodes, config, twin)
         lines = spectral_lines(rows)
-        found = search_catalogue(rows, exclude, own, lines)
+        result = search_catalogue(rows, exclude, own, lines)
         progress('diagnosing', 0.5)
         for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
-            other = changed(rows, found.causes)
+            other = changed(rows, result.causes)
             if other is not None:
-                rows, found = other, search_catalogue(other, exclude, own, lines)
+                rows, result = other, search_catalogue(other, exclude, own, lines)
         simulated_um = ahead(simulated_residual_um, rows, nodes, config, twin)
-    return _Searched(rows, found, simulated_um)
+    return _Searched(rows, result, simulated_um)
 
 
 @dataclass(frozen=True)
@@ -397,9 +397,9 @@ def calibrate_with_effects(
         )
     if effects != AUTO:
         return calibrate_with_file(recordings, effects, config, progress)
-    found = diagnose(recordings, twin, (), config, progress)
-    done = found.calibration
-    if found.verdict != 'unknown':
-        return done
-    warned = (done.words, *done.result.warnings)
-    return replace(done, result=replace(done.result, warnings=warned))
+    diagnosis = diagnose(recordings, twin, (), config, progress)
+    calibration = diagnosis.calibration
+    if diagnosis.verdict != 'unknown':
+        return calibration
+    warned = (calibration.words, *calibration.result.warnings)
+    return replace(calibration, result=replace(calibration.result, warnings=warned))

@@ -107,7 +107,6 @@ class Diagnosis:
         The verdict in words.
     causes : tuple of NamedCause
         First the cause that shrinks the gap most.
-    not_visible : tuple of (effect, needs)
     considered : tuple of (effect, log odds)
         Ranking of the last round of the search.
     smallest_found_um : mapping of effect to float

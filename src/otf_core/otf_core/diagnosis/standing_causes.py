@@ -90,7 +90,6 @@ class Standing:
 
         Parameters
         ----------
-        number : int
         other : Standing, optional
             Without causes: what else may explain the gap.
         """
@@ -100,17 +99,17 @@ class Standing:
 
     def with_names(self, exclude: Sequence[str]) -> Standing:
         """Give structures that depend and act as an effect of the catalogue its name."""
-        taken = {*exclude, *(c.option.effect.name for c in self.causes)}
+        used = {*exclude, *(c.option.effect.name for c in self.causes)}
         own = self.added[len(self.causes) :]
         named: list[tuple[Cause, float]] = []
         rest: list[tuple[Structure, float]] = []
         for structure, added in zip(self.structures, own, strict=True):
-            cause = structure.named(taken)
+            cause = structure.named(used)
             if cause is None:
                 rest.append((structure, added))
             else:
                 named.append((cause, added))
-                taken.add(cause.option.effect.name)
+                used.add(cause.option.effect.name)
         return replace(
             self,
             causes=(*self.causes, *(c for c, _ in named)),
@@ -124,19 +123,18 @@ def standing_causes(rows: Rows, causes: Sequence[Cause], least_um: float) -> Sta
 
     Parameters
     ----------
-    rows : Rows
     causes : sequence of Cause
         In the order found.
     least_um : float
         Root mean square that a cause takes of the residual at least.
     """
-    kept = list(causes)
-    while kept:
-        found = stand_beside(rows, kept)
-        weak = _weakest(rows, found, least_um)
+    remaining = list(causes)
+    while remaining:
+        standing = stand_beside(rows, remaining)
+        weak = _weakest(rows, standing, least_um)
         if weak is None:
-            return found
-        kept = [c for c in kept if c is not weak]
+            return standing
+        remaining = [c for c in remaining if c is not weak]
     return None
 
 
@@ -153,29 +151,29 @@ def structures_of(rows: Rows, tried: Structures | None = None) -> list[Structure
     if first is None:
         return []
     structures = [first]
-    left = [residuals_with(rows, []), residuals_with(rows, [first.cause])]
-    least = LEAST_BESIDES * (left[0].rms_um ** 2 - left[1].rms_um ** 2)
+    residuals = [residuals_with(rows, []), residuals_with(rows, [first.cause])]
+    least = LEAST_BESIDES * (residuals[0].rms_um ** 2 - residuals[1].rms_um ** 2)
     while len(structures) < MOST_STRUCTURES:
         other = find_another(tried, structures)
         if other is None:
             break
-        left.append(residuals_with(rows, [s.cause for s in (*structures, other)]))
-        if left[-2].rms_um ** 2 - left[-1].rms_um ** 2 < least:
+        residuals.append(residuals_with(rows, [s.cause for s in (*structures, other)]))
+        if residuals[-2].rms_um ** 2 - residuals[-1].rms_um ** 2 < least:
             break
         structures.append(other)
     return structures
 
 
-def _weakest(rows: Rows, found: Standing, least_um: float) -> Cause | None:
+def _weakest(rows: Rows, standing: Standing, least_um: float) -> Cause | None:
     """The cause that adds least, if that is too little; None if all stand."""
-    every = [*found.causes, *(s.cause for s in found.structures)]
+    every = [*standing.causes, *(s.cause for s in standing.structures)]
     worst, weak = 0.0, None
-    for cause, added in zip(found.causes, found.added, strict=False):
+    for cause, added in zip(standing.causes, standing.added, strict=False):
         rest = residuals_with(rows, [c for c in every if c is not cause])
-        taken = float(np.sqrt(max(0.0, rest.rms_um**2 - found.residuals.rms_um**2)))
-        taken = max(taken, wave_um(cause, rows))
+        reduction = float(np.sqrt(max(0.0, rest.rms_um**2 - standing.residuals.rms_um**2)))
+        reduction = max(reduction, wave_um(cause, rows))
         least = max(least_um, cause.option.effect.material_um)
-        lacking = max(1.0 - added / NEEDED_EVIDENCE, 1.0 - taken / least)
+        lacking = max(1.0 - added / NEEDED_EVIDENCE, 1.0 - reduction / least)
         if lacking > worst:
             worst, weak = lacking, cause
     return weak

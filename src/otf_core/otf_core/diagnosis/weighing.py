@@ -122,8 +122,8 @@ def verdict_of(case: Case) -> str:
         explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
     if case.beyond_um > max(known * case.before_um, NO_GAP_SHARE * case.simulated_um):
         return 'unknown'
-    left = case.after_um if matters(case.after_um, case.simulated_um) else 0.0
-    return 'explained' if left <= explained * case.before_um else 'partly_explained'
+    remainder = case.after_um if matters(case.after_um, case.simulated_um) else 0.0
+    return 'explained' if remainder <= explained * case.before_um else 'partly_explained'
 
 
 MATERIAL_SHARE = 0.12
@@ -205,7 +205,6 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
 
     Parameters
     ----------
-    rows : Rows
     found : sequence of Cause
         What the search found, decoys among them, in its order.
     twin_um : float
@@ -214,10 +213,10 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
     simulated_um = twin_um * noise_level(rows, found)
     causes, steps = _named(rows, found, simulated_um)
     decoyed = _decoyed(causes, steps)
-    kept = [c for c in causes if _in_catalogue(c)]
-    if len(kept) < len(causes):  # what a decoy takes away is not explained
-        causes = kept
-        steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
+    in_catalogue = [c for c in causes if _in_catalogue(c)]
+    if len(in_catalogue) < len(causes):  # what a decoy takes away is not explained
+        causes = in_catalogue
+        steps = [residuals_with(rows, in_catalogue[:k]) for k in range(len(in_catalogue) + 1)]
     fitted = residuals_with(rows, causes, held_out=False)
     # what is found after a decoy lives on what that left
     first = takewhile(_in_catalogue, found)
@@ -346,16 +345,12 @@ class Unnamed:
 
     Attributes
     ----------
-    depends_on : tuple of str
     acts_as : str
         'vector', 'direction', 'rigid_tracker' or 'rigid_table'.
-    words : str
     before_um, after_um : float
         Gap without and with it, on legs it was not fitted on.
-    shrink_percent : float
     shrink_interval_percent : tuple of two floats
         95 % interval over legs.
-    curves : tuple of Curve
     """
 
     depends_on: tuple[str, ...]
@@ -386,8 +381,6 @@ def find_unnamed(
 
     Parameters
     ----------
-    rows : Rows
-    explained : Explanation
     verdict : str
         By the effects of the catalogue.
     tried : Structures
@@ -406,13 +399,13 @@ def find_unnamed(
     first = find_structure(tried)
     if first is None:
         return None
-    found = _with_more(rows, explained, tried, first)
-    if found.said.shrink_percent < LEAST_SHRINK:
+    nameless = _with_more(rows, explained, tried, first)
+    if nameless.said.shrink_percent < LEAST_SHRINK:
         return None
     enough = (1.0 if rival.wins else FAR_BETTER) * explained.after_um
-    left = found.said.after_um
-    worse = left > enough and (not rival.wins or matters(left, explained.twin_um))
-    return None if verdict != 'unknown' and worse else found
+    remainder = nameless.said.after_um
+    worse = remainder > enough and (not rival.wins or matters(remainder, explained.twin_um))
+    return None if verdict != 'unknown' and worse else nameless
 
 
 def _with_more(
@@ -420,17 +413,17 @@ def _with_more(
 ) -> Nameless:
     """Add to a structure those that take enough of the gap besides."""
     structures = [first]
-    found = _said(rows, explained, structures)
-    least = LEAST_BESIDES * found.said.before_um**2
-    while len(structures) < MOST and found.said.after_um**2 > least:
+    nameless = _said(rows, explained, structures)
+    least = LEAST_BESIDES * nameless.said.before_um**2
+    while len(structures) < MOST and nameless.said.after_um**2 > least:
         other = find_another(tried, structures)
         if other is None:
             break
         more = _said(rows, explained, [*structures, other])
-        if found.said.after_um**2 - more.said.after_um**2 < least:
+        if nameless.said.after_um**2 - more.said.after_um**2 < least:
             break
-        structures, found = [*structures, other], more
-    return found
+        structures, nameless = [*structures, other], more
+    return nameless
 
 
 def _said(
@@ -529,7 +522,7 @@ def judge(
     """Weigh the causes found against noise, and against what has no name."""
     gap = matters(explained.after_um, explained.simulated_um)
     noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
-    left, has_place = _what_is_left(rows, explained)
+    remainder, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     weighed = _or_something_else(rows, explained, verdict, exclude)
     explained, nameless = weighed.explained, weighed.nameless
@@ -538,7 +531,7 @@ def judge(
         explained = explained.without_causes(known)
     elif noise and weighed.verdict == 'none':
         weighed = replace(weighed, verdict='explained')
-    return Judged(weighed.verdict, explained, noise, left, nameless)
+    return Judged(weighed.verdict, explained, noise, remainder, nameless)
 
 
 @dataclass(frozen=True)
@@ -583,32 +576,33 @@ def _standing(
 ) -> _Weighed | None:
     """Causes that stand beside what has no name; None where the gap has no name at all."""
     least = MATERIAL_SHARE * explained.before_um
-    found = standing_causes(rows, explained.causes, least)
+    standing = standing_causes(rows, explained.causes, least)
     without = Standing.of(rows, (), structures_of(rows, tried)) if alone else None
-    if found and without:  # both for the noise that the better of them leaves
-        found, without = (
+    if standing and without:  # both for the noise that the better of them leaves
+        standing, without = (
             Standing.of(rows, s.causes, s.structures, t.variance)
-            for s, t in ((found, without), (without, found))
+            for s, t in ((standing, without), (without, standing))
         )
-    if found is None or (without and without.evidence > found.evidence):
-        found = without
-    if found is None or not _describes(found, explained, verdict):
+    if standing is None or (without and without.evidence > standing.evidence):
+        standing = without
+    if standing is None or not _describes(standing, explained, verdict):
         return None
-    found = found.with_names(exclude)
-    if not found.causes:
+    standing = standing.with_names(exclude)
+    if not standing.causes:
         return None
     causes = tuple(
-        replace(c, confidence=found.confidence(k, without)) for k, c in enumerate(found.causes)
+        replace(c, confidence=standing.confidence(k, without))
+        for k, c in enumerate(standing.causes)
     )
-    every = [*causes, *(s.cause for s in found.structures)]
+    every = [*causes, *(s.cause for s in standing.structures)]
     explained = replace(
         explained,
         causes=causes,
         steps=tuple(residuals_with(rows, causes[:k]) for k in range(len(causes) + 1)),
         fitted=residuals_with(rows, every, held_out=False),
-        besides=found.residuals,
+        besides=standing.residuals,
     )
-    nameless = _said(rows, explained, found.structures, causes) if found.structures else None
+    nameless = _said(rows, explained, standing.structures, causes) if standing.structures else None
     if nameless and nameless.said.shrink_percent < LEAST_SHRINK:  # not worth stating
         if verdict == 'unknown' or _leaves_most(explained, explained.steps[-1]):
             return None
@@ -616,15 +610,15 @@ def _standing(
     return _Weighed(_verdict_beside(explained, nameless), explained, nameless)
 
 
-def _describes(found: Standing, explained: Explanation, verdict: str) -> bool:
+def _describes(standing: Standing, explained: Explanation, verdict: str) -> bool:
     """Tell whether causes and what has no name describe the gap well enough to be believed.
 
     A right cause leaves the other cause, which has a structure of its own. What imitates a cause
     that no smooth function describes leaves a part of it.
     """
-    if _leaves_most(explained, found.residuals):
+    if _leaves_most(explained, standing.residuals):
         return False
-    return bool(found.structures) or verdict != 'unknown'
+    return bool(standing.structures) or verdict != 'unknown'
 
 
 def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
@@ -635,8 +629,8 @@ def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
 
 def _verdict_beside(explained: Explanation, nameless: Nameless | None) -> str:
     """Whether causes that stand explain the gap to the end."""
-    left = explained.after_um if matters(explained.after_um, explained.simulated_um) else 0.0
-    if nameless or left > EXPLAINED_SHARE * explained.before_um:
+    remainder = explained.after_um if matters(explained.after_um, explained.simulated_um) else 0.0
+    if nameless or remainder > EXPLAINED_SHARE * explained.before_um:
         return 'partly_explained'
     return 'explained'
 
@@ -652,8 +646,8 @@ def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
 
     same = explained.known_rest is explained.fitted
     looked = [explained.fitted] if same else [explained.fitted, explained.known_rest]
-    left, rest = (shared_out(shape, looked) * 2)[:2]
-    return left, rest not in (NO_STRUCTURE, EVERYWHERE)
+    shape_left, rest = (shared_out(shape, looked) * 2)[:2]
+    return shape_left, rest not in (NO_STRUCTURE, EVERYWHERE)
 
 
 def _case(explained: Explanation, noise: NoiseFinding | None, *, has_place: bool) -> Case:

@@ -153,7 +153,7 @@ class Effect(ABC):
         """
         return {self.refine: self.refine_width} if self.refine else {}
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """What stands for it in a headline, the largest first.
 
         Empty where no single coefficient does: then the displacement that it causes across the

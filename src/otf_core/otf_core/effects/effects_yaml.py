@@ -118,7 +118,7 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
     ConfigError
         If the folder holds none, one has no name or the name of another, or a file is wrong.
     """
-    found: dict[str, Kept] = {}
+    causes: dict[str, Kept] = {}
     for file in sorted(Path(folder).glob('*.yaml')):
         for one in read_effects(file, machine):
             name = one.effect.name
@@ -130,12 +130,12 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
                 )
             if name == EMPIRICAL:
                 raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')
-            if name in found or name in REGISTRY:
+            if name in causes or name in REGISTRY:
                 raise ConfigError(f'{file}: {name}: this name is taken; choose another one')
-            found[name] = Kept(one)
-    if not found:
+            causes[name] = Kept(one)
+    if not causes:
         raise ConfigError(f'{folder}: no .yaml file with an empirical effect in this folder')
-    return tuple(found.values())
+    return tuple(causes.values())
 
 
 def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[dict[str, Any]]:

@@ -125,11 +125,11 @@ def of_table(
         inverses.append(np.linalg.inv(matrix))
     parameters = {}
     for term, value in values.items():
-        found = np.asarray(value, dtype=float)
+        coefficients = np.asarray(value, dtype=float)
         for k, inverse in enumerate(inverses):
-            found = np.moveaxis(np.tensordot(inverse, found, axes=(1, k)), 0, k)
+            coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, k)), 0, k)
         for number in form.numbers:
-            parameters[coefficient_name(term, number)] = float(found[number])
+            parameters[coefficient_name(term, number)] = float(coefficients[number])
     return AppliedEffect(FreeForm(Empirical(name), form, spans), parameters)
 
 

@@ -135,16 +135,16 @@ class FreeForm(Effect):
     def factors(self, state: State, shape: Shape) -> tuple[Terms, list[Array]]:
         """What it acts with, and the functions (n, k) that each term of that is times."""
         base = acting(self.parent, self.form)(state, shape)
-        made: dict[tuple[str, ...], Array] = {}
-        found = []
+        by_input: dict[tuple[str, ...], Array] = {}
+        factors = []
         for term, axis in zip(base.names, base.axes, strict=True):
             own = self.inputs_of(term, axis)
-            if own not in made:
-                made[own] = self.functions([
+            if own not in by_input:
+                by_input[own] = self.functions([
                     scaled_input(n, input_values(state, n), self.spans[n]) for n in own
                 ])  # fmt: skip
-            found.append(made[own])
-        return base, found
+            factors.append(by_input[own])
+        return base, factors
 
     def inputs_of(self, term: str, axis: str) -> tuple[str, ...]:
         """Inputs of one term of what it acts with."""
@@ -159,11 +159,11 @@ class FreeForm(Effect):
             if number == 0 and self.form.zero_at:
                 table = table - self.form.zero_at ** np.arange(order + 1)
             tables.append(table)
-        found = [
+        products = [
             np.prod([t[:, k] for t, k in zip(tables, number, strict=True)], axis=0)
             for number in self.form.numbers
         ]
-        return np.stack(found, axis=1)
+        return np.stack(products, axis=1)
 
 
 def acting(parent: Effect, free: Free) -> Acting:

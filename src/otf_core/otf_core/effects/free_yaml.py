@@ -38,25 +38,25 @@ FREE = 'free'
 
 
 def _numbers(value: Any, fields: Fields, key: str) -> list[float]:
-    found = value if isinstance(value, list) else [value]
-    plain = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in found]
-    if not found or not all(plain) or not np.all(np.isfinite(np.array(found, dtype=float))):
+    values = value if isinstance(value, list) else [value]
+    plain = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in values]
+    if not values or not all(plain) or not np.all(np.isfinite(np.array(values, dtype=float))):
         fields.fail(key, 'expected a list of plain numbers in SI units')
-    return [float(v) for v in found]
+    return [float(v) for v in values]
 
 
 def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
     value = fields.take(key)
     if not isinstance(value, dict) or not value:
         fields.fail(key, 'expected names of inputs and lists of numbers')
-    found = {}
+    ranges = {}
     for name, own in value.items():
         if not known_input(str(name)):
             fields.fail(key, f'input {shown(str(name))} is unknown')
-        found[str(name)] = _numbers(own, fields, f'{key}: {name}')
-        if found[str(name)] != sorted(found[str(name)]):
+        ranges[str(name)] = _numbers(own, fields, f'{key}: {name}')
+        if ranges[str(name)] != sorted(ranges[str(name)]):
             fields.fail(f'{key}: {name}', 'the numbers must be ascending')
-    return found
+    return ranges
 
 
 def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
@@ -144,11 +144,11 @@ def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
 def _acts_of(fields: Fields) -> Acting:
     acts_as = fields.text('acts_as')
     if acts_as == DIRECTION:
-        found = _numbers(fields.take('direction'), fields, 'direction')
-        size = float(np.linalg.norm(found))
-        if len(found) != 3 or not size > 0.0:
+        direction = _numbers(fields.take('direction'), fields, 'direction')
+        size = float(np.linalg.norm(direction))
+        if len(direction) != 3 or not size > 0.0:
             fields.fail('direction', 'expected three numbers, not all zero')
-        x, y, z = (v / size for v in found)
+        x, y, z = (v / size for v in direction)
         return Along((x, y, z))
     if acts_as not in ACTING:
         known = ', '.join((*ACTING, DIRECTION))

@@ -31,27 +31,27 @@ def travel_at_start(unit: Array, length: Array) -> Array:
     length : ndarray, shape (m,), m
     """
     sense = np.where(np.abs(unit) > MOVING, np.sign(unit), 0.0)
-    found = np.zeros_like(unit)
+    travels = np.zeros_like(unit)
     for axis in range(3):
         last, travel = 0.0, 0.0
         for leg, now in enumerate(sense[:, axis].tolist()):
             if now and now != last:
                 last, travel = now, 0.0
-            found[leg, axis] = travel
+            travels[leg, axis] = travel
             travel += abs(float(unit[leg, axis])) * float(length[leg])
-    return found
+    return travels
 
 
 def lap_numbers(corners: Array) -> Array:
     """How often the line of each leg was driven before, in either sense, shape (m,)."""
     raster = np.rint(corners / SAME_POINT).astype(np.int64).tolist()
     seen: dict[frozenset[tuple[int, ...]], int] = {}
-    found = np.zeros(max(len(raster) - 1, 0))
-    for leg in range(len(found)):
+    numbers = np.zeros(max(len(raster) - 1, 0))
+    for leg in range(len(numbers)):
         line = frozenset((tuple(raster[leg]), tuple(raster[leg + 1])))
-        found[leg] = seen.get(line, 0)
+        numbers[leg] = seen.get(line, 0)
         seen[line] = seen.get(line, 0) + 1
-    return found
+    return numbers
 
 
 def path_history(
@@ -97,9 +97,9 @@ def _acceleration(speed: Array, time: Array, first: Index, last: Index) -> Array
     """Change of speed along the legs between first and last points, shape (n,), m/s^2."""
     if len(time) < 2 or not np.all(np.diff(time) > 0.0):
         return np.zeros(len(time))
-    found = np.gradient(speed, time)
+    acceleration = np.gradient(speed, time)
     for ends, step in ((first, 1), (last, -1)):  # the next leg tells nothing of this one
         inside = np.where(last > first, ends + step, ends)
         width = np.where(last > first, time[inside] - time[ends], 1.0)
-        found[ends] = (speed[inside] - speed[ends]) / width
-    return found
+        acceleration[ends] = (speed[inside] - speed[ends]) / width
+    return acceleration

@@ -73,8 +73,8 @@ class Taken:
         terms = self.effect.terms(state, self.effect.complete_shape(self.shape))
         place = [terms.names.index(name) for name in self.names]
         count, own = len(self.names), run if len(self.values) > 1 else 0
-        found = np.zeros((len(state), 3, self.size))
-        found[:, :, own * count : (own + 1) * count] = terms.columns[:, :, place]
+        columns = np.zeros((len(state), 3, self.size))
+        columns[:, :, own * count : (own + 1) * count] = terms.columns[:, :, place]
         for k, (name, width) in enumerate(self.widths.items()):
             step = DIFFERENCE * width
             low, high = (
@@ -82,8 +82,8 @@ class Taken:
                 for s in (-step, step)
             )
             change = high.displacement(state, run) - low.displacement(state, run)
-            found[:, :, self.values.size + k] = change / (2.0 * step)
-        return found
+            columns[:, :, self.values.size + k] = change / (2.0 * step)
+        return columns
 
     def moved(self, step: Array) -> Taken:
         """The same with parameters moved by ``step`` (size,), those of the shape not far."""

@@ -59,17 +59,17 @@ class Coefficients:
 
         Only those that displace by ``SHARE`` of the strongest.
         """
-        found: dict[str, list[str]] = {}
+        by_head: dict[str, list[str]] = {}
         for name in self.value:
             head = name.split('@')[0] if '@' in name else name.rsplit('_', 1)[0]
-            found.setdefault(head, []).append(name)
+            by_head.setdefault(head, []).append(name)
         strength = {
             head: float(np.sqrt(sum(self.displacement(n) ** 2 for n in names)))
-            for head, names in found.items()
+            for head, names in by_head.items()
         }
         least = SHARE * max(strength.values(), default=0.0)
-        kept = [head for head in found if strength[head] >= least]
-        return {head: found[head] for head in sorted(kept, key=lambda h: -strength[h])}
+        relevant = [head for head in by_head if strength[head] >= least]
+        return {head: by_head[head] for head in sorted(relevant, key=lambda h: -strength[h])}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Size:
 
 
 def vector_size(
-    found: Coefficients,
+    fitted: Coefficients,
     parts: Sequence[Part],
     unit: str,
     remark: str,
@@ -118,7 +118,7 @@ def vector_size(
     along : str
         'about' for a rotation.
     """
-    values = np.array([found.of(part) for part in parts])
+    values = np.array([fitted.of(part) for part in parts])
     main = int(np.argmax(np.abs(values)))
     if abs(values[main]) > MAINLY * float(np.linalg.norm(values)):
         return Size(f'{way} {along} {XYZ[main]}'.lstrip(), (parts[main],), unit, remark)

@@ -42,12 +42,12 @@ class Switching:
             return None
         lag, _, moments = name.removeprefix(SWITCHED).partition('@')
         try:
-            found = cls(float(lag), tuple(float(m) for m in moments.split(',')))
+            switching = cls(float(lag), tuple(float(m) for m in moments.split(',')))
         except ValueError:
             return None
-        steps = np.diff((0.0, *found.moments))
-        sound = 0.0 <= found.lag < np.inf and steps[0] >= 0.0 and np.all(steps[1:] > 0.0)
-        return found if sound and found.moments[-1] < np.inf else None
+        steps = np.diff((0.0, *switching.moments))
+        sound = 0.0 <= switching.lag < np.inf and steps[0] >= 0.0 and np.all(steps[1:] > 0.0)
+        return switching if sound and switching.moments[-1] < np.inf else None
 
     @property
     def name(self) -> str:

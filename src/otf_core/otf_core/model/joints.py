@@ -52,7 +52,6 @@ class Joint:
     ----------
     name : str
         Of its axis.
-    axis : Axis
     inverse : bool
         Met on the way from the bed to the table.
     error_first : bool
@@ -136,7 +135,6 @@ class Sight:
 
     Attributes
     ----------
-    machine : Machine
     frame : str
         Link of the tracker, ``w`` or ``b``: its frame is that of all positions.
     link : str
@@ -318,8 +316,6 @@ def exact_position(tables: ErrorTables, sight: Sight, q: Array) -> Array:
 
     Parameters
     ----------
-    tables : ErrorTables
-    sight : Sight
     q : ndarray, shape (n, k), m and rad
     """
     q = np.asarray(q, dtype=float)

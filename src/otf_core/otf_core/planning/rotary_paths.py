@@ -89,7 +89,6 @@ class PlannedPart:
 
     Attributes
     ----------
-    path : AxisPath
     dwell : float
         s at every corner; 0 drives through smooth ones.
     words : str
@@ -187,8 +186,6 @@ def creep(machine: Machine, axis: str, start: Array, drift: Array, target: str =
 
     Parameters
     ----------
-    machine : Machine
-    axis : str
     start, drift : ndarray, shape (3,), m
         First place of the reflector in the frame of the tracker's link, and how far it creeps.
 

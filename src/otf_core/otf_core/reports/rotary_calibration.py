@@ -489,8 +489,6 @@ def write_calibration(
 
     Parameters
     ----------
-    result : AxisCalibration
-    folder : str or Path
     report : bool
         Write report.html.
     missing : dict of str to str, optional

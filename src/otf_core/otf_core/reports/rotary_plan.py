@@ -41,7 +41,6 @@ class RotaryPlan:
 
     Attributes
     ----------
-    parts : sequence of PlannedPart
     durations : sequence of float
         s, of every part.
     place : ndarray, shape (3,), m

@@ -59,10 +59,6 @@ class AxisCalibration:
 
     Attributes
     ----------
-    run_id : str
-    machine : Machine
-    made : AxisTables
-    solution : AxisSolution
     matched : tuple of Matched
         Of every recording.
     targets : mapping of target to (ndarray, ndarray), each of shape (3,), m
@@ -71,15 +67,10 @@ class AxisCalibration:
         Lowest and highest positions of the axes.
     corners : ndarray, shape (n, 3), m
         Linear axes where pieces lie, for the hull of what was driven.
-    fit : AxisFit
-    warnings, failed_gates : tuple of str
     reversal : tuple of AxisReversal
         Motions that differ between both senses of travel; the tables hold the mean.
     advice : mapping of name to str
         What would show an error that the data do not show.
-    method : str
-    config : CalibrationConfig
-    origin : tuple of Origin
     """
 
     run_id: str
@@ -124,7 +115,6 @@ def calibrate_axes(
     ----------
     recordings : sequence of Recording
         Of one machine with rotary axes.
-    config : CalibrationConfig
     progress : callable(stage, fraction)
     method : str
         'otf', or 'standstill': only the stops at the corners.
@@ -159,8 +149,8 @@ def _calibrated(
     progress('solving', 0.0)
     job = _Job(recordings, config, progress, method, nodes, tuple(stations), free)
     failed: list[str] = []
-    done, matched, before = job.solve(matched, places, failed)
-    result = _assembled(recordings, matched, done, config, method, (low, high), before)
+    joint, matched, before = job.solve(matched, places, failed)
+    result = _assembled(recordings, matched, joint, config, method, (low, high), before)
     gates = (*failed, *result.failed_gates)
     return replace(result, warnings=(*notes, *result.warnings), failed_gates=gates)
 
@@ -211,19 +201,19 @@ class _Job:
         unknowns = self._layout()
         solve = partial(solve_robustly, noises=noises, config=self.config, progress=self.progress)
 
-        def look(done: AxisSolution) -> None:
-            failed.extend(text for solved in done.runs for text in reseated(solved))
+        def look(joint: AxisSolution) -> None:
+            failed.extend(text for solved in joint.runs for text in reseated(solved))
 
-        done, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
+        joint, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
         if self.config.reversal != NONE:
-            unknowns = self._with_reversal(done, noises, fitted)
-        tables = tables_of(machine, done.unknowns, done.solution.value)
-        matched = self._moved(matched, done)
-        runs = self._runs(matched, done.places, tables)
-        done, _ = solve(
-            runs, unknowns=unknowns, tables=tables, logs=done.roughness.logs, fitted=fitted
+            unknowns = self._with_reversal(joint, noises, fitted)
+        tables = tables_of(machine, joint.unknowns, joint.solution.value)
+        matched = self._moved(matched, joint)
+        runs = self._runs(matched, joint.places, tables)
+        joint, _ = solve(
+            runs, unknowns=unknowns, tables=tables, logs=joint.roughness.logs, fitted=fitted
         )
-        return done, self._moved(matched, done), before
+        return joint, self._moved(matched, joint), before
 
     def _layout(self, reversal: Sequence[str] = ()) -> Unknowns:
         machine = self.recordings[0].machine
@@ -232,19 +222,19 @@ class _Job:
 
     def _with_reversal(
         self,
-        done: AxisSolution,
+        joint: AxisSolution,
         noises: Sequence[NoiseModel],
         fitted: Sequence[Array | None],
     ) -> Unknowns:
         """Unknowns with the constants of reversal that the data show."""
         trial, _ = solve_robustly(
-            [s.run for s in done.runs],
+            [s.run for s in joint.runs],
             noises,
-            self._layout(done.machine.motions),
+            self._layout(joint.machine.motions),
             self.config,
             self.progress,
-            tables_of(done.machine, done.unknowns, done.solution.value),
-            done.roughness.logs,
+            tables_of(joint.machine, joint.unknowns, joint.solution.value),
+            joint.roughness.logs,
             fitted,
             repetitions=1,
         )
@@ -259,9 +249,9 @@ class _Job:
                     return seen.noise
             return noise_model(samples, spec, self.config.standstill_speed)
 
-    def _moved(self, matched: Sequence[Matched], done: AxisSolution) -> list[Matched]:
+    def _moved(self, matched: Sequence[Matched], joint: AxisSolution) -> list[Matched]:
         pairs = zip(matched, self.stations, strict=True)
-        return [replace(m, pose=done.poses[k], places=done.places) for m, k in pairs]
+        return [replace(m, pose=joint.poses[k], places=joint.places) for m, k in pairs]
 
     def _runs(
         self, matched: Sequence[Matched], places: Mapping[str, Array], tables: ErrorTables
@@ -295,15 +285,15 @@ def _match_all(
     for k, recording in enumerate(recordings):
         with errors_of(recording.name):
             known = matched[0] if same_station and matched else None
-            found = match(
+            match_of_run = match(
                 recording.samples,
                 recording.machine,
                 recording.axis_paths,
                 known.pose if known else None,
                 known.places if known else None,
             )
-            notes += check_matched(recording.samples, found, recording.axis_paths)
-            matched.append(found)
+            notes += check_matched(recording.samples, match_of_run, recording.axis_paths)
+            matched.append(match_of_run)
         progress('aligning', (k + 1) / (len(recordings) + 1))
     return matched, notes
 
@@ -326,12 +316,12 @@ def _located(
 
 def _mean_distance(runs: Sequence[AxisRun]) -> float:
     """Mean distance of the pieces from the curves at the poses of the runs, m."""
-    found = []
+    distances = []
     for run in runs:
         off = run.pose.apply(run.pieces.xyz) - run.pieces.nominal
         along = np.einsum('ij,ij->i', off, run.pieces.direction)
-        found.append(np.linalg.norm(off - along[:, None] * run.pieces.direction, axis=1))
-    return float(np.concatenate(found).mean())
+        distances.append(np.linalg.norm(off - along[:, None] * run.pieces.direction, axis=1))
+    return float(np.concatenate(distances).mean())
 
 
 def driven_ranges(machine: Machine, matched: Sequence[Matched]) -> tuple[Array, Array]:
@@ -368,55 +358,56 @@ def common_places(machine: Machine, matched: Sequence[Matched]) -> dict[str, Arr
 def _assembled(
     recordings: Sequence[Recording],
     matched: Sequence[Matched],
-    done: AxisSolution,
+    joint: AxisSolution,
     config: CalibrationConfig,
     method: str,
     driven: tuple[Array, Array],
     before: float,
 ) -> AxisCalibration:
-    machine, unknowns = done.machine, done.unknowns
-    whitened = [s.whitener.whiten(s.residual) for s in done.runs]
+    machine, unknowns = joint.machine, joint.unknowns
+    whitened = [s.whitener.whiten(s.residual) for s in joint.runs]
     rows = sum(w.size for w in whitened)
-    used = effective_unknowns(done)
+    used = effective_unknowns(joint)
     ratio = float(sum(np.sum(w**2) for w in whitened) / max(rows - used, 1.0))
     inflation = max(1.0, ratio)
-    drawn = unknowns.gauge @ done.roughness.drawn
-    covariance = inflation * (done.solution.covariance + drawn @ drawn.T)
-    made = tabulate(machine, done, driven, config.unidentifiable_above, covariance)
+    drawn = unknowns.gauge @ joint.roughness.drawn
+    covariance = inflation * (joint.solution.covariance + drawn @ drawn.T)
+    tabulated = tabulate(machine, joint, driven, config.unidentifiable_above, covariance)
     targets = {}
     for name in {p.path.target for m in matched for p in m.parts}:
         u = np.zeros(3)
         if place_block(name) in unknowns.blocks:
             block = unknowns.blocks[place_block(name)]
             u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
-        targets[name] = (np.asarray(done.places[name]), u)
-    fit = _fit_of(recordings, matched, done, before, ratio, inflation)
-    q = np.concatenate([s.system.q for s in done.runs])
+        targets[name] = (np.asarray(joint.places[name]), u)
+    fit = _fit_of(recordings, matched, joint, before, ratio, inflation)
+    q = np.concatenate([s.system.q for s in joint.runs])
     sights = [
         s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
-        for s in done.runs
+        for s in joint.runs
         for k in s.run.pieces.part
     ]
     linear = q[np.array(sights), :3] if any(sights) else q[:, :3]
-    advice = advice_for(machine, matched, made.hidden)
+    advice = advice_for(machine, matched, tabulated.hidden)
     return AxisCalibration(
         run_id=run_id(recordings, config),
         machine=machine,
-        made=made,
-        solution=done,
+        made=tabulated,
+        solution=joint,
         matched=tuple(matched),
         targets=dict(sorted(targets.items())),
         driven=driven,
         corners=linear,
         fit=fit,
-        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(made),
+        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(tabulated),
         failed_gates=(
             *_failed(fit),
             *wrong_lines(
-                {n: (v.value, v.identifiable) for n, v in made.tables.location.items()}, machine
+                {n: (v.value, v.identifiable) for n, v in tabulated.tables.location.items()},
+                machine,
             ),
         ),
-        reversal=tuple(reversals(done, inflation)),
+        reversal=tuple(reversals(joint, inflation)),
         advice=advice,
         method=method,
         config=config,
@@ -427,12 +418,12 @@ def _assembled(
 def _fit_of(
     recordings: Sequence[Recording],
     matched: Sequence[Matched],
-    done: AxisSolution,
+    joint: AxisSolution,
     before: float,
     ratio: float,
     inflation: float,
 ) -> AxisFit:
-    after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in done.runs])
+    after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in joint.runs])
     coverage = float(
         np.average(
             np.concatenate([m.driven for m in matched]),
@@ -441,26 +432,26 @@ def _fit_of(
     )
     return AxisFit(
         samples=sum(len(r.samples) for r in recordings),
-        used=sum(s.run.pieces.used for s in done.runs),
-        outliers=sum(s.run.pieces.outliers for s in done.runs),
+        used=sum(s.run.pieces.used for s in joint.runs),
+        outliers=sum(s.run.pieces.outliers for s in joint.runs),
         pieces=len(after),
-        unknowns=done.unknowns.free,
-        rank=done.solution.rank,
+        unknowns=joint.unknowns.free,
+        rank=joint.solution.rank,
         coverage=coverage,
         path_mae_before=before,
         path_mae_after=float(after.mean()),
         residual_rms=float(np.sqrt(np.mean(after**2))),
         variance_ratio=ratio,
         inflation=inflation,
-        iterations=done.iterations,
+        iterations=joint.iterations,
     )
 
 
-def effective_unknowns(done: AxisSolution) -> float:
+def effective_unknowns(joint: AxisSolution) -> float:
     """Number of combinations of the unknowns that the data decide: tr(V N)."""
-    free = done.unknowns.kept
-    cover = done.solution.covariance[np.ix_(free, free)]
-    return float(np.sum(cover * done.normal.matrix[: len(free), : len(free)]))
+    free = joint.unknowns.kept
+    cover = joint.solution.covariance[np.ix_(free, free)]
+    return float(np.sum(cover * joint.normal.matrix[: len(free), : len(free)]))
 
 
 def _failed(fit: AxisFit) -> tuple[str, ...]:
@@ -470,23 +461,23 @@ def _failed(fit: AxisFit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _warnings(made: AxisTables) -> tuple[str, ...]:
-    found = []
-    for name, table in made.tables.motions.items():
+def _warnings(tabulated: AxisTables) -> tuple[str, ...]:
+    warnings = []
+    for name, table in tabulated.tables.motions.items():
         if table.identifiable and table.node_identifiable is not None:
             loose = table.position[~table.node_identifiable]
             if loose.size:
-                found.append(
+                warnings.append(
                     f'{name}: not determined by the data at {loose.size} nodes; continued smoothly'
                 )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def advice_for(
     machine: Machine, matched: Sequence[Matched], hidden: Sequence[str]
 ) -> dict[str, str]:
     """Say for every error that the data do not show which path would show it."""
-    found = {}
+    advice = {}
     moving = {
         axis
         for one in matched
@@ -510,18 +501,18 @@ def advice_for(
     for name in hidden:
         axis = name[-1]
         if axis not in moving:
-            found[name] = f'{axis} did not move a reflector in view of the tracker'
+            advice[name] = f'{axis} did not move a reflector in view of the tracker'
         elif axis in machine.rotary_names:
-            found[name] = _rotary_advice(machine, name, axis, nests, len(matched))
+            advice[name] = _rotary_advice(machine, name, axis, nests, len(matched))
         elif len(tools) < 2 and name[1] in 'ABC':
-            found[name] = 'a second reflector place on the tool side (another length or off axis)'
+            advice[name] = 'a second reflector place on the tool side (another length or off axis)'
         else:
-            found[name] = (
+            advice[name] = (
                 'a reflector off the spindle axis: it acts only as a turn about that axis'
                 if name[1] in 'ABC'
                 else f'longer lines of {axis}, together with the other axes'
             )
-    return found
+    return advice
 
 
 def _rotary_advice(machine: Machine, name: str, axis: str, nests: set[str], runs: int) -> str:

@@ -71,8 +71,6 @@ class Matched:
 
     Attributes
     ----------
-    machine : Machine
-    parts : tuple of Part
     pose : RigidTransform
         Tracker to the link that it stands on.
     places : mapping of target to ndarray, shape (3,), m
@@ -146,13 +144,13 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
                 total = best[k - 1, start] + off * off
                 if total < best[k, end]:
                     best[k, end], cut[k, end] = total, start
-    found: list[Part] = []
+    parts: list[Part] = []
     end = pieces
     for k in range(len(paths), 0, -1):
         start = int(cut[k, end])
-        found.append(Part(paths[k - 1], marks[start], marks[end]))
+        parts.append(Part(paths[k - 1], marks[start], marks[end]))
         end = start
-    return found[::-1]
+    return parts[::-1]
 
 
 def nominal_places(machine: Machine) -> dict[str, Array]:
@@ -187,8 +185,6 @@ def match(
 
     Parameters
     ----------
-    samples : Samples
-    machine : Machine
     paths : sequence of AxisPath
         Parts in driving order, axes as of the machine.
     pose : RigidTransform, optional

@@ -35,7 +35,7 @@ TILT = 3e-3
 """rad; the same of its direction."""
 
 
-def check_matched(samples: Samples, found: Matched, paths: Sequence[AxisPath]) -> list[str]:
+def check_matched(samples: Samples, matched: Matched, paths: Sequence[AxisPath]) -> list[str]:
     """Refuse what does not fit and say why; return what is to be noted.
 
     Raises
@@ -43,26 +43,26 @@ def check_matched(samples: Samples, found: Matched, paths: Sequence[AxisPath]) -
     InputError
         Names the contradiction and what to change.
     """
-    _check_names(found)
-    worst = int(np.argmax(found.distance))
-    if found.distance[worst] > SUSPECT:
-        explained = _explained(samples, found, paths)
+    _check_names(matched)
+    worst = int(np.argmax(matched.distance))
+    if matched.distance[worst] > SUSPECT:
+        explained = _explained(samples, matched, paths)
         if explained:
             raise InputError(explained)
-        if found.distance[worst] > REFUSED:
+        if matched.distance[worst] > REFUSED:
             raise InputError(
-                f"part {worst + 1} ('{found.parts[worst].path.target}'): the track is "
-                f'{1e3 * found.distance[worst]:.2f} mm off the curve that the axes drive; check '
+                f"part {worst + 1} ('{matched.parts[worst].path.target}'): the track is "
+                f'{1e3 * matched.distance[worst]:.2f} mm off the curve that the axes drive; check '
                 f'chain, direction and centre of the rotary axes, and the places of the targets'
             )
-    return _notes(found)
+    return _notes(matched)
 
 
-def _explained(samples: Samples, found: Matched, paths: Sequence[AxisPath]) -> str:
+def _explained(samples: Samples, matched: Matched, paths: Sequence[AxisPath]) -> str:
     """Words on the change under which the track fits far better; empty if there is none."""
-    given = max(found.distance)
+    given = max(matched.distance)
     best, words = BETTER * given, ''
-    for machine, driven, said in _alternatives(found.machine, paths):
+    for machine, driven, said in _alternatives(matched.machine, paths):
         with suppress(OtfError):
             other = max(match(samples, machine, driven, quick=True).distance)
             if other < best:
@@ -70,7 +70,7 @@ def _explained(samples: Samples, found: Matched, paths: Sequence[AxisPath]) -> s
                 if other < 0.5 * SUSPECT:
                     break
     if not words:
-        words = _moved_tracker(samples, found, given)
+        words = _moved_tracker(samples, matched, given)
     if not words:
         return ''
     return f'the track is {1e3 * given:.2f} mm off the curve that the axes drive; {words}'
@@ -125,13 +125,13 @@ def _other_orders(
         )
 
 
-def _moved_tracker(samples: Samples, found: Matched, given: float) -> str:
+def _moved_tracker(samples: Samples, matched: Matched, given: float) -> str:
     """Words where parts fit one by one, but not with one pose of the tracker."""
     poses = []
-    for part in found.parts:
+    for part in matched.parts:
         own = samples.part(part.first, part.last)
         try:
-            alone = match(own, found.machine, [part.path], quick=True)
+            alone = match(own, matched.machine, [part.path], quick=True)
         except OtfError:
             return ''
         if max(alone.distance) > BETTER * given:
@@ -149,16 +149,16 @@ def _moved_tracker(samples: Samples, found: Matched, given: float) -> str:
     )
 
 
-def _check_names(found: Matched) -> None:
+def _check_names(matched: Matched) -> None:
     """Refuse names of targets that lie where others are stated."""
-    machine = found.machine
-    seen = {p.path.target for p in found.parts if machine.targets[p.path.target].link == TABLE}
+    machine = matched.machine
+    seen = {p.path.target for p in matched.parts if machine.targets[p.path.target].link == TABLE}
     for one, other in combinations(sorted(seen), 2):
         stated = {n: np.array(machine.targets[n].place) for n in (one, other)}
         reach = 5.0 * max(machine.targets[one].u, machine.targets[other].u, 1e-3)
         off = (
-            np.linalg.norm(found.places[one] - stated[other]),
-            np.linalg.norm(found.places[other] - stated[one]),
+            np.linalg.norm(matched.places[one] - stated[other]),
+            np.linalg.norm(matched.places[other] - stated[one]),
         )
         apart = np.linalg.norm(stated[one] - stated[other])
         if max(off) < reach < 0.5 * apart:
@@ -168,11 +168,11 @@ def _check_names(found: Matched) -> None:
             )
 
 
-def _notes(found: Matched) -> list[str]:
+def _notes(matched: Matched) -> list[str]:
     notes = []
-    for name in sorted({p.path.target for p in found.parts}):
-        target = found.machine.targets[name]
-        off = float(np.linalg.norm(found.places[name] - np.array(target.place)))
+    for name in sorted({p.path.target for p in matched.parts}):
+        target = matched.machine.targets[name]
+        off = float(np.linalg.norm(matched.places[name] - np.array(target.place)))
         if target.u > 0.0 and target.link == TABLE and off > max(FAR * target.u, CENTRE):
             notes.append(
                 f"target '{name}' lies {1e3 * off:.1f} mm from the place in machine.yaml, which "
@@ -187,9 +187,8 @@ def wrong_lines(location: dict[str, tuple[float, bool]], machine: Machine) -> li
     Parameters
     ----------
     location : mapping of name to (value, identifiable), m and rad
-    machine : Machine
     """
-    found = []
+    lines = []
     for axis in machine.rotary_names:
         own = {n: v for n, (v, seen) in location.items() if n[2] == axis and seen}
         centre = np.array(machine.axes[axis].centre)
@@ -200,12 +199,12 @@ def wrong_lines(location: dict[str, tuple[float, bool]], machine: Machine) -> li
                 far = far or abs(value) > CENTRE
         if far:
             text = ', '.join(f'{v:.5f}' for v in centre)
-            found.append(
+            lines.append(
                 f'axes: {axis}: centre: its line lies more than {1e3 * CENTRE:g} mm from the '
                 f'place in machine.yaml; it fits [{text}] m'
             )
         tilted = [n for n, v in own.items() if n[0] in 'ABC' and abs(v) > TILT]
         if tilted:
             values = ', '.join(f'{n} = {1e3 * own[n]:.2f} mrad' for n in tilted)
-            found.append(f'axes: {axis}: direction: does not fit its line ({values})')
-    return found
+            lines.append(f'axes: {axis}: direction: does not fit its line ({values})')
+    return lines

@@ -117,9 +117,9 @@ class AxisPieces:
             'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'leg', 'stretch',
             'side', 'count', 'time', 'duration',
         )  # fmt: skip
-        kept = {name: getattr(self, name)[~drop] for name in names}
+        fields = {name: getattr(self, name)[~drop] for name in names}
         lost = int(self.count[drop].sum())
-        return replace(self, **kept, used=self.used - lost, outliers=self.outliers + lost)
+        return replace(self, **fields, used=self.used - lost, outliers=self.outliers + lost)
 
 
 @dataclass(frozen=True)
@@ -165,10 +165,7 @@ def reduce_to_pieces(
 
     Parameters
     ----------
-    samples : Samples
-    matched : Matched
     nodes : mapping of axis to ndarray, m and rad
-    config : CalibrationConfig
     tables : ErrorTables, optional
         Errors that are taken off before the closest places are looked for.
 
@@ -179,29 +176,29 @@ def reduce_to_pieces(
     """
     parts = range(len(matched.parts))
     tried = [_of_part(samples, matched, k, nodes, config, tables) for k in parts]
-    found = [f for f in tried if f is not None]
-    if not found:
+    reduced = [f for f in tried if f is not None]
+    if not reduced:
         raise InputError('no sample is left on the path away from its corners')
-    return joined(samples, found)
+    return joined(samples, reduced)
 
 
-def joined(samples: Samples, found: Sequence[AxisPieces]) -> AxisPieces:
+def joined(samples: Samples, parts: Sequence[AxisPieces]) -> AxisPieces:
     """Pieces of several parts as one, legs and stretches numbered through."""
-    legs = np.cumsum([0, *(f.leg.max() + 1 for f in found)])
-    stretches = np.cumsum([0, *(f.stretch.max() + 1 for f in found)])
+    legs = np.cumsum([0, *(f.leg.max() + 1 for f in parts)])
+    stretches = np.cumsum([0, *(f.stretch.max() + 1 for f in parts)])
     names = (
         'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'side', 'count', 'time',
         'duration',
     )  # fmt: skip
-    arrays = {n: np.concatenate([getattr(f, n) for f in found]) for n in names}
+    arrays = {n: np.concatenate([getattr(f, n) for f in parts]) for n in names}
     return AxisPieces(
         **arrays,
-        leg=np.concatenate([f.leg + n for f, n in zip(found, legs, strict=False)]),
-        stretch=np.concatenate([f.stretch + n for f, n in zip(found, stretches, strict=False)]),
+        leg=np.concatenate([f.leg + n for f, n in zip(parts, legs, strict=False)]),
+        stretch=np.concatenate([f.stretch + n for f, n in zip(parts, stretches, strict=False)]),
         samples=len(samples),
-        used=sum(f.used for f in found),
-        outliers=sum(f.outliers for f in found),
-        standstill=found[0].standstill,
+        used=sum(f.used for f in parts),
+        outliers=sum(f.outliers for f in parts),
+        standstill=parts[0].standstill,
         stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),
     )
 
@@ -359,7 +356,7 @@ def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfi
     InputError
         If there are none.
     """
-    found = []
+    parts = []
     for number, part in enumerate(matched.parts):
         one = _stops_of_part(samples, matched, number, config)
         if one is None:
@@ -367,8 +364,8 @@ def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfi
                 f"part {number + 1} ('{part.path.target}'): no stop lies at a corner of its path; "
                 f'use the method otf for a run without stops'
             )
-        found.append(one)
-    return joined(samples, found)
+        parts.append(one)
+    return joined(samples, parts)
 
 
 def at_stops(samples: Samples, config: CalibrationConfig) -> Index:

@@ -27,7 +27,7 @@ LEAST = 4e-6
 
 def reseated(solved: SolvedAxisRun) -> list[str]:
     """Words on targets whose place differs from part to part of a run."""
-    found = []
+    messages = []
     for name, parts in _repeated(solved.run):
         places = {k: _own_place(solved, name, k) for k in parts}
         first = parts[0]
@@ -36,12 +36,12 @@ def reseated(solved: SolvedAxisRun) -> list[str]:
             u = np.sqrt(np.diag(places[k][1] + places[first][1]))
             if np.linalg.norm(step) > LEAST and np.any(np.abs(step) > SIGNIFICANT * u):
                 text = ', '.join(f'{1e6 * v:.1f}' for v in step)
-                found.append(
+                messages.append(
                     f"target '{name}': in part {k + 1} it lies {1e6 * np.linalg.norm(step):.1f} "
                     f'um from where it was in part {first + 1} ({text} um): it was re-seated or '
                     f'has moved. Name it differently in that part, in bag and machine.yaml'
                 )
-    return found
+    return messages
 
 
 def _repeated(run: AxisRun) -> Iterator[tuple[str, list[int]]]:

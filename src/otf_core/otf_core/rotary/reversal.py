@@ -33,22 +33,22 @@ class AxisReversal:
     u: float
 
 
-def reversals(done: AxisSolution, factor: float = 1.0) -> list[AxisReversal]:
+def reversals(joint: AxisSolution, factor: float = 1.0) -> list[AxisReversal]:
     """Constants of a solution; ``factor`` on its covariance."""
-    found = []
-    for motion in done.machine.motions:
-        block = done.unknowns.blocks.get(reversal_block(motion, 0))
+    values = []
+    for motion in joint.machine.motions:
+        block = joint.unknowns.blocks.get(reversal_block(motion, 0))
         if block is not None:
             k = block.start
-            u = float(np.sqrt(max(factor * done.solution.covariance[k, k], 0.0)))
-            found.append(AxisReversal(motion, float(done.solution.value[k]), u))
-    return found
+            u = float(np.sqrt(max(factor * joint.solution.covariance[k, k], 0.0)))
+            values.append(AxisReversal(motion, float(joint.solution.value[k]), u))
+    return values
 
 
-def significant(done: AxisSolution, config: CalibrationConfig) -> tuple[str, ...]:
+def significant(joint: AxisSolution, config: CalibrationConfig) -> tuple[str, ...]:
     """Motions to keep a constant of, from a solution with one for every motion."""
     limit = config.unidentifiable_above
-    known = [r for r in reversals(done) if r.u < limit]
+    known = [r for r in reversals(joint) if r.u < limit]
     if config.reversal != 'auto':
         return tuple(str(r.motion) for r in known)
     return tuple(str(r.motion) for r in known if abs(r.value) > max(SIGNIFICANT * r.u, LEAST))

@@ -33,7 +33,6 @@ class AxisRows:
 
     Attributes
     ----------
-    unknowns : Unknowns
     count : int
         Pieces.
     fixed : mapping of block to ndarray, shape (c, p, k)
@@ -74,9 +73,9 @@ class AxisRows:
         """Rows of some pieces by the unknowns that they depend on; see ``design.Design``."""
         rows = self.dense(pieces)
         columns = np.flatnonzero(np.any(rows, axis=(0, 1)))
-        found = np.zeros((*rows.shape[:2], len(columns) + width))
-        found[:, :, : len(columns)] = rows[:, :, columns]
-        return columns, found
+        dense = np.zeros((*rows.shape[:2], len(columns) + width))
+        dense[:, :, : len(columns)] = rows[:, :, columns]
+        return columns, dense
 
     def times(self, value: Array) -> Array:
         """Deviations (c, p) for values of the unknowns (full,)."""
@@ -98,7 +97,6 @@ class AxisSystem:
     q : ndarray, shape (p, k), m and rad
     axes : ndarray, shape (c, p, 3)
     deviation : ndarray, shape (c, p), m
-    rows : AxisRows
     shares : ndarray, shape (3, c, p)
     """
 
@@ -115,9 +113,6 @@ class AxisRun:
 
     Attributes
     ----------
-    machine : Machine
-    parts : tuple of Part
-    pieces : AxisPieces
     pose : RigidTransform
         Tracker to the link that it stands on.
     places : mapping of target to ndarray, shape (3,), m
@@ -126,7 +121,6 @@ class AxisRun:
         At which the nominal points of the pieces were computed.
     station : int
         Place of the tracker.
-    name : str
     """
 
     machine: Machine
@@ -150,9 +144,9 @@ class AxisRun:
 
 
 def _filled(count: int, own: NDArray[np.bool_], values: Array) -> Array:
-    found = np.zeros((values.shape[0], count, *values.shape[2:]))
-    found[:, own] = values
-    return found
+    filled = np.zeros((values.shape[0], count, *values.shape[2:]))
+    filled[:, own] = values
+    return filled
 
 
 def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> AxisSystem:
@@ -160,8 +154,6 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
 
     Parameters
     ----------
-    run : AxisRun
-    unknowns : Unknowns
     tables : ErrorTables, optional
         Of the last iteration, for the places along the curves.
     """

@@ -51,13 +51,9 @@ class SolvedAxisRun:
 
     Attributes
     ----------
-    run : AxisRun
-    system : AxisSystem
-    whitener : Whitener
     residual : ndarray, shape (c, p), m
     noise : NoiseModel
         Of single samples, as the residuals say it.
-    misfit : Misfit
     """
 
     run: AxisRun
@@ -74,17 +70,11 @@ class AxisSolution:
 
     Attributes
     ----------
-    machine : Machine
-    unknowns : Unknowns
-    solution : Solution
-    roughness : Roughness
     normal : NormalEquations
         Of all rows, what is known of places included.
-    runs : tuple of SolvedAxisRun
     poses : tuple of RigidTransform
         Of the places of the tracker.
     places : mapping of target to ndarray, shape (3,), m
-    iterations : int
     """
 
     machine: Machine
@@ -128,7 +118,7 @@ def solve_robustly(
     logs: Mapping[str, Array] | None = None,
     fitted: Sequence[Array | None] | None = None,
     repetitions: int = REPETITIONS,
-    look: Callable[[AxisSolution], None] = lambda done: None,
+    look: Callable[[AxisSolution], None] = lambda joint: None,
 ) -> tuple[AxisSolution, list[Array | None]]:
     """Solve, leave out what is far from the solution, fit the noise, solve again.
 
@@ -140,31 +130,31 @@ def solve_robustly(
     """
     runs = list(runs)
     known: list[Array | None] = list(fitted) if fitted is not None else [None] * len(runs)
-    done = None
+    joint = None
     for repetition in range(repetitions):
-        done = _settle(runs, noises, known, unknowns, config, progress, tables, logs)
+        joint = _settle(runs, noises, known, unknowns, config, progress, tables, logs)
         if not repetition:
-            look(done)  # before anything is left out
-        tables = tables_of(done.machine, unknowns, done.solution.value)
-        logs = done.roughness.logs
+            look(joint)  # before anything is left out
+        tables = tables_of(joint.machine, unknowns, joint.solution.value)
+        logs = joint.roughness.logs
         same = True
-        for k, solved in enumerate(done.runs):
+        for k, solved in enumerate(joint.runs):
             drop = _far(solved, config.outlier_limit)
-            found = _noise(solved, noises[k], done.solution.covariance, known[k])
+            noise = _noise(solved, noises[k], joint.solution.covariance, known[k])
             before = known[k]
-            if drop.any() or before is None or not _alike(found, before):
+            if drop.any() or before is None or not _alike(noise, before):
                 same = False
-            known[k] = found.logs
+            known[k] = noise.logs
             runs[k] = replace(solved.run, pieces=solved.run.pieces.without(drop))
         progress('solving', (repetition + 1) / (repetitions + 1))
         if same:
             break
-    assert done is not None
-    return done, known
+    assert joint is not None
+    return joint, known
 
 
-def _alike(found: FittedNoise, before: Array) -> bool:
-    return bool(np.all(np.abs(found.logs - before) < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
+def _alike(fitted: FittedNoise, before: Array) -> bool:
+    return bool(np.all(np.abs(fitted.logs - before) < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 
 
 def _noise(
@@ -226,7 +216,7 @@ def _settle(
     ]
     whiteners: list[Whitener] | None = None
     rough: Roughness | None = None
-    left: list[Array] = []
+    residuals: list[Array] = []
     for iteration in range(1, config.max_iterations + 1):
         own = [run.placed(poses[run.station], places) for run in runs]
         systems = [build_rows(run, unknowns, tables) for run in own]
@@ -243,16 +233,16 @@ def _settle(
         if rough is None or iteration == 2:
             rough = Search(normal, unknowns, accepted, limit).run(rough.logs if rough else logs)
         solution = solve(normal, unknowns, limit, accepted, rough.precision)
-        before = left
-        left = [s.deviation - s.rows.times(solution.value) for s in systems]
+        before = residuals
+        residuals = [s.deviation - s.rows.times(solution.value) for s in systems]
         value = solution.value
         tables = tables_of(machine, unknowns, value)
-        change = _change(left, before)
+        change = _change(residuals, before)
         if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
             solved = tuple(
                 SolvedAxisRun(*row)
                 for row in zip(
-                    own, systems, whiteners, left,
+                    own, systems, whiteners, residuals,
                     [m[0] for m in models], [m[1] for m in models], strict=True,
                 )
             )  # fmt: skip
@@ -269,9 +259,9 @@ def _settle(
     )
 
 
-def _change(left: Sequence[Array], before: Sequence[Array]) -> float:
+def _change(residuals: Sequence[Array], before: Sequence[Array]) -> float:
     """Largest change of the residuals, m."""
-    pairs = zip(left, before, strict=True)
+    pairs = zip(residuals, before, strict=True)
     return max(float(np.abs(a - b).max()) for a, b in pairs) if before else np.inf
 
 

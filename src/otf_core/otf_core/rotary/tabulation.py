@@ -48,7 +48,6 @@ class AxisTables:
 
     Attributes
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m)
         Of squareness and location errors and all nodes.
     fraction : int
@@ -66,9 +65,9 @@ class AxisTables:
     grid_u: float
 
 
-def raw_rows(done: AxisSolution, nodes: Mapping[str, Array]) -> Array:
+def raw_rows(joint: AxisSolution, nodes: Mapping[str, Array]) -> Array:
     """Scalars and node values from the full vector, in the gauge of the unknowns, (m, full)."""
-    machine, unknowns = done.machine, done.unknowns
+    machine, unknowns = joint.machine, joint.unknowns
     sizes = [1] * len(machine.scalars) + [len(nodes[m.axis]) for m in machine.motions]
     rows = np.zeros((sum(sizes), unknowns.full))
     start = 0
@@ -156,14 +155,12 @@ def without_rigid(machine: Machine, q: Array, rows: Array) -> Array:
     return np.asarray(rows - basis @ (basis.T @ rows))
 
 
-def tabulate(machine: Machine, done: AxisSolution, driven: tuple[Array, Array], limit: float,
+def tabulate(machine: Machine, joint: AxisSolution, driven: tuple[Array, Array], limit: float,
              covariance: Array) -> AxisTables:  # fmt: skip
     """Make tables of the functions that were solved for.
 
     Parameters
     ----------
-    machine : Machine
-    done : AxisSolution
     driven : tuple of ndarray, shape (k,)
         Lowest and highest positions driven.
     limit : float
@@ -175,14 +172,14 @@ def tabulate(machine: Machine, done: AxisSolution, driven: tuple[Array, Array], 
     q = evenly_spread(low, high)
     best = None
     fine = table_nodes(_finer(machine, FRACTIONS[-1]), low, high)
-    fine_value = gauge_matrix(machine, fine) @ (raw_rows(done, fine) @ done.solution.value)
+    fine_value = gauge_matrix(machine, fine) @ (raw_rows(joint, fine) @ joint.solution.value)
     reference = field_rows(machine, fine, q) @ fine_value
     for fraction in FRACTIONS:
         nodes = table_nodes(_finer(machine, fraction), low, high)
         if best is not None and 6 * sum(len(n) for n in nodes.values()) > MOST_NODES:
             break
-        rows = gauge_matrix(machine, nodes) @ raw_rows(done, nodes)
-        value = rows @ done.solution.value
+        rows = gauge_matrix(machine, nodes) @ raw_rows(joint, nodes)
+        value = rows @ joint.solution.value
         field = field_rows(machine, nodes, q)
         cost = float(np.linalg.norm((field @ value - reference).reshape(-1, 3), axis=1).mean())
         spread = rows @ covariance @ rows.T
@@ -193,21 +190,21 @@ def tabulate(machine: Machine, done: AxisSolution, driven: tuple[Array, Array], 
             break
     assert best is not None
     fraction, nodes, rows, value, spread, grid_u, cost = best
-    spread = spread + np.diag(_straight(done, nodes, spread))
-    seen = determined(done, rows, limit)
+    spread = spread + np.diag(_straight(joint, nodes, spread))
+    seen = determined(joint, rows, limit)
     return _assembled(machine, nodes, value, spread, seen, fraction, grid_u)
 
 
-def _straight(done: AxisSolution, nodes: Mapping[str, Array], covariance: Array) -> Array:
+def _straight(joint: AxisSolution, nodes: Mapping[str, Array], covariance: Array) -> Array:
     """Variance (m,) of the nodes that stands for what straight lines between them miss.
 
     Independent nodes of variance v make 2/3 v on the average over the places between them.
     """
-    machine, unknowns = done.machine, done.unknowns
+    machine, unknowns = joint.machine, joint.unknowns
     parts = [np.zeros(len(machine.scalars))]
     for motion in machine.motions:
         basis, at = unknowns.bases[motion.axis], nodes[motion.axis]
-        coefficients = done.solution.value[unknowns.blocks[motion]]
+        coefficients = joint.solution.value[unknowns.blocks[motion]]
         table = projection(motion, basis, at) @ coefficients
         fine = linear(at).finer(8)
         missed = basis.matrix(fine) @ coefficients - np.interp(fine, at, table)
@@ -215,12 +212,12 @@ def _straight(done: AxisSolution, nodes: Mapping[str, Array], covariance: Array)
     return np.concatenate(parts) * (np.diag(covariance) > 0.0)
 
 
-def determined(done: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool_]:
+def determined(joint: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool_]:
     """Which combinations (m, full) the data determine without what is assumed of smoothness."""
-    unknowns = done.unknowns
-    use = free_columns(unknowns, done.solution.accepted)
+    unknowns = joint.unknowns
+    use = free_columns(unknowns, joint.solution.accepted)
     place = np.ix_(use, use)
-    weight = done.normal.matrix[place] * limit**2 + BENDS * smoothness(unknowns)[place]
+    weight = joint.normal.matrix[place] * limit**2 + BENDS * smoothness(unknowns)[place]
     own = (rows @ unknowns.gauge)[:, use]
     variance = np.einsum('ij,ji->i', own, Positive(weight).solve(own.T))
     return np.asarray(variance <= 1.0)
@@ -245,10 +242,10 @@ def _assembled(
 ) -> AxisTables:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hidden: list[str] = []
-    kept = np.ones(len(value), dtype=bool)
+    in_tables = np.ones(len(value), dtype=bool)
     count = len(machine.scalars)
     for k, name in enumerate(machine.scalars):
-        kept[k] = bool(seen[k])
+        in_tables[k] = bool(seen[k])
         if not seen[k]:
             hidden.append(name)
     motions: dict[str, MotionTable] = {}
@@ -262,7 +259,7 @@ def _assembled(
         visible = bool(np.mean(known[free]) > 0.5) if free.any() else len(at) > 1
         if not visible:
             hidden.append(str(motion))
-            kept[own] = False
+            in_tables[own] = False
         motions[motion] = MotionTable(
             at,
             np.where(visible, value[own], 0.0) + 0.0,
@@ -271,16 +268,16 @@ def _assembled(
             known & visible,
         )
     # what is written as zero may be what was estimated, within its uncertainty
-    left_out = np.where(kept, 0.0, value)
+    left_out = np.where(in_tables, 0.0, value)
     spread = covariance + np.outer(left_out, left_out)
     u = np.sqrt(np.maximum(np.diag(spread), 0.0))
     motions = {m: replace(t, u=_of_nodes(machine, nodes, u)[m]) for m, t in motions.items()}
     square = {
-        n: Squareness(float(value[k] * kept[k]), float(u[k]))
+        n: Squareness(float(value[k] * in_tables[k]), float(u[k]))
         for k, n in enumerate(machine.squareness)
     }
     location = {
-        n: LocationError(float(value[k] * kept[k]), float(u[k]), bool(kept[k]))
+        n: LocationError(float(value[k] * in_tables[k]), float(u[k]), bool(in_tables[k]))
         for k, n in enumerate(machine.location, start=len(machine.squareness))
     }
     tables = ErrorTables(machine, motions, square, location)
@@ -289,8 +286,8 @@ def _assembled(
 
 def _of_nodes(machine: Machine, nodes: Mapping[str, Array], values: Array) -> dict[str, Array]:
     """Parts of values (m,) that belong to the nodes of every motion."""
-    found, start = {}, len(machine.scalars)
+    by_motion, start = {}, len(machine.scalars)
     for motion in machine.motions:
-        found[str(motion)] = values[start : start + len(nodes[motion.axis])]
+        by_motion[str(motion)] = values[start : start + len(nodes[motion.axis])]
         start += len(nodes[motion.axis])
-    return found
+    return by_motion

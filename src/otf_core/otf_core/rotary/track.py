@@ -59,9 +59,9 @@ class Track:
         count = (last - first) // every
         xyz = samples.xyz[first : first + count * every].reshape(count, every, 3).mean(axis=1)
         time = samples.time[first : first + count * every].reshape(count, every).mean(axis=1)
-        kept = _moved(xyz)
-        reach = np.linalg.norm(np.diff(xyz[kept], axis=0), axis=1).cumsum()
-        return cls(xyz[kept], time[kept], np.append(0.0, reach))
+        selected = _moved(xyz)
+        reach = np.linalg.norm(np.diff(xyz[selected], axis=0), axis=1).cumsum()
+        return cls(xyz[selected], time[selected], np.append(0.0, reach))
 
     @property
     def length(self) -> float:
@@ -77,13 +77,13 @@ class Track:
 
 def _moved(xyz: Array) -> Index:
     """Points (k,) that are ``LEAST_MOVE`` away from the one before among them."""
-    kept, last = [0], xyz[0]
+    selected, last = [0], xyz[0]
     for k, point in enumerate(xyz):
         away = point - last
         if away @ away > LEAST_MOVE**2:
-            kept.append(k)
+            selected.append(k)
             last = point
-    return np.array(kept)
+    return np.array(selected)
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,6 @@ def follow(track: Track, curve: Curve, points: Array, band: float, start: Array)
 
     Parameters
     ----------
-    track : Track
-    curve : Curve
     points : ndarray, shape (k, 3), m
         Places of the track in the frame of the curve.
     band : float
@@ -203,9 +201,9 @@ def follow(track: Track, curve: Curve, points: Array, band: float, start: Array)
         if not np.isfinite(best).any():
             best = cost.copy()
             choice[k] = np.clip(inner + shift - 1, 0, width - 1)
-    found = np.empty(len(points), dtype=np.int64)
+    nearest = np.empty(len(points), dtype=np.int64)
     j = int(np.argmin(best))
     for k in range(len(points) - 1, -1, -1):
-        found[k] = low[k] + j
+        nearest[k] = low[k] + j
         j = int(np.clip(choice[k, j], 0, width - 1))
-    return np.asarray(np.minimum(nodes[found], curve.length))
+    return np.asarray(np.minimum(nodes[nearest], curve.length))

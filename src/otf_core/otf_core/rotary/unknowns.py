@@ -40,12 +40,12 @@ def place_block(target: str) -> str:
 
 def bases_of(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> dict[str, Basis]:
     """Functions that the motions of every axis are made of."""
-    found: dict[str, Basis] = {}
+    bases: dict[str, Basis] = {}
     for axis, at in nodes.items():
         parts = finer * int(np.clip(len(at) - 1, FEWEST, MOST))
         whole = machine.axes[axis].endless and at[-1] - at[0] > 2.0 * np.pi - 1e-2
-        found[axis] = over_turn(float(at[0]), parts) if whole else cubic(at, parts)
-    return found
+        bases[axis] = over_turn(float(at[0]), parts) if whole else cubic(at, parts)
+    return bases
 
 
 def layout(
@@ -59,7 +59,6 @@ def layout(
 
     Parameters
     ----------
-    machine : Machine
     bases : mapping of axis to Basis
     stations : int
         Places of the tracker.

@@ -38,11 +38,8 @@ class SimulatedParts:
 
     Attributes
     ----------
-    samples : Samples
-    truth : ErrorTables
     rotation, place : ndarray, shape (3, 3) and (3,), m
         Tracker point = rotation @ (point of its link - place).
-    parts : tuple of AxisPath
     places : mapping of target to ndarray, shape (3,), m
         Where the reflectors really were.
     """
@@ -126,9 +123,6 @@ def simulate_parts(
 
     Parameters
     ----------
-    machine : Machine
-    parts : sequence of AxisPath
-    config : SimulationConfig
     tables : ErrorTables, optional
         Errors of the truth machine; drawn from the seed if not given.
     feed : float, m/s

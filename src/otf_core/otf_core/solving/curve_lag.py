@@ -42,22 +42,22 @@ def lags(runs: Sequence[Observed], joint: JointSolution) -> list[tuple[float, fl
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         if len(run.pieces.bend):
             columns[k][..., k : k + 1] = across(solved, run.pieces.bend[:, :, None])
-    products, found = beside_tables(joint, columns), []
+    products, estimates = beside_tables(joint, columns), []
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         own = float(products.normal[k, k])
         if own <= ROUNDING * products.square[k]:
-            found.append((0.0, 0.0))
+            estimates.append((0.0, 0.0))
             continue
-        left = columns[k][..., k] - solved.system.rows.times(products.change[:, k])
+        column = columns[k][..., k] - solved.system.rows.times(products.change[:, k])
         weights = products.weighted[k][..., k]
         white = solved.whitener.whiten(solved.residual)
         scale = max(1.0, float(np.sqrt(np.mean(white**2))))
         lag = float(products.right[k]) / own
-        parts = np.sum(weights * (solved.residual - lag * left), axis=0)
+        parts = np.sum(weights * (solved.residual - lag * column), axis=0)
         curve = run.shape.stretch[run.pieces.line]
         spread = float(np.sqrt(np.sum(np.bincount(curve, parts) ** 2))) / own
-        found.append((lag, max(scale / np.sqrt(own), spread)))
-    return found
+        estimates.append((lag, max(scale / np.sqrt(own), spread)))
+    return estimates
 
 
 def move_onto_curves(
@@ -73,8 +73,8 @@ def move_onto_curves(
         Of these runs.
     """
     moved = list(runs)
-    found = lags(solved.runs, solved.joint)
-    for k, (run, (lag, u)) in enumerate(zip(runs, found, strict=True)):
+    estimates = lags(solved.runs, solved.joint)
+    for k, (run, (lag, u)) in enumerate(zip(runs, estimates, strict=True)):
         if _size(run, lag) > MIN_LAG and abs(lag) > MIN_SIGNIFICANCE * u:
             shift = lag * run.pieces.bend
             pieces = replace(run.pieces, origin=run.pieces.origin + shift)

@@ -71,10 +71,10 @@ class AxisPart:
             mask[self.first + step] = True
         return self.places[mask]
 
-    def columns(self, kept: Index) -> Index:
+    def columns(self, motions: Index) -> Index:
         """Places of the splines of some blocks at every place, full vector, shape (p, k, n)."""
         splines = self.first[:, None] + np.arange(self.weight.shape[1])
-        return np.asarray(splines[:, None, :] + self.starts[kept][:, None])
+        return np.asarray(splines[:, None, :] + self.starts[motions][:, None])
 
     def at(self, place: Index | slice) -> AxisPart:
         """Return the part at some of the places."""
@@ -111,9 +111,9 @@ class ReversalPart:
         """Places of all coefficients."""
         return self.places
 
-    def columns(self, kept: Index) -> Index:
+    def columns(self, motions: Index) -> Index:
         """Places of the coefficients of some motions, full vector, shape (1, k, n)."""
-        return self.places.T[None, kept]
+        return self.places.T[None, motions]
 
     def at(self, place: Index | slice) -> ReversalPart:
         """Return the part at some of the places."""
@@ -125,26 +125,26 @@ def crossed(one: Array, other: Array) -> Array:
     a, b, c = one[..., 0], one[..., 1], one[..., 2]
     x, y, z = other[..., 0], other[..., 1], other[..., 2]
     first = b * z - c * y
-    found = np.empty((*first.shape, 3))
-    found[..., 0], found[..., 1], found[..., 2] = first, c * x - a * z, a * y - b * x
-    return found
+    product = np.empty((*first.shape, 3))
+    product[..., 0], product[..., 1], product[..., 2] = first, c * x - a * z, a * y - b * x
+    return product
 
 
 def turned_by(arms: Array, forces: Array) -> Array:
     """Vector products of arms (p, 3) with k forces each, shape (p, 3, k)."""
     x, y, z = (arms[:, i, None] for i in range(3))
-    found = np.empty_like(forces)
-    np.subtract(y * forces[:, 2], z * forces[:, 1], out=found[:, 0])
-    np.subtract(z * forces[:, 0], x * forces[:, 2], out=found[:, 1])
-    np.subtract(x * forces[:, 1], y * forces[:, 0], out=found[:, 2])
-    return found
+    product = np.empty_like(forces)
+    np.subtract(y * forces[:, 2], z * forces[:, 1], out=product[:, 0])
+    np.subtract(z * forces[:, 0], x * forces[:, 2], out=product[:, 1])
+    np.subtract(x * forces[:, 1], y * forces[:, 0], out=product[:, 2])
+    return product
 
 
 def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
     """Parts of one axis at all shifts, each with all the splines that any of them reaches."""
     first = np.minimum.reduce([part.first for part in parts])
     width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
-    first, row, found = (
+    first, row, alike = (
         np.minimum(first, parts[0].size - width),
         np.arange(len(first))[:, None],
         [],
@@ -152,8 +152,8 @@ def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
     for part in parts:
         weight = np.zeros((len(first), width))
         weight[row, (part.first - first)[:, None] + np.arange(part.weight.shape[1])] = part.weight
-        found.append(replace(part, first=first, weight=weight))
-    return found
+        alike.append(replace(part, first=first, weight=weight))
+    return alike
 
 
 def six_motions(direction: Array, arm: Array) -> Array:
@@ -268,16 +268,16 @@ class Design:
         """Reversal of the three axes at places (m, 3) of some pieces at every shift."""
         if not self.unknowns.reversal:
             return []
-        found: list[Parts] = []
+        parts_reversed: list[Parts] = []
         travel, side = self.travel[pieces], self.side[pieces]
         weights = [reversal_weights(self.machine, q, travel, side, self.unknowns) for q in places]
         for k, name in enumerate(self.machine.axis_names):
             blocks = self._reversal_places(name)
             pairs = zip(weights, places, strict=True)
-            found.append(
+            parts_reversed.append(
                 [ReversalPart(w[:, k], lever(self.machine, name, q), blocks) for w, q in pairs]
             )
-        return found
+        return parts_reversed
 
     def _reversal_places(self, axis: str) -> Index:
         """Places of the reversal coefficients of an axis, see ``ReversalPart``."""
@@ -345,8 +345,8 @@ class Design:
         few, counting = self._few(pieces), self._counting(pieces, blocks)
         mask = np.zeros(self.unknowns.full, dtype=bool)
         mask[few[0]] = True
-        for parts, kept in counting:
-            mask[parts[0].reached[:, kept]] = True
+        for parts, motions in counting:
+            mask[parts[0].reached[:, motions]] = True
         columns = np.flatnonzero(mask)
         size = len(columns) + width
         return columns, self._filled(pieces, few, counting, np.cumsum(mask) - 1, size)
@@ -355,12 +355,12 @@ class Design:
         self, pieces: Index | slice, blocks: Collection[str] | None = None
     ) -> list[tuple[Parts, Index]]:
         """What moves some pieces, and which of its six motions are among the ``blocks``."""
-        known, found = None if blocks is None else {name[:3] for name in blocks}, []
+        known, counting = None if blocks is None else {name[:3] for name in blocks}, []
         for parts, axis in zip(self._at(pieces), cycle(self.machine.axis_names), strict=False):
             motions = enumerate(_motions_of(axis))
-            kept = [k for k, motion in motions if known is None or motion in known]
-            found.append((parts, np.array(kept, dtype=np.int64)))
-        return found
+            numbers = [k for k, motion in motions if known is None or motion in known]
+            counting.append((parts, np.array(numbers, dtype=np.int64)))
+        return counting
 
     def _filled(
         self,
@@ -376,11 +376,11 @@ class Design:
         dense[:, :, place_of[few[0]]] = few[1]
         flat, shares = dense.reshape(len(axes), -1), axes / len(self.shifts)
         row = (np.arange(axes.shape[1]) * size)[:, None, None]
-        for parts, kept in counting:
-            place = row + place_of[parts[0].columns(kept)]
+        for parts, motions in counting:
+            place = row + place_of[parts[0].columns(motions)]
             for values, share in zip(flat, shares, strict=True):
                 values[place] = sum(
-                    six_motions(share, part.lever)[:, kept] * part.weight[:, None, :]
+                    six_motions(share, part.lever)[:, motions] * part.weight[:, None, :]
                     for part in parts
                 )
         return dense
@@ -389,9 +389,9 @@ class Design:
     def splines(self) -> Index:
         """First spline of every axis at every piece, shape (p, 3)."""
         some = (chain.from_iterable(self._at(own)[:3]) for own in self._blocks(PIECES_PER_BLOCK))
-        found = [[p.first for p in parts if isinstance(p, AxisPart)] for parts in some]
+        firsts = [[p.first for p in parts if isinstance(p, AxisPart)] for parts in some]
         shifts = len(self.shifts)
-        return np.concatenate([np.stack(first[::shifts], axis=1) for first in found])
+        return np.concatenate([np.stack(first[::shifts], axis=1) for first in firsts])
 
     @cached_property
     def csr(self) -> sparse.csr_array:
@@ -433,31 +433,31 @@ class Design:
     def transposed(self, rows: Array) -> Array:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
-        found = np.zeros((self.unknowns.full, wide.shape[2]))
+        product = np.zeros((self.unknowns.full, wide.shape[2]))
         for some in self._blocks(PIECES_PER_BLOCK):
-            self._add_transposed(some, wide[:, some], found)
-        return found.reshape(-1, *rows.shape[2:])
+            self._add_transposed(some, wide[:, some], product)
+        return product.reshape(-1, *rows.shape[2:])
 
     def pulled(self, some: slice, rows: Array) -> Array:
         """Transposed design of some pieces times rows (c, m, k), shape (full, k)."""
-        found = np.zeros((self.unknowns.full, rows.shape[2]))
-        self._add_transposed(some, rows, found)
-        return found
+        product = np.zeros((self.unknowns.full, rows.shape[2]))
+        self._add_transposed(some, rows, product)
+        return product
 
-    def _add_transposed(self, some: slice, rows: Array, found: Array) -> None:
+    def _add_transposed(self, some: slice, rows: Array, total: Array) -> None:
         """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
         wide = rows.shape[2]
         q, pull = self.q[some], np.einsum('cpi,cpk->pik', self.axes[:, some], rows)
         turned = turned_by(self.points[some], pull)
-        found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)])
+        total[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)])
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
-            found[place] += squareness_influence(name, q).reshape(-1) @ pull.reshape(-1, wide)
+            total[place] += squareness_influence(name, q).reshape(-1) @ pull.reshape(-1, wide)
         six = np.empty((len(q), 6, wide))
         six[:, :3] = pull
         for part in chain.from_iterable(self._at(some)):
             six[:, 3:] = turned_by(part.lever, pull)
             own = part.splines.T @ six.reshape(len(six), -1)
-            found[part.places] += own.reshape(len(own), 6, wide) / len(self.shifts)
+            total[part.places] += own.reshape(len(own), 6, wide) / len(self.shifts)
 
 
 def _motions_of(axis: str) -> list[str]:

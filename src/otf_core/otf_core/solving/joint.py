@@ -397,10 +397,10 @@ def improved_runs(
     return better, same
 
 
-def _same_noise(found: FittedNoise, before: Array) -> bool:
+def _same_noise(fitted: FittedNoise, before: Array) -> bool:
     """Tell whether noise has settled: it changed by little, or by less than is known of it."""
-    change = np.abs(found.logs - before)
-    return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
+    change = np.abs(fitted.logs - before)
+    return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 
 
 def fitted_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
@@ -466,7 +466,7 @@ def solve_jointly(
     normal = summed(systems, unknowns, whiteners, accepted)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    left = left_by(systems, solution)
+    residuals = left_by(systems, solution)
     change, stuck = np.inf, False
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
@@ -479,14 +479,14 @@ def solve_jointly(
             solution = solve(normal, unknowns, limit, accepted, rough.precision)
         else:
             solution = _improved(solution, unknowns, rough, systems, whiteners)
-        before, left, last = left, left_by(systems, solution), change
-        change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
+        before, residuals, last = residuals, left_by(systems, solution), change
+        change = max(float(np.abs(a - b).max()) for a, b in zip(residuals, before, strict=True))
         stuck = change > MAX_RATIO_OF_CHANGES * last
         progress('solving', iteration / (iteration + 1))
         if not np.isfinite(change):
             break
         if change < config.alignment_stop:
-            solved = zip(poses, systems, whiteners, left, strict=True)
+            solved = zip(poses, systems, whiteners, residuals, strict=True)
             of_runs = tuple(SolvedRun(*parts) for parts in solved)
             return JointSolution(unknowns, solution, rough, normal, of_runs, iteration)
     names = ', '.join(run.name for run in runs if run.name)
@@ -520,11 +520,11 @@ def settled(
 
 def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:
     """Whiteners of all runs for their noise as far as it is known."""
-    found = []
+    whiteners = []
     for system, run in zip(systems, runs, strict=True):
         with errors_of(run.name):
-            found.append(Whitener.of(system, run.pieces, *run.noise_and_misfit))
-    return found
+            whiteners.append(Whitener.of(system, run.pieces, *run.noise_and_misfit))
+    return whiteners
 
 
 def find_identifiable_blocks(

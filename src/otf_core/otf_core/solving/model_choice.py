@@ -140,12 +140,12 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
 
 def _steps_unexplained(solved: SolvedRun) -> bool:
     """Tell whether neighbouring pieces of a line differ by more than the noise."""
-    found = []
+    pairs = []
     for alike in solved.whitener.alike:
         noise = alike.moments.step.ravel()
         step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
-        found.append(np.stack([step - noise, noise]))
-    excess, noise = np.concatenate(found, axis=1)
+        pairs.append(np.stack([step - noise, noise]))
+    excess, noise = np.concatenate(pairs, axis=1)
     if not excess.size:  # stops: no two pieces of one line to compare
         return True
     excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
@@ -241,8 +241,8 @@ def _try_all(
     return solution, {name: one.likelihood - best.likelihood for name, one in tried.items()}
 
 
-def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
-    drop = ~np.isin(number, kept)
+def _without_legs(run: AnyRun, number: Index, legs: Index) -> AnyRun:
+    drop = ~np.isin(number, legs)
     return replace(run, pieces=run.pieces.without(drop)) if drop.any() else run
 
 
@@ -253,14 +253,14 @@ def _leg_number(run: Observed) -> Index:
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
     """Some legs of every run, spread evenly: enough for poses and first tables."""
-    share, found = MAX_FIRST_PIECES // len(runs), []
+    share, thinned = MAX_FIRST_PIECES // len(runs), []
     for run in runs:
         number = _leg_number(run)
         # multiples of the golden section keep no step with the order of a path
         order = np.argsort((np.arange(number[-1] + 1) * GOLDEN) % 1.0)
         size = np.cumsum(np.bincount(number)[order])
-        found.append(_without_legs(run, number, order[: int(np.searchsorted(size, share)) + 1]))
-    return found
+        thinned.append(_without_legs(run, number, order[: int(np.searchsorted(size, share)) + 1]))
+    return thinned
 
 
 @dataclass(frozen=True)
@@ -287,9 +287,9 @@ class _Tried:
     ) -> JointSolution:
         """With what it leaves of the rows of any functions at the same poses and positions."""
         own = [s.of_unknowns(self.unknowns) for s in systems]
-        left = left_by(own, self.solution)
+        residuals = left_by(own, self.solution)
         own = [replace(s, rows=s.rows.released()) for s in own]
-        parts = zip(poses, own, whiteners, left, strict=True)
+        parts = zip(poses, own, whiteners, residuals, strict=True)
         runs = tuple(SolvedRun(*p) for p in parts)
         return JointSolution(self.unknowns, self.solution, self.roughness, self.normal, runs, 1)
 
@@ -413,18 +413,18 @@ def choose_reversal(
     if lines < MIN_LINES and given == 'auto':
         few = f'too few lines: {lines}, {MIN_LINES} needed'
         return Choice('none', False, {'decided_by': few, 'lines': lines})
-    found: dict[float, Choice] = {}
+    choices: dict[float, Choice] = {}
     for held in (False, True):
-        left = _held_out_squares(runs, joint, fold, config.unidentifiable_above, held)
+        held_out = _held_out_squares(runs, joint, fold, config.unidentifiable_above, held)
         choice = Choice(given, held, {'decided_by': 'configuration'})
         if given == 'auto':
-            choice = _chosen(left, held)
+            choice = _chosen(held_out, held)
         # of equals the first counts: nothing is held where there is no reversal
-        found.setdefault(float(left[choice.model].sum()), choice)
+        choices.setdefault(float(held_out[choice.model].sum()), choice)
         gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
         if choice.model == 'none' and max(gains[1:]) <= 0.0:
             break  # no reversal at all, so none that is held
-    return found[min(found)]
+    return choices[min(choices)]
 
 
 def _line_folds(joint: JointSolution) -> list[Index]:
@@ -433,21 +433,21 @@ def _line_folds(joint: JointSolution) -> list[Index]:
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
 
 
-def _chosen(left: dict[str, Array], held: bool) -> Choice:
+def _chosen(held_out: dict[str, Array], held: bool) -> Choice:
     """Choose among the models by the squares (lines,) that each leaves."""
-    lines = len(left['none'])
+    lines = len(held_out['none'])
     evidence: Evidence = {
         'decided_by': 'held-out lines',
         'lines': lines,
         'folds': FOLDS,
         'needed': MIN_GAIN_OVER_SCATTER,
-        **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
+        **{f'held_out_{model}': float(square.sum()) for model, square in held_out.items()},
     }
     best = 'none'
-    for model, square in left.items():
+    for model, square in held_out.items():
         if model == best or (best == 'none' and model == RIVAL.name):
             continue
-        difference = left[best] - square
+        difference = held_out[best] - square
         gain, scatter = float(difference.sum()), float(np.sqrt(lines) * difference.std(ddof=1))
         evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
         if gain > MIN_GAIN_OVER_SCATTER * scatter:
@@ -510,16 +510,16 @@ def _estimates(
     place = np.ix_(most, most)
     factor = linalg.cholesky(normal.matrix[place] + prior[place], lower=True)
     half = linalg.solve_triangular(factor, normal.right[most], lower=True)
-    found = {}
+    estimates = {}
     for model, use in columns.items():
         own = slice(0, len(use))
         if not np.array_equal(use, most[own]):
-            found[model] = estimated(normal, use, prior)
+            estimates[model] = estimated(normal, use, prior)
             continue
         value = linalg.solve_triangular(factor[own, own], half[own], lower=True, trans='T')
-        found[model] = np.zeros(len(normal.right))
-        found[model][use] = value
-    return found
+        estimates[model] = np.zeros(len(normal.right))
+        estimates[model][use] = value
+    return estimates
 
 
 def _motion(block: str) -> str:

@@ -161,8 +161,8 @@ def line_equations(
 ) -> NormalEquations:
     """Sum up the rows of every line with the weight of all passes, see ``repeated_lines``."""
     once = weigh_repeated_lines(system, whitener)
-    found = normal_equations(once.system, unknowns, once.whitener, blocks)
-    return replace(found, square=found.square + once.square, rows=once.rows)
+    equations = normal_equations(once.system, unknowns, once.whitener, blocks)
+    return replace(equations, square=equations.square + once.square, rows=once.rows)
 
 
 def sum_groups(

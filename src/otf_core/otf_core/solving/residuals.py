@@ -155,12 +155,12 @@ FOLDS = 8
 
 def leg_numbers(joint: JointSolution) -> list[Index]:
     """Number of the leg of every piece, shape (p,) for every run; further runs count on."""
-    found, start = [], 0
+    numbers, start = [], 0
     for solved in joint.runs:
         size = [high - low for low, high in solved.whitener.bounds]
-        found.append(np.repeat(np.arange(start, start + len(size)), size))
+        numbers.append(np.repeat(np.arange(start, start + len(size)), size))
         start += len(size)
-    return found
+    return numbers
 
 
 def fold_of(number: Index) -> Index:

@@ -146,7 +146,7 @@ def reversal_tables(
     if not unknowns.reversal:
         return {}
     orders = range(unknowns.reversal)
-    found: dict[str, ReversalTable] = {}
+    tables_by_motion: dict[str, ReversalTable] = {}
     machine = tables.machine
     for motion in MOTIONS:
         nodes, axis = tables.motions[motion].position, motion.place
@@ -157,13 +157,13 @@ def reversal_tables(
         index = [unknowns.blocks[n].start for n in names]
         along = polynomials(place, unknowns.reversal - 1)
         variance = np.einsum('ij,jk,ik->i', along, covariance[np.ix_(index, index)], along)
-        found[motion] = ReversalTable(
+        tables_by_motion[motion] = ReversalTable(
             nodes,
             along @ estimate[index] + 0.0,
             np.sqrt(np.maximum(variance, 0.0)),
             any(n in accepted for n in names),
         )
-    return found
+    return tables_by_motion
 
 
 def backlash_at_target(
@@ -185,7 +185,7 @@ def backlash_at_target(
     """
     if not unknowns.reversal:
         return {}
-    machine, found = tables.machine, {}
+    machine, backlash = tables.machine, {}
     for axis, name in enumerate(machine.axis_names):
         nodes = tables.motions[f'E{name}{name}'].position
         q = np.tile(0.5 * (machine.lower + machine.upper), (len(nodes), 1))
@@ -201,5 +201,5 @@ def backlash_at_target(
                     row[unknowns.blocks[block].start] += float(np.mean(influence * along[:, k]))
         if reversal_block(ErrorMotion.of(f'E{name}{name}'), 0) in accepted:
             u = float(np.sqrt(max(0.0, float(row @ covariance @ row))))
-            found[name] = Backlash(float(row @ estimate), u)
-    return found
+            backlash[name] = Backlash(float(row @ estimate), u)
+    return backlash

@@ -122,14 +122,14 @@ class CoefficientPrior:
         if motion.is_straightness:  # less the line through both ends
             gauge[:, 0] -= 1.0 - x
             gauge[:, -1] -= x
-            kept = np.arange(1, size - 1)
+            free = np.arange(1, size - 1)
         else:  # less the value at the reference
             at = basis.matrix(np.array([reference_position(low, high)]))[0]
             gauge -= at
-            kept = np.delete(np.arange(size), np.argmax(at))
-        self._map = (gauge @ basis.from_values)[kept]
-        slope = gauge[kept] @ x
-        self._fixed = JITTER * np.eye(len(kept))
+            free = np.delete(np.arange(size), np.argmax(at))
+        self._map = (gauge @ basis.from_values)[free]
+        slope = gauge[free] @ x
+        self._fixed = JITTER * np.eye(len(free))
         if not motion.is_straightness and not basis.periodic:
             self._fixed += slope_size**2 * np.outer(slope, slope)
 
@@ -187,8 +187,8 @@ class _Point:
         # tr(E_i D_ij E_j D_ji): both factors are one product, the second by symmetry
         shared = np.empty((count, width, count, width))
         for (i, one), (j, other) in combinations_with_replacement(enumerate(places.values()), 2):
-            left, right = products[i][:, :, other], products[j][:, :, one]
-            traces = left.reshape(width, -1) @ np.swapaxes(right, 1, 2).reshape(width, -1).T
+            first, second = products[i][:, :, other], products[j][:, :, one]
+            traces = first.reshape(width, -1) @ np.swapaxes(second, 1, 2).reshape(width, -1).T
             shared[i, :, j], shared[j, :, i] = 0.5 * traces, 0.5 * traces.T
         information = shared.reshape(count * width, -1)
         information = information + np.diag(np.tile(1.0 / np.square(SIGMA_ABOUT_MEDIAN), count))

@@ -159,12 +159,12 @@ def identifiable_blocks(
             cross = linalg.solve_triangular(
                 factor[:old, :old], matrix[np.ix_(use, new)], lower=True, check_finite=False
             )
-        left = matrix[np.ix_(new, new)] - cross.T @ cross
-        if linalg.eigvalsh(left)[-1] <= 1.0:
+        added = matrix[np.ix_(new, new)] - cross.T @ cross
+        if linalg.eigvalsh(added)[-1] <= 1.0:
             continue
         factor[old:end, :old] = cross.T
         factor[old:end, old:end] = linalg.cholesky(
-            left + TIE_BREAK * smooth[np.ix_(new, new)], lower=True
+            added + TIE_BREAK * smooth[np.ix_(new, new)], lower=True
         )
         use = np.concatenate([use, new])
         accepted.append(name)

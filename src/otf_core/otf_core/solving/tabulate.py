@@ -169,9 +169,9 @@ def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, fl
     taken to be those of the rotations that are seen.
     """
     unknowns, accepted = joint.unknowns, joint.solution.accepted
-    found: dict[ErrorMotion, float] = {}
+    bends: dict[ErrorMotion, float] = {}
     if any(basis.degree > 1 for basis in unknowns.bases.values()):
-        return found
+        return bends
     steps = {axis: np.diff(knots) for axis, knots in unknowns.knots.items()}
     rotations = [m for m in MOTIONS if not m.is_translation and steps[m.axis].size]
     values = {m: joint.solution.value[unknowns.blocks[m]] for m in rotations if m in accepted}
@@ -186,8 +186,8 @@ def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, fl
             bent = turned(motion.along, np.eye(3)[[motion.place]])[0]
             for other in MOTIONS:
                 if other.is_translation and other.axis == axis and bent[other.along]:
-                    found[other] = float(np.hypot(found.get(other, 0.0), size))
-    return found
+                    bends[other] = float(np.hypot(bends.get(other, 0.0), size))
+    return bends
 
 
 def _bend(basis: Basis) -> float:
@@ -196,8 +196,8 @@ def _bend(basis: Basis) -> float:
     start, end = basis.knots[:-1], basis.knots[1:]
     bends = np.maximum((q[:, None] - start) * (end - q[:, None]), 0.0)
     hats = basis.matrix(q)
-    left = bends - hats @ np.linalg.lstsq(hats, bends, rcond=None)[0]
-    return float(np.sqrt(np.sum(left**2) / len(q)))
+    remainder = bends - hats @ np.linalg.lstsq(hats, bends, rcond=None)[0]
+    return float(np.sqrt(np.sum(remainder**2) / len(q)))
 
 
 def _inner_places(low: Array, high: Array) -> Array:
@@ -251,9 +251,9 @@ def tabulate(machine: Machine, joint: JointSolution, grid_u: float, limit: float
         for m in MOTIONS
     }
     squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}
-    kept = {k: costs[k] for k in {1, fraction}}
+    two_costs = {k: costs[k] for k in {1, fraction}}
     tables, bends = ErrorTables(machine, motions, squareness), unseen_bends(machine, joint)
-    return Tabulation(tables, rows, fraction, kept, bends)
+    return Tabulation(tables, rows, fraction, two_costs, bends)
 
 
 def _finer(machine: Machine, fraction: int) -> Machine:
@@ -302,23 +302,23 @@ def prior_of(joint: JointSolution, tables: ErrorTables, limit: float) -> dict[st
     mapping of motion or squareness error to MotionPrior
         All motions; of squareness errors those that are not seen.
     """
-    found: dict[str, MotionPrior] = {
+    priors: dict[str, MotionPrior] = {
         m: _seen(joint, tables, m, limit) for m in MOTIONS if m in joint.roughness.logs
     }
-    rotations = [m for m in MOTIONS if m in found and not m.is_translation]
+    rotations = [m for m in MOTIONS if m in priors and not m.is_translation]
     size = _root_mean_square([v for m in rotations for v in tables.motions[m].value])
-    slope = _root_mean_square([found[m].slope for m in rotations])
-    translations = {m: found[m] for m in MOTIONS if m in found and m.is_translation}
+    slope = _root_mean_square([priors[m].slope for m in rotations])
+    translations = {m: priors[m] for m in MOTIONS if m in priors and m.is_translation}
     for motion in MOTIONS:
-        if motion not in found and not motion.is_translation:
-            found[motion] = MotionPrior(slope=slope, sd=size or USUAL_ANGLE)
-        elif motion not in found:
-            found[motion] = _alike(translations, motion)
+        if motion not in priors and not motion.is_translation:
+            priors[motion] = MotionPrior(slope=slope, sd=size or USUAL_ANGLE)
+        elif motion not in priors:
+            priors[motion] = _alike(translations, motion)
     tilts = [tables.squareness[n].value for n in SQUARENESS if n in joint.solution.accepted]
     for name in SQUARENESS:
         if name not in joint.solution.accepted:
-            found[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL_ANGLE)
-    return found
+            priors[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL_ANGLE)
+    return priors
 
 
 def _alike(seen: dict[ErrorMotion, MotionPrior], motion: ErrorMotion) -> MotionPrior:

@@ -196,25 +196,25 @@ class Unknowns:
     def lowered(self, matrix: Array) -> Array:
         """Matrix (full, full), symmetric, for the free unknowns: G^T M G for the gauge G."""
         tied, rows = self._tied
-        found = matrix[np.ix_(self.kept, self.kept)]
+        lowered_matrix = matrix[np.ix_(self.kept, self.kept)]
         if len(tied):
             half = (
                 matrix[np.ix_(self.kept, tied)] + 0.5 * rows.T @ matrix[np.ix_(tied, tied)]
             ) @ rows
-            found += half + half.T
-        return found
+            lowered_matrix += half + half.T
+        return lowered_matrix
 
     def lifted(self, matrix: Array) -> Array:
         """Matrix (free, free), symmetric, for all unknowns: G M G^T for the gauge G."""
         tied, rows = self._tied
-        found = np.zeros((self.full, self.full))
-        found[np.ix_(self.kept, self.kept)] = matrix
+        lifted_matrix = np.zeros((self.full, self.full))
+        lifted_matrix[np.ix_(self.kept, self.kept)] = matrix
         if len(tied):
             cross = rows @ matrix
-            found[np.ix_(tied, self.kept)] = cross
-            found[np.ix_(self.kept, tied)] = cross.T
-            found[np.ix_(tied, tied)] = cross @ rows.T
-        return found
+            lifted_matrix[np.ix_(tied, self.kept)] = cross
+            lifted_matrix[np.ix_(self.kept, tied)] = cross.T
+            lifted_matrix[np.ix_(tied, tied)] = cross @ rows.T
+        return lifted_matrix
 
     @property
     def free(self) -> int:

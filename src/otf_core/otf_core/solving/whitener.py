@@ -147,13 +147,13 @@ def inverse_of_lower(lower: Array) -> Array:
 
 def covariance_times(inverse: Array, values: Array) -> Array:
     """Covariances (..., m, m) of inverse lower factors T, T^-1 T^-T, times values (..., m, k)."""
-    size, found = inverse.shape[-1], np.empty(values.shape)
-    flat = found.reshape(-1, *values.shape[-2:])
+    size, product = inverse.shape[-1], np.empty(values.shape)
+    flat = product.reshape(-1, *values.shape[-2:])
     pairs = zip(inverse.reshape(-1, size, size), values.reshape(flat.shape), strict=True)
     for k, (factor, own) in enumerate(pairs):
         half = dtrtrs(factor.T, own)[0]
         flat[k] = dtrtrs(factor.T, half, trans=1)[0]
-    return found
+    return product
 
 
 NO_MISFIT = Misfit()
@@ -220,8 +220,8 @@ class Whitener:
                 raise _two_passes(pieces, own, among) from None
             return Alike(legs, own, inverse if held[k] else covariances, Moments.of(among))
 
-        found = map(alike, range(len(groups)))
-        return cls(bounds, tuple(found), _first_passes(pieces, system.q, bounds))
+        groups_alike = map(alike, range(len(groups)))
+        return cls(bounds, tuple(groups_alike), _first_passes(pieces, system.q, bounds))
 
     @classmethod
     def from_factors(
@@ -259,13 +259,13 @@ class Whitener:
         def placed(some: Index, inverse: Array) -> Alike:
             return Alike(some, (end - size)[some, None] + np.arange(size[some[0]]), inverse)
 
-        found = [placed(line[one.legs], one.inverse) for one in self._only(~several[line])]
+        placed_groups = [placed(line[one.legs], one.inverse) for one in self._only(~several[line])]
         for own in _alike(size[several]):
             some = np.flatnonzero(several)[own]
             inverse = [self._of_passes(passes[k]) for k in some.tolist()]
-            found.append(placed(some, np.stack(inverse, axis=1)))
+            placed_groups.append(placed(some, np.stack(inverse, axis=1)))
         bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
-        return Whitener(bounds, tuple(found), np.arange(len(lines)))
+        return Whitener(bounds, tuple(placed_groups), np.arange(len(lines)))
 
     def _of_passes(self, legs: Sequence[int]) -> Array:
         """Inverse factors (c, m, m) with the weight of legs over one line."""
@@ -284,17 +284,17 @@ class Whitener:
 
         Their rows become zero.
         """
-        found = (one for one in self.alike if legs[one.legs].any())
-        return Whitener(self.bounds, tuple(found), self.first)
+        others = (one for one in self.alike if legs[one.legs].any())
+        return Whitener(self.bounds, tuple(others), self.first)
 
     @cached_property
     def expected(self) -> Array:
         """Standard deviation of the noise of every piece, shape (c, p), m."""
         components = len(self.inverses[0]) if self.alike else 2
-        found = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
+        scatter = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
         for alike in self.alike:
-            found[:, alike.pieces] = np.sqrt(alike.moments.variance)
-        return found
+            scatter[:, alike.pieces] = np.sqrt(alike.moments.variance)
+        return scatter
 
     def _applied(
         self,

@@ -78,7 +78,7 @@ other forms than the parabolas of the effect. The machine's own waves are in all
 
 def rows_to_diagnose(
     runs: Sequence[Run],
-    done: JointSolution,
+    joint: JointSolution,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     exclude: Sequence[str],
@@ -87,7 +87,7 @@ def rows_to_diagnose(
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the calibration, without reversal.
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
@@ -96,12 +96,12 @@ def rows_to_diagnose(
     """
     limit = config.unidentifiable_above
     loud = [with_measured_noise(run, config.standstill_speed) for run in runs]
-    rows = build_rows(loud, done, limit)
+    rows = build_rows(loud, joint, limit)
     effects = _at_places(exclude)
-    if not is_finer(done.unknowns.bases) or not effects:
+    if not is_finer(joint.unknowns.bases) or not effects:
         return rows
     both = (linear_bases(nodes), smooth_bases(nodes))
-    solved = shared_out(lambda bases: _solved(runs, done, bases, config), both, (runs, done))
+    solved = shared_out(lambda bases: _solved(runs, joint, bases, config), both, (runs, joint))
     others = [build_rows(loud, one, limit) for one in solved if one is not None]
     fine, *alone = shared_out(_likelihood, [rows, *others])
     for other, own in sorted(zip(others, alone, strict=True), key=lambda pair: -pair[1]):
@@ -120,7 +120,7 @@ def _likelier(rows: Rows, alone: float, fine: float, effects: Sequence[Effect]) 
 def straight_rows(
     rows: Rows,
     causes: Sequence[Cause],
-    done: JointSolution,
+    joint: JointSolution,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     exclude: Sequence[str],
@@ -142,7 +142,7 @@ def straight_rows(
     known = [c for c in causes if not _stays_at_places(c.option.effect)]
     if not (smooth and waves and known):
         return None
-    solved = _solved(rows.runs, done, linear_bases(nodes), config)
+    solved = _solved(rows.runs, joint, linear_bases(nodes), config)
     if solved is None:
         return None
     straight = build_rows(rows.runs, solved, config.unidentifiable_above)
@@ -186,11 +186,11 @@ def _in_few_motions(causes: Sequence[Cause]) -> bool:
 
 
 def _solved(
-    runs: Sequence[Run], done: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
+    runs: Sequence[Run], joint: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
 ) -> JointSolution | None:
     """Solve the same pieces, with the same noise, for other functions; None if none settles."""
     unknowns = layout(bases, len(runs))
-    start = Start.after(runs[0].machine, done)
+    start = Start.after(runs[0].machine, joint)
     try:
         return solve_jointly(runs, unknowns, config, silent, start)
     except InputError:  # the calibration itself has settled; this is only its rival
@@ -203,17 +203,17 @@ def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
     That of the runs less the causes as fitted, the roughness of the functions found anew, times
     the share of what was possible before the data that they leave of the coefficients.
     """
-    done = rows.done
-    systems, price = [s.system for s in done.runs], 0.0
+    joint = rows.done
+    systems, price = [s.system for s in joint.runs], 0.0
     if causes:
         fitted = fit_jointly(causes, rows).value
         moved = np.concatenate([c.option.plain for c in causes], axis=1) @ fitted
         parts = zip(systems, rows.by_run(moved), strict=True)
         systems = [replace(s, deviation=s.deviation - part) for s, part in parts]
         price = _price(causes, fitted, rows.residual)
-    normal = summed(systems, done.unknowns, rows.whiteners)
-    found = Search(normal, done.unknowns, _blocks(rows), rows.limit)
-    return found.run().log_likelihood - price
+    normal = summed(systems, joint.unknowns, rows.whiteners)
+    search = Search(normal, joint.unknowns, _blocks(rows), rows.limit)
+    return search.run().log_likelihood - price
 
 
 def _blocks(rows: Rows) -> list[str]:
@@ -261,9 +261,9 @@ def remove_steady_vibration(
         return None
     value, places = fit_jointly(causes, rows).value, places_of(causes)
     pairs = zip(causes, places, strict=True)
-    found = [_applied(cause, value[own]) for cause, own in pairs if _is_steady(cause)]
+    vibrations = [_applied(cause, value[own]) for cause, own in pairs if _is_steady(cause)]
     calm = [
-        remeasure_noise(run, found, solved.pose.rotation, config)
+        remeasure_noise(run, vibrations, solved.pose.rotation, config)
         for run, solved in zip(rows.runs, rows.done.runs, strict=True)
     ]
     if all(_same(one.noise, run.noise) for one, run in zip(calm, rows.runs, strict=True)):
@@ -285,25 +285,25 @@ def _applied(cause: Cause, value: Array) -> AppliedEffect:
 
 
 def remeasure_noise(
-    run: Run, found: Sequence[AppliedEffect], rotation: Array, config: CalibrationConfig
+    run: Run, vibrations: Sequence[AppliedEffect], rotation: Array, config: CalibrationConfig
 ) -> Run:
     """Return a run with samples that do not swing, and the noise of their standstills.
 
     ``rotation`` turns tracker coordinates to those of the machine.
     """
-    samples, speed = _without(run.samples, run, found, rotation), config.standstill_speed
+    samples, speed = _without(run.samples, run, vibrations, rotation), config.standstill_speed
     noise = noise_model(samples, run.machine.tracker, speed)
     return with_measured_noise(replace(run, samples=samples, noise=noise), speed)
 
 
 def _without(
-    samples: Samples, run: Run, found: Sequence[AppliedEffect], rotation: Array
+    samples: Samples, run: Run, effects: Sequence[AppliedEffect], rotation: Array
 ) -> Samples:
     """Samples less what swings."""
     nothing = np.zeros((len(samples), 3))
     state = state_of_travel(run.machine, nothing, nothing)
     state = replace(state, time=(samples.stamp_ns - samples.stamp_ns[0]) * 1e-9)
-    moved = sum((one.effect.displacement(state, one.parameters) for one in found), nothing)
+    moved = sum((one.effect.displacement(state, one.parameters) for one in effects), nothing)
     return replace(samples, xyz=samples.xyz - moved @ rotation)
 
 

@@ -118,12 +118,12 @@ class Tried:
 
     def _worked_out(self, take: Index, variance: float) -> float:
         """Odds of an option, which are asked for again and again."""
-        found = log_evidence(*self._products(take), variance, self.orders(take)) - self.price
+        evidence = log_evidence(*self._products(take), variance, self.orders(take)) - self.price
         rest = self._without_essential(take)
         if len(rest) in (0, len(take)):
-            return found
+            return evidence
         other = log_evidence(*self._products(rest), variance, self.orders(rest))
-        return found if found - other > ADDED else found - other
+        return evidence if evidence - other > ADDED else evidence - other
 
     def _without_essential(self, take: Index) -> Index:
         """Terms that do not depend on the input that a free form needs."""
@@ -238,8 +238,8 @@ class Made:
 
 def shared_with(alike: Sequence[Tried], pulled: Pulled) -> list[Array]:
     """``Source.shared`` of candidates of one ``family``."""
-    made = [t.source for t in alike if isinstance(t.source, Made)]
-    return _shared(made, pulled) if made else [t.source.shared(pulled) for t in alike]
+    sources = [t.source for t in alike if isinstance(t.source, Made)]
+    return _shared(sources, pulled) if sources else [t.source.shared(pulled) for t in alike]
 
 
 def family(tried: Tried) -> object:
@@ -248,17 +248,17 @@ def family(tried: Tried) -> object:
     return tried.effect if together else tried
 
 
-def _shared(made: Sequence[Made], pulled: Pulled) -> list[Array]:
+def _shared(sources: Sequence[Made], pulled: Pulled) -> list[Array]:
     """Products of whitened columns with what shapes of one effect add."""
-    rows, effect, shapes = made[0].rows, made[0].effect, [one.shape for one in made]
-    count = made[0].terms.columns.shape[2]
+    rows, effect, shapes = sources[0].rows, sources[0].effect, [one.shape for one in sources]
+    count = sources[0].terms.columns.shape[2]
     parts = [
         rows.products_in_run(turned, effect, shapes, k, count)
         for k, turned in enumerate(pulled.turned)
     ]
     own = effect.own_per_run
-    found = np.concatenate(parts, axis=2) if own else np.asarray(sum(parts))
-    return [part - pulled.inner.T @ one.cross for part, one in zip(found, made, strict=True)]
+    products = np.concatenate(parts, axis=2) if own else np.asarray(sum(parts))
+    return [part - pulled.inner.T @ one.cross for part, one in zip(products, sources, strict=True)]
 
 
 def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
@@ -301,8 +301,8 @@ def _reduced(rows: Rows, batch: Sequence[_Shape], pulled: Pulled) -> list[Tried]
     """Products of the columns of a batch; run by run where each has coefficients of its own."""
     effect, runs = batch[0].effect, range(len(rows.states))
     groups = [[k] for k in runs] if effect.own_per_run else [list(runs)]
-    found = [_group(rows, batch, group, pulled) for group in groups]
-    pairs = zip(batch, zip(*found, strict=True), strict=True)
+    reduced = [_group(rows, batch, group, pulled) for group in groups]
+    pairs = zip(batch, zip(*reduced, strict=True), strict=True)
     return [_joined(rows, one, parts, pulled) for one, parts in pairs]
 
 
@@ -385,7 +385,6 @@ class Beside:
 
     Attributes
     ----------
-    rows : Rows
     candidates : mapping of effect name to sequence of Tried
         Those that may be named beside the causes.
     basis : ndarray, shape (r, q)
@@ -424,7 +423,6 @@ class Pool:
 
     Attributes
     ----------
-    rows : Rows
     groups : mapping of effect name to sequence of Tried
     basis : ndarray, shape (r, q)
         Orthonormal.
@@ -446,41 +444,43 @@ class Pool:
         """Take the columns of an option into the basis."""
         own = option.own
         rest = own - self.basis @ (self.basis.T @ own)
-        taken = orthonormal(rest, own)
-        if not taken.shape[1]:
+        added = orthonormal(rest, own)
+        if not added.shape[1]:
             return self
-        amount, pulled = taken.T @ self.rows.residual, self.rows.pulled(taken)
+        amount, pulled = added.T @ self.rows.residual, self.rows.pulled(added)
         return Pool(
             self.rows,
             _without(self.groups, pulled, amount),
-            np.concatenate([self.basis, taken], axis=1),
+            np.concatenate([self.basis, added], axis=1),
             np.concatenate([self.amount, amount]),
         )
 
     def beside(self, options: Sequence[Option]) -> Beside:
         """What is left beside options, all of which are in the basis."""
-        left = {n: list(g) for n, g in self.groups.items()}
+        remaining = {n: list(g) for n, g in self.groups.items()}
         for option in options:
-            group = left.pop(option.effect.name, [])
+            group = remaining.pop(option.effect.name, [])
             if option.effect.wave is not None or option.effect.rigid:  # each axis has its own
-                left[option.effect.name] = [_other_axes(t, option.axes) for t in group]
+                remaining[option.effect.name] = [_other_axes(t, option.axes) for t in group]
         size = len(self.amount)
         columns = [self.basis.T @ (o.own / np.linalg.norm(o.own, axis=0).max()) for o in options]
         whole, values, _ = np.linalg.svd(np.concatenate([np.zeros((size, 0)), *columns], axis=1))
         rank = int(np.sum(values**2 > NEXT_TO_NOTHING * values[:1].sum() ** 2))
-        kept, back = whole[:, :rank], whole[:, rank:]
+        turned, back = whole[:, :rank], whole[:, rank:]
         if back.shape[1]:
             again = back.T @ self.amount
-            left = {n: [t.beside(back, again) for t in g] for n, g in left.items()}
-        basis = self.basis @ kept
-        return Beside(self.rows, left, basis, self.rows.residual - basis @ (kept.T @ self.amount))
+            remaining = {n: [t.beside(back, again) for t in g] for n, g in remaining.items()}
+        basis = self.basis @ turned
+        return Beside(
+            self.rows, remaining, basis, self.rows.residual - basis @ (turned.T @ self.amount)
+        )
 
 
 def _without(groups: Candidates, pulled: Pulled, amount: Array) -> Candidates:
     every = [t for g in groups.values() for t in g]
     families = [list(alike) for _, alike in groupby(every, family)]
-    found = shared_out(lambda alike: shared_with(alike, pulled), families)
-    shared = chain.from_iterable(found)
+    families_shared = shared_out(lambda alike: shared_with(alike, pulled), families)
+    shared = chain.from_iterable(families_shared)
     return {n: [t.without(next(shared), amount) for t in g] for n, g in groups.items()}
 
 
@@ -497,5 +497,5 @@ def orthonormal(columns: Array, whole: Array) -> Array:
     off, are left out.
     """
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = values > NEXT_TO_NOTHING * np.linalg.eigvalsh(whole.T @ whole)[-1]
-    return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
+    significant = values > NEXT_TO_NOTHING * np.linalg.eigvalsh(whole.T @ whole)[-1]
+    return np.asarray(columns @ (vectors[:, significant] / np.sqrt(values[significant])))

@@ -113,18 +113,18 @@ class Structure:
     cause: Cause
     price: float = 0.0
 
-    def named(self, taken: Collection[str]) -> Cause | None:
+    def named(self, used: Collection[str]) -> Cause | None:
         """The same as an effect of the catalogue; None if none depends and acts so.
 
         Parameters
         ----------
-        taken : collection of str
+        used : collection of str
             Names that it must not have.
         """
         form = self.effect.form
         assert form.acts is not None
         name, words = name_of(form.inputs, form.acts)
-        if not name or name in taken:
+        if not name or name in used:
             return None
         own = replace(form, words=words, own_per_run=self.effect.own_per_run)
         effect = FreeForm(REGISTRY[name], own, self.effect.spans)
@@ -177,9 +177,11 @@ def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     pairs = [_form(names) for names in combinations(inputs, 2)]
     spans = {name: span_of(rows.states, name) for name in inputs}
     best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:pairs_tried]
-    found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
+    structures = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
-    return replace(found, ranked=tuple(shared_out(found.tried, forms, (rows, _EMPIRICAL))))
+    return replace(
+        structures, ranked=tuple(shared_out(structures.tried, forms, (rows, _EMPIRICAL)))
+    )
 
 
 def find_structure(tried: Structures) -> Structure | None:
@@ -201,40 +203,40 @@ def find_structure(tried: Structures) -> Structure | None:
 def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
     """Find another input that what structures leave depends on; None if none has the odds."""
     rows, options = tried.rows, [s.cause.option for s in known]
-    taken = {n for s in known for n in s.inputs}
+    used = {n for s in known for n in s.inputs}
     single = [t for t in tried.ranked if len(inputs_of(t)) == 1]
-    pool = Pool.of(rows, {'': [t for t in single if not taken & set(plain_inputs(t))]})
+    pool = Pool.of(rows, {'': [t for t in single if not used & set(plain_inputs(t))]})
     for option in options:
         pool = pool.joined(option)
     beside = pool.beside(options)
-    left = beside.candidates['']
-    best = _likeliest(left, 1.0)
+    remaining = beside.candidates['']
+    best = _likeliest(remaining, 1.0)
     trace = beside.trace(best, np.arange(len(best.size)), 1.0)
     variance = noise_variance(rows, beside.residual - trace)
-    return _clear(tried, _likeliest(left, variance), variance)
+    return _clear(tried, _likeliest(remaining, variance), variance)
 
 
-def _clear(tried: Structures, found: Tried, variance: float) -> Structure | None:
+def _clear(tried: Structures, candidate: Tried, variance: float) -> Structure | None:
     """A structure, if it has the odds."""
-    score = tried.score(found, variance)
+    score = tried.score(candidate, variance)
     if score < NEEDED:
         return None
-    option = found.made(np.arange(len(found.size)), variance)
+    option = candidate.made(np.arange(len(candidate.size)), variance)
     return Structure(Cause(option, score, 1.0, ()), tried.looked)
 
 
 def _inputs(rows: Rows) -> list[str]:
     """Inputs that change in the runs."""
     signals = dict.fromkeys(n for s in rows.states for n in s.more if n.startswith(SIGNAL))
-    found = []
+    names = []
     for name in (*INPUTS, *signals):
         known = [s for s in rows.states if name not in signals or name in s.more]
         if len(known) < len(rows.states):
             continue
         values = np.concatenate([input_values(s, name) for s in known])
         if np.ptp(values) > 0.0:
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
 def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
@@ -348,8 +350,8 @@ def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:
     value = tried.estimate(np.arange(len(tried.size)), variance).value
     per = (value * tried.size).reshape(3, -1)
     per = per[:, 1:] if per.shape[1] > 1 else per
-    left, size, _ = np.linalg.svd(per, full_matrices=False)
-    main = left[:, 0] * (np.sign(left[np.argmax(np.abs(left[:, 0])), 0]) or 1.0)
+    directions, size, _ = np.linalg.svd(per, full_matrices=False)
+    main = directions[:, 0] * (np.sign(directions[np.argmax(np.abs(directions[:, 0])), 0]) or 1.0)
     return main, float(size[0] ** 2 / max(float(np.sum(size**2)), 1e-300))
 
 
@@ -370,7 +372,6 @@ class Rival:
     ----------
     odds : float
         Logarithm of the odds of it against the causes; minus infinity if there is none.
-    inputs : tuple of str
     """
 
     odds: float = -np.inf
@@ -406,9 +407,9 @@ def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
         other = tried.trace(np.arange(len(tried.size)), variance)
         least = min(variance, noise_variance(rows, rows.residual - other))
         odds = structures.score(tried, least) - together(causes, rows, least)
-        found = Rival(odds, inputs_of(tried))
-        if not _same(trace, other) or (found.wins and _says_more(found.inputs, causes)):
-            return found
+        rival = Rival(odds, inputs_of(tried))
+        if not _same(trace, other) or (rival.wins and _says_more(rival.inputs, causes)):
+            return rival
     return Rival()
 
 
@@ -427,9 +428,9 @@ def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
             variance,
             orders[option.take] if len(orders) else orders,
         )
-        taken = linalg.orth(white, NEXT_TO_NOTHING)
-        basis = np.concatenate([basis, taken], axis=1)
-        residual = residual - taken @ (taken.T @ residual)
+        added = linalg.orth(white, NEXT_TO_NOTHING)
+        basis = np.concatenate([basis, added], axis=1)
+        residual = residual - added @ (added.T @ residual)
     return total
 
 

@@ -89,8 +89,8 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
         if not judge.any():
             continue
         coefficients = estimate(own[fit], size, rows.residual[fit], width).value
-        left = rows.left(rows.plain_deviation - plain @ coefficients)
-        values[judge] = left[judge]
+        residual = rows.left(rows.plain_deviation - plain @ coefficients)
+        values[judge] = residual[judge]
     return _per_piece(rows, values)
 
 
@@ -135,8 +135,8 @@ def shrink_interval(
     if len(used) < 2:
         return 0.0, 100.0
     whole = shrink(count > 0)
-    left = np.array([shrink((count > 0) & (np.arange(JACKKNIFE) != k)) for k in used])
-    u = float(np.sqrt((len(used) - 1) / len(used) * np.sum((left - left.mean()) ** 2)))
+    shrinks = np.array([shrink((count > 0) & (np.arange(JACKKNIFE) != k)) for k in used])
+    u = float(np.sqrt((len(used) - 1) / len(used) * np.sum((shrinks - shrinks.mean()) ** 2)))
     levels = [shrink(count > 0, 1.0 + k * SIMULATED_U) - whole for k in (-2.0, 2.0)]
     low = whole - float(np.hypot(2 * u, min(0.0, *levels)))
     high = whole + float(np.hypot(2 * u, max(0.0, *levels)))
@@ -164,7 +164,6 @@ class NoiseFinding:
         Probability of what departs most clearly; see ``noise.departure``.
     variance_ratio : float
         Mean variance of the rows with the measured levels over that with the specified ones.
-    words : str
     """
 
     parameters: dict[str, float]
@@ -196,16 +195,16 @@ def _parameters(seen: Departure) -> dict[str, tuple[float, float]]:
 
 
 def _words(seen: Departure) -> list[str]:
-    found = [
+    parts = [
         f'noise of the {name} {level:.2f} times as specified'
         for name, level, p in zip(QUANTITIES, seen.level, seen.of_level, strict=True)
         if p > NAMED
     ]
     if seen.of_time > SURE:
-        found.append(f'{CORRELATED} {seen.time:.1f} s')
+        parts.append(f'{CORRELATED} {seen.time:.1f} s')
     if seen.of_dof > NAMED:
-        found.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
-    return found
+        parts.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
+    return parts
 
 
 def check_noise(
@@ -220,7 +219,7 @@ def check_noise(
     gap = gap or any(np.any(run.noise.level > _specified(run)) for run in rows.runs)
     if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
         return None
-    found: dict[str, tuple[float, float]] = {}
+    departures: dict[str, tuple[float, float]] = {}
     words: list[str] = []
     for run in rows.runs:
         seen = noise_departure(run.recording.samples, run.machine.tracker, speed)
@@ -230,14 +229,14 @@ def check_noise(
             if not gap and name != SLOW:
                 continue
             least = SURE if name == SLOW else NAMED
-            if probability > max(least, found.get(name, (0.0, 0.0))[1]):
-                found[name] = (value, probability)
+            if probability > max(least, departures.get(name, (0.0, 0.0))[1]):
+                departures[name] = (value, probability)
         words += [w for w in _words(seen) if gap or w.startswith(CORRELATED)]
-    if not found:
+    if not departures:
         return None
     return NoiseFinding(
-        {name: value for name, (value, _) in found.items()},
-        max(probability for _, probability in found.values()),
+        {name: value for name, (value, _) in departures.items()},
+        max(probability for _, probability in departures.values()),
         _variance_ratio(rows),
         '; '.join(dict.fromkeys(words)),
     )
@@ -290,7 +289,6 @@ def simulated_residual_um(
         Of the runs.
     nodes : mapping of axis to ndarray, m
         Table nodes.
-    config : CalibrationConfig
     twin : callable
         ``sim.twin.twin_recording``.
     seed : int
@@ -303,8 +301,8 @@ def simulated_residual_um(
         again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
         runs.append(replace(again, late=run.late))
     start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
-    _, done = solve_robustly(runs, unknowns, config, silent, start)
-    done = settled(done, config.unidentifiable_above)
-    left = left_by_tables(done, [solved.system.deviation for solved in done.runs])
-    square = np.concatenate([np.sum(part**2, axis=0) for part in left])
+    _, joint = solve_robustly(runs, unknowns, config, silent, start)
+    joint = settled(joint, config.unidentifiable_above)
+    residual = left_by_tables(joint, [solved.system.deviation for solved in joint.runs])
+    square = np.concatenate([np.sum(part**2, axis=0) for part in residual])
     return float(1e6 * np.sqrt(square.mean()))

@@ -94,7 +94,7 @@ class Scores:
         weighted = pairs.products(first)[:, :, None] * self.information[:, None, :]
         weighted = weighted.reshape(len(first), -1)
         pulled = (first[:, :, None] * self.pull[:, None, :]).reshape(len(first), -1)
-        found = []
+        gains = []
         for other in others:
             own, count = _pairs(other.shape[1]), first.shape[1] * other.shape[1]
             sums = (weighted.T @ own.products(other)).reshape(
@@ -109,9 +109,9 @@ class Scores:
             both = (first[:, :, None] * other[:, None, :]).reshape(len(first), -1)
             matrix = matrix + self._beyond(both)
             right = (pulled.T @ other).reshape(first.shape[1], 3, -1).transpose(1, 0, 2).ravel()
-            kept = np.flatnonzero(np.arange(3 * count) % count)
-            found.append(float(_gains(matrix[np.ix_(kept, kept)][None], right[kept][None])[0]))
-        return found
+            inner = np.flatnonzero(np.arange(3 * count) % count)
+            gains.append(float(_gains(matrix[np.ix_(inner, inner)][None], right[inner][None])[0]))
+        return gains
 
     def gains_of_each(self, functions: Array) -> Array:
         """The same of each function (p, f) alone, beside a constant that gains nothing."""
@@ -147,7 +147,7 @@ class Scores:
 
         Squares and products of these two are those of z = cosine + i sine: z^2 and |z|^2.
         """
-        turned, found, every = None, [], self.information.sum(axis=0)
+        turned, gains, every = None, [], self.information.sum(axis=0)
         for part in np.array_split(frequency, max(1, len(frequency) // TOGETHER)):
             if turned is None:
                 turned = np.exp(2j * np.pi * time[:, None] * (part - part[0]))
@@ -156,8 +156,8 @@ class Scores:
             whole = every + (np.abs(slow) ** 2).T @ self.beyond
             twice = np.square(turn, out=turn).T @ self.information + (slow**2).T @ self.beyond
             matrix = _of_pairs(whole + twice.real, twice.imag, whole - twice.real)
-            found.append(_gains(0.5 * matrix, np.concatenate([right.real, right.imag], axis=1)))
-        return np.concatenate(found)
+            gains.append(_gains(0.5 * matrix, np.concatenate([right.real, right.imag], axis=1)))
+        return np.concatenate(gains)
 
 
 def _of_pairs(first: Array, both: Array, second: Array) -> Array:
@@ -297,14 +297,14 @@ def find_inputs(rows: Rows, scores: Scores) -> list[str]:
 
 def cycles_along_axes(rows: Rows) -> list[str]:
     """Phases of what repeats along an axis, of each axis at most one."""
-    found: dict[str, tuple[float, float]] = {}
+    peaks: dict[str, tuple[float, float]] = {}
     for residuals in rows.sample_residuals():
         for head, k in TURNS.items():
             axis = residuals.state.machine.axis_names[k]
             for peak in (line_along_axis(residuals, axis), line_across_axis(residuals, axis)):
-                if peak is not None and peak[1] > found.get(head, (0.0, LINE_SCORE))[1]:
-                    found[head] = peak
-    return [found_name(head, period) for head, (period, _) in found.items()]
+                if peak is not None and peak[1] > peaks.get(head, (0.0, LINE_SCORE))[1]:
+                    peaks[head] = peak
+    return [found_name(head, period) for head, (period, _) in peaks.items()]
 
 
 def strongest_cycle(rows: Rows, scores: Scores) -> str:
@@ -343,10 +343,10 @@ def strongest_moment(rows: Rows, scores: Scores) -> str:
 
     if not len(change):
         return ''
-    found = gains(change)
-    if not _is_clear(found):
+    gain = gains(change)
+    if not _is_clear(gain):
         return ''
-    best = change[int(np.argmax(found))]
+    best = change[int(np.argmax(gain))]
     near = np.flatnonzero((np.abs(leg - leg[best]) <= 1) & (run == run[best]))
     near = near[time[near] > time[run == run[best]].min()]
     near = near[np.abs(near - best) < NEAR]
@@ -400,13 +400,13 @@ def _strongest_bells(scores: Scores, points: Array) -> list[Array]:
         best = minimize(loss, np.zeros(4), method='Nelder-Mead', options={'maxfev': REFINED})
         return np.asarray(place + width * best.x[:3])
 
-    kept: list[tuple[Array, float]] = []
+    strongest: list[tuple[Array, float]] = []
     for place, width in (trials[k] for k in np.argsort(gains)[::-1]):
-        if all(np.linalg.norm(place - p) > max(width, w) for p, w in kept):
-            kept.append((place, width))
-        if len(kept) == CENTRES:
+        if all(np.linalg.norm(place - p) > max(width, w) for p, w in strongest):
+            strongest.append((place, width))
+        if len(strongest) == CENTRES:
             break
-    return [refined(*one) for one in kept]
+    return [refined(*one) for one in strongest]
 
 
 def _is_clear(gains: Array) -> bool:

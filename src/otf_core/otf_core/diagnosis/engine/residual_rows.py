@@ -90,8 +90,8 @@ class InTime(Effect):
         """Products of displacements with others (n, 3, q), shape (s, q, k) for k terms."""
         acts = np.moveaxis(self.acts(state, {}).columns, 2, 0)
         courses = np.concatenate([self.course(state, shape) for shape in shapes], axis=1)
-        found = np.stack([np.einsum('ni,niq->qn', one, other) @ courses for one in acts])
-        parts = found.reshape(*found.shape[:2], len(shapes), -1)
+        sums = np.stack([np.einsum('ni,niq->qn', one, other) @ courses for one in acts])
+        parts = sums.reshape(*sums.shape[:2], len(shapes), -1)
         return parts.transpose(2, 1, 0, 3).reshape(len(shapes), other.shape[2], -1)
 
 
@@ -101,7 +101,6 @@ class Touched:
 
     Attributes
     ----------
-    lines : list of int
     rows : ndarray of int64, shape (c m,)
         Rows of the m pieces of the lines among those of all runs, component by component.
     unknowns : ndarray of int64, shape (b,)
@@ -125,7 +124,6 @@ def touched(
     ----------
     columns : sparse array, shape (c p, b)
         Of all unknowns on the pieces of a run, component by component.
-    whitener : Whitener
     components : int
         Number c of components of a piece.
     first : int
@@ -140,14 +138,14 @@ def touched(
         touches = (own != 0.0).any(axis=(0, 1))
         alike.setdefault(touches.tobytes(), []).append(line)
         parts.setdefault(touches.tobytes(), []).append(own[:, :, touches])
-    found = []
+    touched_parts = []
     for touches, lines in alike.items():
         unknowns = np.flatnonzero(np.frombuffer(touches, np.bool_))
         own = np.concatenate(parts.pop(touches), axis=1).reshape(-1, len(unknowns))
         every = np.concatenate([np.arange(*whitener.bounds[line]) for line in lines])
         rows = first + _rows_of(every, components, pieces)
-        found.append(Touched(lines, rows, unknowns, own))
-    return found
+        touched_parts.append(Touched(lines, rows, unknowns, own))
+    return touched_parts
 
 
 def _rows_of(some: Index, components: int, pieces: int) -> Index:
@@ -258,21 +256,21 @@ class Rows:
     def columns_in_run(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
         """Displacements of one run across the path per unit of its k terms, shape (r of it, k)."""
         axes = self.done.runs[run].system.axes
-        found = np.empty((*axes.shape[:2], count))
+        products = np.empty((*axes.shape[:2], count))
         for part, columns, functions in self._factors(effect, shape, run, count):
             turned = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
             if functions is None:
-                found[:, part] = turned
+                products[:, part] = turned
                 continue
             for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
-                np.multiply(turned[:, :, j, None], own, out=found[:, part, place])
-        return found.reshape(-1, count)
+                np.multiply(turned[:, :, j, None], own, out=products[:, part, place])
+        return products.reshape(-1, count)
 
     def displacement(self, effect: Effect, shape: Shape, value: Array) -> Array:
         """Displacements across the path by all terms with values (k, n), shape (r, n)."""
         runs = len(self.states)
         values = np.split(value, runs) if effect.own_per_run else [value] * runs
-        found = []
+        parts = []
         for run, own in enumerate(values):
             axes, moved = self.done.runs[run].system.axes, []
             for _, columns, functions in self._factors(effect, shape, run, len(own)):
@@ -283,8 +281,8 @@ class Rows:
                 sizes = np.stack([f @ own[place] for f, place in pairs], axis=1)
                 moved.append(columns @ sizes)
             across = np.einsum('cpi,pin->cpn', axes, np.concatenate(moved))
-            found.append(across.reshape(-1, value.shape[1]))
-        return np.concatenate(found)
+            parts.append(across.reshape(-1, value.shape[1]))
+        return np.concatenate(parts)
 
     def products_in_run(
         self, turned: Array, effect: Effect, shapes: Sequence[Shape], run: int, count: int
@@ -292,8 +290,8 @@ class Rows:
         """Products (s, q, k) of ``Pulled.turned`` of a run with displacements by k terms."""
         if isinstance(effect, InTime):
             return effect.products(self.states[run], shapes, turned)
-        found = np.zeros((len(shapes), turned.shape[2], count))
-        for whole, shape in zip(found, shapes, strict=True):
+        products = np.zeros((len(shapes), turned.shape[2], count))
+        for whole, shape in zip(products, shapes, strict=True):
             for part, columns, functions in self._factors(effect, shape, run, count):
                 if functions is None:
                     flat = turned[part].reshape(-1, turned.shape[2])
@@ -302,7 +300,7 @@ class Rows:
                 for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
                     moved = np.einsum('piq,pi->qp', turned[part], columns[:, :, j])
                     whole[:, place] += moved @ own
-        return found
+        return products
 
     def _factors(
         self, effect: Effect, shape: Shape, run: int, count: int
@@ -382,8 +380,8 @@ class Rows:
 
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
-        left = left_by_tables(self.done, self.by_run(plain))
-        return np.concatenate([part.reshape(-1) for part in left])
+        residual = left_by_tables(self.done, self.by_run(plain))
+        return np.concatenate([part.reshape(-1) for part in residual])
 
     @cached_property
     def touched(self) -> list[list[Touched]]:
@@ -403,10 +401,10 @@ class Rows:
 
     def pull(self, columns: Array) -> Array:
         """Products (b, k) of the whitened columns of unknowns with columns (r, k)."""
-        found = np.zeros((len(self.use), columns.shape[1]))
+        pulled = np.zeros((len(self.use), columns.shape[1]))
         for some in chain.from_iterable(self.touched):
-            found[some.unknowns] += some.base.T @ columns[some.rows]
-        return found
+            pulled[some.unknowns] += some.base.T @ columns[some.rows]
+        return pulled
 
     @cached_property
     def deviation(self) -> Array:
@@ -469,36 +467,36 @@ def _places(functions: Sequence[Array]) -> list[slice]:
     return [slice(low, high) for low, high in pairwise(ends)]
 
 
-def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
+def build_rows(runs: Sequence[Run], joint: JointSolution, limit: float) -> Rows:
     """Set up the rows of solved runs of recordings; see ``rows_of``."""
-    return replace(rows_of(runs, settled(done, limit), limit), runs=tuple(runs))
+    return replace(rows_of(runs, settled(joint, limit), limit), runs=tuple(runs))
 
 
-def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> Rows:
+def rows_of(observed: Sequence[Observed], joint: JointSolution, limit: float) -> Rows:
     """Set up the rows of solved runs, of recordings or of a plan.
 
     Parameters
     ----------
-    done : JointSolution
+    joint : JointSolution
         Of the same runs, without reversal.
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
-    systems = [s.system for s in done.runs]
+    systems = [s.system for s in joint.runs]
     whiteners = [
         Whitener.of(s, run.pieces, run.noise) for s, run in zip(systems, observed, strict=True)
     ]
-    seen = identifiable_blocks(summed(systems, done.unknowns, whiteners), done.unknowns, limit)
-    use = free_columns(done.unknowns, seen)
-    tables = tables_of(observed[0].machine, done.unknowns, done.solution)
+    seen = identifiable_blocks(summed(systems, joint.unknowns, whiteners), joint.unknowns, limit)
+    use = free_columns(joint.unknowns, seen)
+    tables = tables_of(observed[0].machine, joint.unknowns, joint.solution)
     deviation, fold, states = [], [], []
-    for run, solved, number in zip(observed, done.runs, leg_numbers(done), strict=True):
-        states.append(piece_state(run, solved, done.unknowns.knots, tables))
+    for run, solved, number in zip(observed, joint.runs, leg_numbers(joint), strict=True):
+        states.append(piece_state(run, solved, joint.unknowns.knots, tables))
         deviation.append(solved.system.deviation.reshape(-1))
         fold.append(np.tile(fold_of(number), len(solved.system.axes)))
     return Rows(
         observed=tuple(observed),
-        done=done,
+        done=joint,
         whiteners=tuple(whiteners),
         tables=tables,
         states=tuple(states),
@@ -518,8 +516,6 @@ def add_products(rows: Rows, run: int, values: Array, cross: Array, square: Arra
 
     Parameters
     ----------
-    rows : Rows
-    run : int
     values : ndarray, shape (c, p, k)
         The columns, not yet whitened.
     cross : ndarray, shape (b, k)
@@ -549,9 +545,9 @@ def _whitened(whitener: Whitener, values: Array, lines: Sequence[int], take: Ind
     parts = [values[:, slice(*whitener.bounds[line])] for line in lines]
     if len(take) < values.shape[2]:
         parts = [part[:, :, take] for part in parts]
-    found = np.empty((len(values), sum(part.shape[1] for part in parts), len(take)))
+    whitened = np.empty((len(values), sum(part.shape[1] for part in parts), len(take)))
     start = 0
     for line, part in zip(lines, parts, strict=True):
-        np.matmul(whitener.inverses[line], part, out=found[:, start : start + part.shape[1]])
+        np.matmul(whitener.inverses[line], part, out=whitened[:, start : start + part.shape[1]])
         start += part.shape[1]
-    return found.reshape(-1, len(take))
+    return whitened.reshape(-1, len(take))

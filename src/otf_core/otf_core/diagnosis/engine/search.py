@@ -247,17 +247,17 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
 
 def _settled(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause], list[tuple[str, float]]]:
     """Find effects beside causes, and ask each again until all stay."""
-    found, considered, pool = _found(pool, causes)
+    named, considered, pool = _found(pool, causes)
     for _ in range(MAX_CHANGES):
-        changed = _changed(pool, found)
+        changed = _changed(pool, named)
         if changed is None:
             break
         for cause in changed:
-            if all(cause is not known for known in found):
+            if all(cause is not known for known in named):
                 pool = pool.joined(cause.option)
-        found, ranked, pool = _found(pool, changed)
-        found, considered = _in_order(found), ranked or considered
-    return found, considered
+        named, ranked, pool = _found(pool, changed)
+        named, considered = _in_order(named), ranked or considered
+    return named, considered
 
 
 def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
@@ -280,10 +280,10 @@ def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
 def _is_likelier(one: Sequence[Cause], other: Sequence[Cause], rows: Rows) -> bool:
     """Tell whether causes explain rows clearly better than others, for the same noise."""
     options = [[c.option for c in causes] for causes in (one, other)]
-    left = [rows.residual - np.concatenate([o.own for o in part], axis=1)
+    residuals = [rows.residual - np.concatenate([o.own for o in part], axis=1)
             @ fit_jointly(causes, rows).value
             for part, causes in zip(options, (one, other), strict=True)]  # fmt: skip
-    variance = min(noise_variance(rows, part) for part in left)
+    variance = min(noise_variance(rows, part) for part in residuals)
     first, second = (joint_evidence(part, rows.residual, variance) for part in options)
     return first - second > max(CLEARLY_BETTER, CLOSE_SHARE * second)
 
@@ -347,17 +347,17 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     questioned = power >= LEAST_POWER * power.sum()
     rest = pool.beside([c.option for c in causes]).residual
     variance = noise_variance(pool.rows, rest)
-    worst, found = 0.0, None
+    worst, better = 0.0, None
     for cause in (c for c, large in zip(causes, questioned, strict=True) if large):
         others = [c for c in causes if c is not cause]
         beside = _beside(pool, others, variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
-            worst, found = own[0] - NEEDED_EVIDENCE, others
+            worst, better = own[0] - NEEDED_EVIDENCE, others
         elif (lost := _worth(own) - _worth(ranking[0])) < min(worst, -CLEARLY_BETTER):
-            worst, found = lost, [*others, _cause(ranking, beside, variance)]
-    return found
+            worst, better = lost, [*others, _cause(ranking, beside, variance)]
+    return better
 
 
 def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
@@ -473,10 +473,10 @@ def sight_of(tried: Tried) -> Visibility:
     acts = tried.size > NO_TRACE
     if not acts.any():
         return Visibility(0.0, np.inf)
-    whole, left = tried.whole[acts], tried.normal.diagonal()[acts]
-    ratio = np.sqrt(left / np.maximum(whole, 1e-300))
-    found = np.sqrt(DETECTABLE / np.maximum(left, 1e-300)) * tried.size[acts]
-    return Visibility(float(np.median(ratio)), float(np.median(found)))
+    whole, remaining = tried.whole[acts], tried.normal.diagonal()[acts]
+    ratio = np.sqrt(remaining / np.maximum(whole, 1e-300))
+    smallest = np.sqrt(DETECTABLE / np.maximum(remaining, 1e-300)) * tried.size[acts]
+    return Visibility(float(np.median(ratio)), float(np.median(smallest)))
 
 
 def shapes_from_lines(lines: Sequence[SpectralLine]) -> dict[str, list[Shape]]:
@@ -499,8 +499,8 @@ def spectral_lines(rows: Rows) -> list[SpectralLine]:
 
 def effects_without(names: Sequence[str]) -> list[Effect]:
     """Effects of the catalogue that displace, less the named ones."""
-    left = [e for e in REGISTRY.values() if e.name not in names]
-    return [e for e in left if e.belongs_to is not BelongsTo.NOISE]
+    remaining = [e for e in REGISTRY.values() if e.name not in names]
+    return [e for e in remaining if e.belongs_to is not BelongsTo.NOISE]
 
 
 @dataclass(frozen=True)
@@ -546,8 +546,6 @@ def tried_effects(
 
     Parameters
     ----------
-    rows : Rows
-    effects : sequence of Effect
     shapes : mapping of effect name to shapes
         Where not given, those of the effect itself.
 
@@ -559,17 +557,19 @@ def tried_effects(
 
     def one(effect: Effect) -> tuple[list[Tried], Visibility]:
         chosen, stand_in = shapes_of(rows, effect, shapes)
-        found = tried_shapes(rows, effect, chosen or stand_in)
-        tried = found if chosen else []
+        all_tried = tried_shapes(rows, effect, chosen or stand_in)
+        tried = all_tried if chosen else []
         for form in free_forms(effect, rows.states):
             own = (chosen or ()) if form.form.shaped else ({},)
             tried += tried_shapes(rows, form, own)
-        return tried, best_sight([sight_of(t) for t in found])
+        return tried, best_sight([sight_of(t) for t in all_tried])
 
     rows.prepare()
-    made = shared_out(one, effects, (rows, *effects))
-    found = dict(zip((e.name for e in effects), made, strict=True))
-    return {n: tried for n, (tried, _) in found.items()}, {n: s for n, (_, s) in found.items()}
+    results = shared_out(one, effects, (rows, *effects))
+    all_tried = dict(zip((e.name for e in effects), results, strict=True))
+    return {n: tried for n, (tried, _) in all_tried.items()}, {
+        n: s for n, (_, s) in all_tried.items()
+    }
 
 
 def best_sight(seen: Sequence[Visibility]) -> Visibility:
@@ -581,10 +581,12 @@ def best_sight(seen: Sequence[Visibility]) -> Visibility:
 
 
 def shapes_of(
-    rows: Rows, effect: Effect, found: Mapping[str, Sequence[Shape]]
+    rows: Rows, effect: Effect, shapes_found: Mapping[str, Sequence[Shape]]
 ) -> tuple[Sequence[Shape], Sequence[Shape]]:
     """Shapes to try, and what stands for them where there are none."""
     wave = effect.wave
     if wave is None:
-        return found.get(effect.name, effect.shapes(rows.states[0])), ()
-    return found.get(effect.name, ()), (effect.complete_shape({wave.parameter: wave.probe}),)
+        return shapes_found.get(effect.name, effect.shapes(rows.states[0])), ()
+    return shapes_found.get(effect.name, ()), (
+        effect.complete_shape({wave.parameter: wave.probe}),
+    )

@@ -170,12 +170,12 @@ def courses_tried(rows: Rows, effects: Sequence[Effect]) -> dict[str, list[Tried
     if len(rows.states) > 1 or not rows.states[0].end > 0.0:
         return {}
     ways = dict.fromkeys(acts for e in effects for acts in e.switches)
-    found = {}
+    courses = {}
     for acts in ways:
         course = CourseInTime(acts, [e for e in effects if acts in e.switches])
         (tried,) = tried_shapes(rows, course, [{}])
-        found[f'{course.name} {acts.__name__}'] = [tried.only(())]
-    return found
+        courses[f'{course.name} {acts.__name__}'] = [tried.only(())]
+    return courses
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,8 +271,8 @@ class Courses:
         whole[..., -1, :-1], whole[..., -1, -1] = pull, 1.0 + np.sum(pull**2, axis=2)
         factor = np.linalg.cholesky(whole)
         volume = np.log(np.diagonal(factor, axis1=2, axis2=3)[..., :-1]).sum(axis=2)
-        found = 0.5 * np.sum(factor[..., -1, :-1] ** 2, axis=2) - volume
-        return np.asarray(np.logaddexp.reduce(found, axis=0) - np.log(len(SPREADS)))
+        evidence = 0.5 * np.sum(factor[..., -1, :-1] ** 2, axis=2) - volume
+        return np.asarray(np.logaddexp.reduce(evidence, axis=0) - np.log(len(SPREADS)))
 
 
 Moments = tuple[float, ...]
@@ -326,17 +326,17 @@ def add_switching(beside: Beside, variance: float) -> Beside:
     jobs = [(way, kind) for way in ways if way.courses.most >= least for kind in KINDS]
 
     def switching(job: tuple[_Way, _Kind]) -> list[Tried]:
-        found = []
+        options = []
         for effect, shape, price in job[0].likely(job[1], rows, least):
-            (made,) = tried_shapes(rows, effect, [shape])
-            found.append(replace(beside.less(made), price=price))
-        return found
+            (option,) = tried_shapes(rows, effect, [shape])
+            options.append(replace(beside.less(option), price=price))
+        return options
 
     rows.prepare()
     beside.taken  # noqa: B018
     known = (rows, *(e for way in ways for e in way.drivers))
-    for made in chain.from_iterable(shared_out(switching, jobs, known)):
-        groups[made.effect.name].append(made)
+    for option in chain.from_iterable(shared_out(switching, jobs, known)):
+        groups[option.effect.name].append(option)
     return replace(beside, candidates=groups)
 
 
@@ -346,10 +346,8 @@ class _Way:
 
     Attributes
     ----------
-    acts : Acting
     drivers : tuple of Effect
         Those that are candidates.
-    courses : Courses
     """
 
     acts: Acting
@@ -381,8 +379,8 @@ class _Way:
             for e in self.drivers
             if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
         ]
-        found = likeliest(self.courses, jumps=jumps, alike=alike) if named else []
-        for switching, price in (one[1:] for one in found if one[0] > least):
+        scored = likeliest(self.courses, jumps=jumps, alike=alike) if named else []
+        for switching, price in (one[1:] for one in scored if one[0] > least):
             free = switched(self.acts, switching, 1 if alike else len(switching.moments))
             for effect in named:
                 yield FreeForm.bound(effect, free, rows.states), {}, price
@@ -423,10 +421,10 @@ def likeliest(
     end = float(courses.time[-1])
     lags = np.zeros(1) if jumps else end * np.array(LAGS)
     grid = np.linspace(0.0, end, SWITCH_MOMENTS + 1)[int(jumps) : -1].tolist()
-    found: list[tuple[float, Array]] = []
-    kept: list[Moments] = [()]
+    scored: list[tuple[float, Array]] = []
+    beam: list[Moments] = [()]
     for _ in range(SWITCHES if alike else UNLIKE):
-        moments = np.array(sorted({tuple(sorted((*known, m))) for known in kept for m in grid}))
+        moments = np.array(sorted({tuple(sorted((*known, m))) for known in beam for m in grid}))
         moments = moments[_apart(moments, end, jumps=jumps)]
         if not len(moments):
             break
@@ -435,13 +433,13 @@ def likeliest(
         order, sets = np.argsort(scores)[::-1], np.concatenate(by_lag)
         best = [tuple(sets[k, :-1].tolist()) for k in order[: BEAM * len(lags)]]
         score, likely = _improved(courses, sets[order[0]], COARSE, alike=alike)
-        kept = [tuple(likely[:-1].tolist()), *list(dict.fromkeys(best))[:BEAM]]
-        found.append((score - _price(likely[:-1], jumps), likely))
-    found.sort(key=lambda one: -one[0])
-    made = (_improved(courses, own, FINE, alike=alike) for _, own in found[:MADE])
+        beam = [tuple(likely[:-1].tolist()), *list(dict.fromkeys(best))[:BEAM]]
+        scored.append((score - _price(likely[:-1], jumps), likely))
+    scored.sort(key=lambda one: -one[0])
+    improved = (_improved(courses, own, FINE, alike=alike) for _, own in scored[:MADE])
     return [
         (score - price, switching, price)
-        for score, own in made
+        for score, own in improved
         for switching, price in _as_switching(own, end, alike=alike)
     ]
 
@@ -461,10 +459,8 @@ def judged(courses: Courses, sets: Array, *, alike: bool) -> Array:
 
     Parameters
     ----------
-    courses : Courses
     sets : ndarray, shape (m, c + 1), s
         Moments, and the lag with which they are followed.
-    alike : bool
 
     Returns
     -------

@@ -44,7 +44,6 @@ class RunView:
 
     Attributes
     ----------
-    name : str
     axis_names : tuple of str
         Of the machine, in the order of the components of ``q``.
     time : ndarray, shape (p,), s
@@ -151,8 +150,6 @@ class Grouping:
 
     Attributes
     ----------
-    kind : str
-    labels : list of str
     indices : list of ndarray of int, shape (p,)
         One per run.
     edges, second : ndarray, shape (n + 1,), optional
@@ -226,9 +223,9 @@ def by_moving_axes(views: Sequence[RunView]) -> Grouping:
     sets = [c for size in (1, 2, 3) for c in combinations(range(3), size)]
     number = {sum(1 << k for k in own): i for i, own in enumerate(sets)}
     labels = [''.join(axes[k] for k in own) for own in sets]
-    found = np.array([number.get(code, -1) for code in range(8)])
+    place_of = np.array([number.get(code, -1) for code in range(8)])
     indices = [
-        found[(np.abs(v.direction) > TRAVELS).astype(np.int64) @ np.array([1, 2, 4])]
+        place_of[(np.abs(v.direction) > TRAVELS).astype(np.int64) @ np.array([1, 2, 4])]
         for v in views
     ]
     return Grouping('lines', labels, indices)
@@ -532,12 +529,12 @@ def partition(
         )
         for part, rows in leg_rows(view, residual):
             sums.append(leg_sums(rows, member[part], member[part].sum(axis=0)))
-    found, start = [], 0
+    groups, start = [], 0
     for own in groupings:
         part = slice(start, start + len(own.labels))
         start = part.stop
-        found.append(make_groups(own.labels, own.kind, [one.only(part) for one in sums]))
-    return found
+        groups.append(make_groups(own.labels, own.kind, [one.only(part) for one in sums]))
+    return groups
 
 
 def unevenness(groups: Sequence[Group]) -> float:
@@ -622,10 +619,8 @@ def band_groups(
 
     Parameters
     ----------
-    views : sequence of RunView
     states : sequence of (sequence of ndarray, shape (c, p), m)
         Residuals of all runs; the noise, which takes the time, is turned once for all.
-    bands : sequence of Bands
     """
     sums: list[list[list[LegSums]]] = [[[] for _ in bands] for _ in states]
     for view, *residuals in zip(views, *states, strict=True):

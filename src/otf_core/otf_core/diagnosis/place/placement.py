@@ -57,7 +57,6 @@ class Separation:
     ----------
     view : str
         One of ``VIEWS``.
-    grouping : Grouping
     share : float
         See the head of this file; at most 1, about 0 by chance.
     probability : float
@@ -97,7 +96,6 @@ def separations(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Se
 
     Parameters
     ----------
-    views : sequence of RunView
     residuals : sequence of ndarray, shape (c, p), m
     """
     starts = [_block_starts(v) for v in views]
@@ -108,31 +106,31 @@ def separations(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Se
         excess.append(np.add.reduceat(square, start) / count)
         weight.append(count)
     y, n = np.concatenate(excess), np.concatenate(weight).astype(float)
-    found = []
+    ranked = []
     for view_name, grouping in groupings_by_view(views):
         middle = (
             own[np.minimum(s + c // 2, len(own) - 1)]
             for own, s, c in zip(grouping.indices, starts, weight, strict=True)
         )
         share, probability = _share(y, n, np.concatenate(list(middle)))
-        found.append(Separation(view_name, grouping, share, probability))
-    found.sort(key=lambda s: -s.share * (1.0 if s.grouping.second is None else SIMPLER))
-    first, *others = found
+        ranked.append(Separation(view_name, grouping, share, probability))
+    ranked.sort(key=lambda s: -s.share * (1.0 if s.grouping.second is None else SIMPLER))
+    first, *others = ranked
     if first.view == BEAM:
         direct = [s for s in others if s.view != BEAM and s.grouping.second is None]
         if direct and direct[0].share >= AT_THE_MACHINE * first.share:
-            found.remove(direct[0])
-            found.insert(0, direct[0])
-    return found
+            ranked.remove(direct[0])
+            ranked.insert(0, direct[0])
+    return ranked
 
 
 def _block_starts(view: RunView) -> NDArray[np.int64]:
     """First piece of every block of a run."""
-    found = []
+    starts = []
     for low, high in view.bounds:
         count = max(1, round((high - low) / BLOCK))
-        found.append(np.linspace(low, high, count, endpoint=False).round().astype(np.int64))
-    return np.concatenate(found)
+        starts.append(np.linspace(low, high, count, endpoint=False).round().astype(np.int64))
+    return np.concatenate(starts)
 
 
 def _share(y: Array, weight: Array, group: NDArray[np.int64]) -> tuple[float, float]:
@@ -238,12 +236,12 @@ def first_placed(
         The largest share first.
     """
     first = placed(views, residuals, ranking[0])
-    found = first
+    placement = first
     for best in ranking[1:]:
-        if found.words or not best.counts:
+        if placement.words or not best.counts:
             break
-        found = placed(views, residuals, best)
-    return found if found.words else first
+        placement = placed(views, residuals, best)
+    return placement if placement.words else first
 
 
 def placed(views: Sequence[RunView], residuals: Sequence[Array], best: Separation) -> Placement:
@@ -259,14 +257,16 @@ def placed(views: Sequence[RunView], residuals: Sequence[Array], best: Separatio
     for group in groups:
         own = group.label, numbers[group.label], group.excess, group.u_excess, group.pieces
         parts.append(Part(*own))
-    found = Placement(best, tuple(parts), '')
-    return replace(found, words=_words(found, views, residuals)) if best.counts else found
+    placement = Placement(best, tuple(parts), '')
+    return (
+        replace(placement, words=_words(placement, views, residuals)) if best.counts else placement
+    )
 
 
-def _words(found: Placement, views: Sequence[RunView], residuals: Sequence[Array]) -> str:
+def _words(placement: Placement, views: Sequence[RunView], residuals: Sequence[Array]) -> str:
     """Place, its share of the gap and of the path, and where there is nothing."""
-    pieces = sum(p.pieces for p in found.parts)
-    worth = [p for p in found.parts if p.pieces >= FEWEST_PIECES * pieces]
+    pieces = sum(p.pieces for p in placement.parts)
+    worth = [p for p in placement.parts if p.pieces >= FEWEST_PIECES * pieces]
     top = max((p.gap for p in worth), default=0.0)
     much = [p for p in worth if p.gap >= MUCH * top and p.excess > UNSURE * p.u_excess]
     if not much:
@@ -275,26 +275,28 @@ def _words(found: Placement, views: Sequence[RunView], residuals: Sequence[Array
         p for p in worth
         if p.gap < LITTLE * top or (p.excess < UNSURE * p.u_excess and p.gap < HALF * top)
     ]  # fmt: skip
-    grouping = found.separation.grouping
+    grouping = placement.separation.grouping
     if grouping.kind == 'lines':
         some = [p for p in worth if p not in none]
         place, held = _line_words(views[0].axis_names, worth, much, some)
-        if not found.concentrated(held):
+        if not placement.concentrated(held):
             return ''
         nothing = _rest_words(none, _line_names([p.label for p in none], 'or'))
         moving = [a for a in views[0].axis_names if place.endswith(f' {a}')]
         sense = _sense_words(views, residuals, moving[0]) if moving else ''
-        return f'{place}{sense}{_share_words(found, held)}{nothing}'
-    if not found.concentrated(much):
+        return f'{place}{sense}{_share_words(placement, held)}{nothing}'
+    if not placement.concentrated(much):
         return ''
     words = _sense_place if grouping.kind.startswith('sense') else _group_words
     if grouping.edges is not None and grouping.second is None:
         words = _ordered_words
     elif grouping.second is not None:
-        return _plane_words(found, much)
+        return _plane_words(placement, much)
     place = words(grouping, much)
     rest = len(none) == len(worth) - len(much)
-    return f'{place}{_share_words(found, much)}{_rest_words(none if rest else (), "elsewhere")}'
+    return (
+        f'{place}{_share_words(placement, much)}{_rest_words(none if rest else (), "elsewhere")}'
+    )
 
 
 def _rest_words(none: Sequence[Part], where: str) -> str:
@@ -312,8 +314,8 @@ def _group_words(grouping: Grouping, much: Sequence[Part]) -> str:
     return f'{words} {listed([p.label for p in most])}'
 
 
-def _share_words(found: Placement, chosen: Sequence[Part]) -> str:
-    gap, path = found.share(chosen)
+def _share_words(placement: Placement, chosen: Sequence[Part]) -> str:
+    gap, path = placement.share(chosen)
     return f' ({100 * gap:.0f} % of the squared gap on {100 * path:.0f} % of the path)'
 
 
@@ -446,9 +448,9 @@ _INTERVALS = {
 unit of the edges."""
 
 
-def _plane_words(found: Placement, much: Sequence[Part]) -> str:
+def _plane_words(placement: Placement, much: Sequence[Part]) -> str:
     """A rectangle of two positions, or the cells with most."""
-    grouping = found.separation.grouping
+    grouping = placement.separation.grouping
     assert grouping.edges is not None and grouping.second is not None
     names = grouping.kind.removeprefix('position of ').split(' and ')
     count = len(grouping.second) - 1
@@ -457,7 +459,9 @@ def _plane_words(found: Placement, much: Sequence[Part]) -> str:
     if len(much) < FILLED * float(np.prod(high - low + 1)):
         most = sorted(much, key=lambda p: -p.excess * p.pieces)[:NAMED]
         cells_words = listed([f'({p.label})' for p in most])
-        return f'unevenly over {listed(names)}, most in {cells_words}{_share_words(found, most)}'
+        return (
+            f'unevenly over {listed(names)}, most in {cells_words}{_share_words(placement, most)}'
+        )
     parts = []
     for k, (name, edges) in enumerate(zip(names, (grouping.edges, grouping.second), strict=True)):
         a, b = 1e3 * edges[low[k]], 1e3 * edges[high[k] + 1]
@@ -469,4 +473,4 @@ def _plane_words(found: Placement, much: Sequence[Part]) -> str:
             parts.append(f'{name} is above {a:.0f} mm')
         else:
             parts.append(f'{name} is between {a:.0f} mm and {b:.0f} mm')
-    return f'where {listed(parts)}{_share_words(found, much)}'
+    return f'where {listed(parts)}{_share_words(placement, much)}'

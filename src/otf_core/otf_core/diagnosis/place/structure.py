@@ -41,7 +41,6 @@ class GapShape:
 
     Attributes
     ----------
-    family : str
     scales : callable(RunView) -> ndarray, shape (p, m)
         Displacements along X, Y and Z are in proportion to each of the m scales; coefficients
         are those of the first scale, X, Y, Z, then of the next.
@@ -296,8 +295,8 @@ def product_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 def all_shapes(views: Sequence[RunView]) -> list[list[GapShape]]:
     """All shapes, one list a family that is scanned together."""
     families = (step_shapes, drift_shapes, travel_shapes, slow_wave_shapes, product_shapes)
-    found = [list(family(views)) for family in families]
-    return found + [list(wave_shapes(views, axis)) for axis in range(3)]
+    shapes = [list(family(views)) for family in families]
+    return shapes + [list(wave_shapes(views, axis)) for axis in range(3)]
 
 
 Projection = Callable[[Array], Array]
@@ -390,12 +389,12 @@ def _candidates(
     project: Projection,
 ) -> list[_Candidate]:
     """Shapes of equal numbers of scales, by their products; some of them at once."""
-    found = []
+    candidates = []
     for k in range(0, len(shapes), TOGETHER):
         some = shapes[k : k + TOGETHER]
         for shape, white in zip(some, _columns(views, some, project), strict=True):
-            found.append(_Candidate(shape, white.T @ white, white.T @ residual))
-    return found
+            candidates.append(_Candidate(shape, white.T @ white, white.T @ residual))
+    return candidates
 
 
 def _pulled(views: Sequence[RunView], white: Array, project: Projection) -> list[Array]:
@@ -564,10 +563,10 @@ def find_structures(
         for family in all_shapes(views)
         if family
     ]
-    found: list[GapStructure] = []
+    structures: list[GapStructure] = []
     chosen: list[GapShape] = []
     plain, whole = project, residual
-    while families and len(found) < MAX_STRUCTURES:
+    while families and len(structures) < MAX_STRUCTURES:
         best = _best(families, views, residual, project)
         before, basis = _squares(views, residual), _basis(best.white)
         amount, residual = basis.T @ residual, residual - best.white @ best.value
@@ -576,7 +575,7 @@ def find_structures(
         if best.score < NEEDED_SCORE or share < NEEDED_SHARE:
             break
         chosen.append(best.shape)
-        found.append(GapStructure(best.shape.family, '', min(share, 1.0), best.score))
+        structures.append(GapStructure(best.shape.family, '', min(share, 1.0), best.score))
         # axes may each have their own sense of travel; a second step or wave is a refinement
         family, pull = best.shape.family, _pulled(views, basis, plain)
         families = [
@@ -586,5 +585,5 @@ def find_structures(
         ]
         project = _chained(project, _removal(basis))
     words = _joint_words(views, chosen, whole, plain)
-    found = [replace(s, words=w) for s, w in zip(found, words, strict=True)]
-    return sorted(found, key=lambda s: -s.share)
+    structures = [replace(s, words=w) for s, w in zip(structures, words, strict=True)]
+    return sorted(structures, key=lambda s: -s.share)

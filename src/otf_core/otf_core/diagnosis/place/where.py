@@ -55,7 +55,7 @@ def _gap(group: Group) -> float:
 
 def _largest(kinds: Mapping[str, Sequence[Group]], pieces: int) -> list[tuple[Group, Group]]:
     """Of the kinds along which the gap is most uneven: largest and smallest group."""
-    found = []
+    contrasts = []
     for kind, groups in kinds.items():
         if kind in ('path piece', 'points') or kind.startswith('waves'):
             continue
@@ -65,9 +65,9 @@ def _largest(kinds: Mapping[str, Sequence[Group]], pieces: int) -> list[tuple[Gr
             continue
         most, least = max(big, key=lambda g: g.excess), min(big, key=lambda g: g.excess)
         if most.significance > SIGNIFICANT and _gap(most) > CONTRAST * _gap(least):
-            found.append((worth, most, least))
-    found.sort(key=lambda item: -item[0])
-    return [(most, least) for _, most, least in found[:MOST_KINDS]]
+            contrasts.append((worth, most, least))
+    contrasts.sort(key=lambda item: -item[0])
+    return [(most, least) for _, most, least in contrasts[:MOST_KINDS]]
 
 
 def _um(value: float) -> str:
@@ -125,7 +125,9 @@ def _band_words(total: Group, bands: Sequence[Group]) -> list[str]:
     return []
 
 
-def structure_words(total: Group, groups: Sequence[Group], found: Sequence[GapStructure]) -> str:
+def structure_words(
+    total: Group, groups: Sequence[Group], structures: Sequence[GapStructure]
+) -> str:
     """Describe the shape of a gap.
 
     Parameters
@@ -134,12 +136,11 @@ def structure_words(total: Group, groups: Sequence[Group], found: Sequence[GapSt
         All pieces.
     groups : sequence of Group
         Of all kinds.
-    found : sequence of GapStructure
     """
     if not stands_out(total, groups):
         return NO_STRUCTURE
-    parts = [f'{s.words} ({100 * s.share:.0f} % of the excess)' for s in found]
-    if sum(s.share for s in found) < MOSTLY:
+    parts = [f'{s.words} ({100 * s.share:.0f} % of the excess)' for s in structures]
+    if sum(s.share for s in structures) < MOSTLY:
         kinds = _kinds(groups)
         parts += _band_words(total, kinds.pop('frequency', []))
         parts += [_contrast_words(*pair) for pair in _largest(kinds, total.pieces)]
@@ -250,10 +251,10 @@ def pointing_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> lis
                 seen = (weights**2).sum(axis=0)[:, None] > 0.1
                 joined = rows_along(rows, weights)
                 sums[k].append(leg_sums([joined], seen, seen.sum(axis=0)))
-    found = []
+    groups = []
     for k, axis in enumerate(XYZ):
-        found += make_groups([f'along machine {axis}'], 'points', sums[k])
-    return found
+        groups += make_groups([f'along machine {axis}'], 'points', sums[k])
+    return groups
 
 
 def components(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, float]:
@@ -273,11 +274,11 @@ def components(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str
         square -= np.einsum('cp,cpk->k', view.expected**2, view.axes**2)
         whole += float((residual**2).sum() - (view.expected**2).sum())
         pieces += len(view.leg)
-    kept = np.maximum(square, 0.0)
-    if whole <= 0.0 or kept.sum() <= 0.0:
+    positive = np.maximum(square, 0.0)
+    if whole <= 0.0 or positive.sum() <= 0.0:
         return dict.fromkeys(XYZ, 0.0)
-    found = np.sqrt(kept / kept.sum() * whole / pieces)
-    return dict(zip(XYZ, found.tolist(), strict=True))
+    sizes = np.sqrt(positive / positive.sum() * whole / pieces)
+    return dict(zip(XYZ, sizes.tolist(), strict=True))
 
 
 def groupings_of(views: Sequence[RunView]) -> dict[str, list[by.Grouping]]:
@@ -323,9 +324,10 @@ def total_group(views: Sequence[RunView], residuals: Sequence[Array]) -> Group:
 def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, list[Group]]:
     groupings = groupings_of(views)
     every = [part for parts in groupings.values() for part in parts]
-    found = iter(partition(views, every, residuals))
+    group_lists = iter(partition(views, every, residuals))
     groups = {
-        name: [group for _ in parts for group in next(found)] for name, parts in groupings.items()
+        name: [group for _ in parts for group in next(group_lists)]
+        for name, parts in groupings.items()
     }
     groups['by_axis_and_direction'] += pointing_groups(views, residuals)
     [bands] = band_groups(views, [residuals], usual_bands(views))
@@ -356,17 +358,17 @@ def _located(
     certain: bool = True,
 ) -> _Located:
     total, groups = total_group(views, residuals), _all_groups(views, residuals)
-    found = _Located(total, groups, known)
-    found = replace(found, loud=stands_out(total, found.every))
+    located = _Located(total, groups, known)
+    located = replace(located, loud=stands_out(total, located.every))
     if known and certain:
-        return found
-    loud = found.loud
+        return located
+    loud = located.loud
     structures = find_structures(views, residuals, project) if loud else []
-    words = structure_words(total, found.every, structures)
+    words = structure_words(total, located.every, structures)
     if known:
         says_most = sum(s.share for s in structures) > MOSTLY
         words = f'{known}; {words}' if says_most else known
-    return replace(found, shape=words)
+    return replace(located, shape=words)
 
 
 def describe_structure(
@@ -410,11 +412,11 @@ def where_and_shape(
         Residual that the simulation leaves: what is stated counts as noise what makes that up.
     """
     residuals = [getattr(v, residual) for v in views]
-    found = _located(views, residuals, project, known, certain=certain)
+    located = _located(views, residuals, project, known, certain=certain)
     noise = 1.0 if simulated is None else noise_factor(views, simulated)
     shown = [v.with_noise(noise) for v in views]
     rows: dict[str, Rows] = {
-        name: [g.with_noise(noise).row() for g in part] for name, part in found.groups.items()
+        name: [g.with_noise(noise).row() for g in part] for name, part in located.groups.items()
     }
     details = _leg_details(views, residuals)
     rows['by_path_piece'] = [r | d for r, d in zip(rows['by_path_piece'], details, strict=True)]
@@ -425,10 +427,10 @@ def where_and_shape(
             row['gap_um'] = of_axis[row['label']]
     ranking = separations(shown, residuals)
     place = first_placed(shown, residuals, ranking)
-    shape = found.shape.removeprefix(known).lstrip('; ') if known else found.shape
-    every = [g.with_noise(noise) for g in found.every]
+    shape = located.shape.removeprefix(known).lstrip('; ') if known else located.shape
+    every = [g.with_noise(noise) for g in located.every]
     where = Where(
-        summary=summary_words(every, place, along, shape, loud=found.loud),
+        summary=summary_words(every, place, along, shape, loud=located.loud),
         separation=tuple(
             {'view': s.view, 'grouping': s.grouping.kind, 'share_percent': _percent(s.share)}
             for s in ranking
@@ -441,9 +443,9 @@ def where_and_shape(
         by_beam=tuple(rows['by_beam']),
         by_frequency=tuple(rows['by_frequency']),
     )
-    if found.loud and place.words:
+    if located.loud and place.words:
         where = _at_place(where, place)
-    return where, found.shape
+    return where, located.shape
 
 
 def _percent(share: float) -> float:

@@ -78,9 +78,9 @@ class Backlash(Effect):
         """Return to the middle at standstill, and held."""
         return ({HELD: 0.0}, {HELD: 1.0})
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Reversal value of every axis that takes part."""
-        return tuple(Size(f'of {a}', ({f'B_{a}': 1.0},), 'm') for a in found.axes)
+        return tuple(Size(f'of {a}', ({f'B_{a}': 1.0},), 'm') for a in fitted.axes)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return B_X, B_Y, B_Z."""

@@ -88,9 +88,9 @@ class CornerRounding(Effect):
         """Lengths of a few millimetres to a few centimetres."""
         return tuple({'l': length} for length in LENGTHS)
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Distance from the corner point."""
-        remark = f'at the corner, a third of it {1e3 * found.shape["l"]:.2g} mm away'
+        remark = f'at the corner, a third of it {1e3 * fitted.shape["l"]:.2g} mm away'
         return (Size('', ({'A': 1.0},), 'm', remark),)
 
     def terms(self, state: State, shape: Shape) -> Terms:

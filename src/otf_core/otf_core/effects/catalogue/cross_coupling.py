@@ -88,11 +88,11 @@ class CrossCoupling(Effect):
         for pair in combinations('xyz', 2)
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """The coefficient that displaces most."""
-        direction, product = found.strongest.split('_')
+        direction, product = fitted.strongest.split('_')
         of = f'along {direction} by {product.replace("2", chr(178))}'
-        return (Size(of, ({found.strongest: 1.0},), 'm', 'at the corner of the volume'),)
+        return (Size(of, ({fitted.strongest: 1.0},), 'm', 'at the corner of the volume'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return X_XY ... Z_XYZ: direction, then the product of positions."""

@@ -81,11 +81,11 @@ class CyclicError(Effect):
         frequency = np.arange(WAVES / length, 0.25 / spacing, 0.5 / length)
         return tuple({'period': float(1.0 / f)} for f in frequency)
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Amplitude of every axis that takes part."""
-        remark = f'amplitude, period {1e3 * found.shape["period"]:.3g} mm'
+        remark = f'amplitude, period {1e3 * fitted.shape["period"]:.3g} mm'
         return tuple(
-            Size(f'of {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark) for a in found.axes
+            Size(f'of {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark) for a in fitted.axes
         )
 
     def terms(self, state: State, shape: Shape) -> Terms:

@@ -100,10 +100,10 @@ class DirectionDependentTables(Effect):
         orders = (1.0, float(ORDER))
         return tuple({'order': k, HELD: held} for k in orders for held in (0.0, 1.0))
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Root mean square along its axis of each motion that displaces much."""
         found_sizes = []
-        for head, names in found.groups().items():
+        for head, names in fitted.groups().items():
             motion = ErrorMotion.of(head)
             orders = {n: int(n.rsplit('_', 1)[1]) for n in names}
             parts = tuple({n: float(np.sqrt(1.0 / (2 * k + 1)))} for n, k in orders.items())

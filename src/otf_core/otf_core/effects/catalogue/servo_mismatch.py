@@ -44,9 +44,9 @@ class ServoMismatch(Effect):
         ),
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Largest difference of the delays of two axes."""
-        delays = {a: found.of({f'T_{a}': 1.0}) for a in found.machine.axis_names}
+        delays = {a: fitted.of({f'T_{a}': 1.0}) for a in fitted.machine.axis_names}
         late, early = max(delays, key=delays.__getitem__), min(delays, key=delays.__getitem__)
         return (Size(f'of {late} behind {early}', ({f'T_{late}': 1.0, f'T_{early}': -1.0},), 's'),)
 

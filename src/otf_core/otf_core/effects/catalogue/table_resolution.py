@@ -93,10 +93,10 @@ class TableResolution(Effect):
         """Order 1: bows of the translations; 2: waves as well; (3: rotations as well)."""
         return ({'order': 1.0}, {'order': 2.0})
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Root mean square between nodes of each motion that displaces much."""
         found_sizes = []
-        for head, names in found.groups().items():
+        for head, names in fitted.groups().items():
             intervals = len({n.removesuffix('_2') for n in names})
             square = {n: (WAVE_SQUARE if n.endswith('_2') else BOW_SQUARE) for n in names}
             parts = tuple({n: float(np.sqrt(s / intervals))} for n, s in square.items())

@@ -74,9 +74,9 @@ class TableTilt(Effect):
         ),
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Tilt over the range of the axis, of the coefficient that displaces most."""
-        name, machine = found.strongest, found.machine
+        name, machine = fitted.strongest, fitted.machine
         _, about, _, axis = name.split('_')
         place = machine.axis_names.index(axis)
         range_m = float(machine.upper[place] - machine.lower[place])

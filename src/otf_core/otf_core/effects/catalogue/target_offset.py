@@ -33,9 +33,9 @@ class TargetOffset(Effect):
     )
     trial: ClassVar[Trial] = Trial((Axes('dT', 5e-3),), hard_to_see=True, second_place=5)
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Offset, with its direction where one component is most of it."""
-        return (vector_size(found, [{f'dT_{a}': 1.0} for a in XYZ], 'm', ''),)
+        return (vector_size(fitted, [{f'dT_{a}': 1.0} for a in XYZ], 'm', ''),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return dT_X, dT_Y, dT_Z."""

@@ -114,11 +114,11 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         ),
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Strain of every axis that takes part."""
         return tuple(
-            Size(f'of {a}', (drift.reached(f'S_{a}', found.shape),), 'm/m', drift.REACHED)
-            for a in found.axes
+            Size(f'of {a}', (drift.reached(f'S_{a}', fitted.shape),), 'm/m', drift.REACHED)
+            for a in fitted.axes
         )
 
     def terms(self, state: State, shape: Shape) -> Terms:

@@ -62,10 +62,10 @@ class ThermalStructureDrift(drift.DriftingEffect):
         ),
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Shift, with its direction where one component is most of it."""
-        parts = [drift.reached(f'D_{a}', found.shape) for a in XYZ]
-        return (vector_size(found, parts, 'm', drift.REACHED),)
+        parts = [drift.reached(f'D_{a}', fitted.shape) for a in XYZ]
+        return (vector_size(fitted, parts, 'm', drift.REACHED),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""

@@ -96,17 +96,17 @@ class TrackerNoise(Effect):
             shape[name] = value
         return shape
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Level where it departs, else time constant, else degrees of freedom."""
-        levels = {n: v for n, v in found.shape.items() if n.startswith('level_')}
+        levels = {n: v for n, v in fitted.shape.items() if n.startswith('level_')}
         if levels:
             name = max(levels, key=levels.__getitem__)
             of = f'of the {name.removeprefix("level_")}'
             return (Size(of, (), '', 'times as specified', levels[name]),)
-        if 'correlation_time' in found.shape:
-            value = found.shape['correlation_time']
+        if 'correlation_time' in fitted.shape:
+            value = fitted.shape['correlation_time']
             return (Size('', (), 's', 'time over which it is correlated', value),)
-        return (Size('', (), '', 'degrees of freedom of its tails', found.shape['dof']),)
+        return (Size('', (), '', 'degrees of freedom of its tails', fitted.shape['dof']),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return no terms."""

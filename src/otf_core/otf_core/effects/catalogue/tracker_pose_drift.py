@@ -61,12 +61,14 @@ class TrackerPoseDrift(drift.DriftingEffect):
         ),
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Shift and turn, the one that displaces more first."""
-        shifts, turns = ([drift.reached(f'{part}_{a}', found.shape) for a in XYZ] for part in 'MW')
-        shift = vector_size(found, shifts, 'm', drift.REACHED, 'shifting')
-        turn = vector_size(found, turns, 'rad', drift.REACHED, 'turning', 'about')
-        return (turn, shift) if found.strongest.startswith('W') else (shift, turn)
+        shifts, turns = (
+            [drift.reached(f'{part}_{a}', fitted.shape) for a in XYZ] for part in 'MW'
+        )
+        shift = vector_size(fitted, shifts, 'm', drift.REACHED, 'shifting')
+        turn = vector_size(fitted, turns, 'rad', drift.REACHED, 'turning', 'about')
+        return (turn, shift) if fitted.strongest.startswith('W') else (shift, turn)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return M_X ... W_Z: reached at ``until``; M_X_2 ...: further functions of time."""

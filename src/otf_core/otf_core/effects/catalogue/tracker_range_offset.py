@@ -35,7 +35,7 @@ class TrackerRangeOffset(Effect):
         (Number('c', OneOf((-5e-6, 5e-6))),), hard_to_see=True, second_place=2
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Range error."""
         return (Size('', ({'c': 1.0},), 'm'),)
 

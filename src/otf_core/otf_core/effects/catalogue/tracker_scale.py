@@ -52,7 +52,7 @@ class TrackerScale(Effect):
         (Number('m', OneOf((-4e-6, 4e-6))),), hard_to_see=True, second_place=1
     )
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Relative error of the range."""
         return (Size('', ({'m': 1.0},), 'm/m'),)
 

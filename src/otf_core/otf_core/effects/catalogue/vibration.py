@@ -80,11 +80,12 @@ class Vibration(Effect):
         count = int(rate * SECONDS)
         return tuple({'frequency': k / (2.0 * SECONDS)} for k in range(1, count))
 
-    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+    def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Amplitude along every direction that takes part."""
-        remark = f'amplitude, {found.shape["frequency"]:.4g} Hz'
+        remark = f'amplitude, {fitted.shape["frequency"]:.4g} Hz'
         return tuple(
-            Size(f'along {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark) for a in found.axes
+            Size(f'along {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark)
+            for a in fitted.axes
         )
 
     def terms(self, state: State, shape: Shape) -> Terms:

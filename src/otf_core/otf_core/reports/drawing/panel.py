@@ -261,7 +261,6 @@ class Panel:
     ----------
     x, y : Scale
         ``y`` points up.
-    width, height : float, px
     left, right, top, bottom : float, px
         Room for labels.
     """
@@ -435,7 +434,6 @@ def bars(
         For readers who cannot see it.
     names : float, px
         Room for the names.
-    width : float, px
     beside : sequence of Bar
         Bars of a picture beside this one, which has the same scale.
     heading : str
@@ -500,7 +498,6 @@ def sheet(
     ----------
     pictures : sequence of str
         As ``drawing.panel.svg`` returns them; row by row.
-    key : sequence of (class, text)
     """
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
     wide = [max(_size(row[k])[0] for row in rows if k < len(row)) for k in range(len(rows[0]))]
