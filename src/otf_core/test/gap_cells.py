@@ -6,6 +6,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from otf_core.diagnosis.place.groups import RunView
+from otf_core.diagnosis.place.where import where_and_shape
 from otf_core.model.frames import XYZ
 from otf_core.noise.noise_model import path_frame
 
@@ -81,3 +82,8 @@ def run_view(
 def along(axis, size):
     """Displacement of given sizes, shape (p,), along one machine axis (0 to 2)."""
     return np.asarray(size)[:, None] * np.eye(3)[axis]
+
+
+def where_of(views):
+    """Where the gap of runs lies."""
+    return where_and_shape(views)[0]

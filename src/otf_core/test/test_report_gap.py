@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from core_cells import constant_tables, some_machine
-from gap_cells import along, run_view
+from gap_cells import along, run_view, where_of
 from html_cells import Page, unloading
 
 from otf_core.diagnosis.answer import sentence_of
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
-from otf_core.diagnosis.place.where import describe_structure, where_of
+from otf_core.diagnosis.place.where import describe_structure
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.circumstances import Circumstances

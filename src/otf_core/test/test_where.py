@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_cells import NOISE, SIZE, along, run_view
+from gap_cells import NOISE, SIZE, along, run_view, where_of
 
 from otf_core.diagnosis.place.groups import (
     as_waves,
@@ -18,7 +18,7 @@ from otf_core.diagnosis.place.groups import (
     partition,
 )
 from otf_core.diagnosis.place.structure import find_structures
-from otf_core.diagnosis.place.where import Where, describe_structure, where_of
+from otf_core.diagnosis.place.where import Where, describe_structure, where_and_shape
 
 LISTS = (
     'by_time',
@@ -136,10 +136,9 @@ def test_sizes_of_two_structures_are_those_of_a_joint_fit():
 
 @pytest.mark.parametrize('seed', range(4))
 def test_noise_alone_has_no_structure(seed):
-    view = small(None, seed=seed)
-    assert describe_structure([view]) == 'no structure beyond noise'
-    assert 'No place stands out' in where_of([view]).summary
-    assert find_structures([view]) == []
+    where, shape = where_and_shape([small(None, seed=seed)])
+    assert shape == 'no structure beyond noise'
+    assert 'No place stands out' in where.summary
 
 
 def test_all_lists_are_plain_data_with_the_agreed_keys():
@@ -245,8 +244,8 @@ def test_size_is_true_where_pose_has_taken_its_part():
 def test_what_the_causes_leave_can_be_looked_at():
     view = small(lambda v: along(2, 5e-6 * (v.time >= 100)), after=lambda v: 0.0 * v.q)
     assert 'step' in describe_structure([view])
-    assert describe_structure([view], 'residual_after') == 'no structure beyond noise'
-    assert 'No place stands out' in where_of([view], 'residual_after').summary
+    where, shape = where_and_shape([view], 'residual_after')
+    assert shape == 'no structure beyond noise' and 'No place stands out' in where.summary
 
 
 @pytest.mark.parametrize('count', [6, 7, 31])

@@ -150,14 +150,6 @@ class VolumetricError:
         """Variance of the lengths beyond the tables, shape (n,), m^2."""
         return np.asarray(np.sum(self.unit**2 * self.beyond, axis=1))
 
-    @cached_property
-    def u_length(self) -> Array:
-        """Standard uncertainty of the lengths, shape (n,), m."""
-        rows = self.length_rows
-        with one_thread():
-            variance = np.einsum('nm,nm->n', rows @ self.covariance, rows)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.length_beyond))
-
     def part(self, name: str) -> Array:
         """Errors that one motion or squareness error makes alone, shape (n, 3), m."""
         place = table_places(self.tables)[name]
@@ -166,7 +158,3 @@ class VolumetricError:
     def sizes(self) -> dict[str, float]:
         """Mean, 95 % quantile and largest length, m."""
         return length_sizes(self.length)
-
-    def u_sizes(self) -> dict[str, float]:
-        """The same of the standard uncertainties of the vectors, m."""
-        return length_sizes(self.u_size)

@@ -471,12 +471,3 @@ def _at_place(where: Where, place: Placement) -> Where:
         share_percent=_percent(best.share),
         parts=tuple(parts),
     )
-
-
-def where_of(
-    views: Sequence[RunView],
-    residual: str = 'residual_before',
-    project: Projection | None = None,
-) -> Where:
-    """Tell where the gap lies; parameters as of ``describe_structure``."""
-    return where_and_shape(views, residual, project)[0]

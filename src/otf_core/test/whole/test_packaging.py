@@ -17,7 +17,7 @@ import yaml
 import otf_core
 
 PACKAGE = Path(otf_core.__file__).parent
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 NAMES = {'yaml': 'pyyaml'}
 """Distributions that are called otherwise than what is imported from them."""
 

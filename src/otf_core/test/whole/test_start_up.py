@@ -11,7 +11,7 @@ from cli_cells import write_points
 from otf_core.cli import _parser
 from otf_core.model.tables import load_tables
 
-BAG = Path(__file__).resolve().parents[3] / 'bags/y-carries-the-table'
+BAG = Path(__file__).resolve().parents[4] / 'bags/y-carries-the-table'
 NUMBERS = {'numpy', 'scipy', 'yaml'}
 CONTAINERS = {'mcap', 'rosbags', 'zstandard', 'lz4'}
 SELDOM = {

@@ -68,7 +68,7 @@ files = {name: os.path.getsize(f'{disk}/out/{name}') for name in os.listdir(f'{d
 print(json.dumps({'code': code, 'files': files, 'beside': os.listdir(disk)}))
 print(json.dumps(json.load(open(f'{disk}/out/manifest.json'))))
 """
-CELL = Path(__file__).parents[3] / 'bags' / 'y-carries-the-table'
+CELL = Path(__file__).parents[4] / 'bags' / 'y-carries-the-table'
 
 
 def on_small_disk(folder, size, script, *words):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Causes that stand beside what has no name, and those that only imitate it."""
 
-import functools
-
 import numpy as np
 from engine_cells import holding, noise, solved_rows
 
@@ -36,15 +34,9 @@ def found_in(rows, *names):
     return search(rows, tried_effects(rows, [REGISTRY[n] for n in names], {})[0])[0]
 
 
-@functools.cache
-def mixture():
-    """Rows with a lag of X and a bed that sags, and what the search names in them."""
+def test_a_cause_stays_named_beside_what_has_no_name_in_whatever_order_they_were_found():
     rows = held(lambda s: lagging(s) + sagging(s))
-    return rows, found_in(rows, 'servo_mismatch', 'thermal_structure_drift')
-
-
-def test_a_cause_stays_named_beside_what_has_no_name():
-    rows, causes = mixture()
+    causes = found_in(rows, 'servo_mismatch', 'thermal_structure_drift')
     assert {c.option.effect.name for c in causes} == {'servo_mismatch', 'thermal_structure_drift'}
     found = standing_causes(rows, causes, LEAST_UM)
     assert [c.option.effect.name for c in found.causes] == ['servo_mismatch']
@@ -52,6 +44,9 @@ def test_a_cause_stays_named_beside_what_has_no_name():
     alone = stand_beside(rows, causes)
     assert found.residuals.rms_um < 1.1 * alone.residuals.rms_um
     assert found.confidence(0, None) > 0.99
+    other = standing_causes(rows, causes[::-1], LEAST_UM)
+    assert [c.option.effect for c in found.causes] == [c.option.effect for c in other.causes]
+    np.testing.assert_allclose(found.residuals.rms_um, other.residuals.rms_um, rtol=1e-3)
 
 
 def test_what_only_imitates_a_cause_without_a_name_falls():
@@ -59,10 +54,3 @@ def test_what_only_imitates_a_cause_without_a_name_falls():
     causes = found_in(rows, 'thermal_structure_drift')
     assert causes
     assert standing_causes(rows, causes, LEAST_UM) is None
-
-
-def test_order_of_finding_does_not_matter():
-    rows, causes = mixture()
-    one, other = (standing_causes(rows, given, LEAST_UM) for given in (causes, causes[::-1]))
-    assert [c.option.effect for c in one.causes] == [c.option.effect for c in other.causes]
-    np.testing.assert_allclose(one.residuals.rms_um, other.residuals.rms_um, rtol=1e-3)

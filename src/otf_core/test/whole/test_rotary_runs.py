@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole calibrations of machines with rotary axes: recorded, simulated, with contradictions."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rotary_cells import BAG, machine, recorded, truth
+
+from otf_core.cli import main
+from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.errors import InputError
+from otf_core.live.stages import silent
+from otf_core.model.axis_path import AxisPath, nominal_track
+from otf_core.model.joints import Sight
+from otf_core.model.kinematics import displacement
+from otf_core.pieces.runs import Recording
+from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.rotary.calibrate import calibrate_axes
+from otf_core.rotary.matching import match
+from otf_core.rotary.tabulation import evenly_spread, without_rigid
+from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
+
+
+@cache
+def calibrated():
+    return calibrate_axes([recorded()], CalibrationConfig(), silent)
+
+
+def left(found, true, q):
+    """Share of the errors at positions that tables leave, rigid motion of the table taken out."""
+    e = displacement(true, q)
+    d = displacement(found, q) - e
+    rms = [
+        float(np.sqrt(np.mean(without_rigid(true.machine, q, v.reshape(-1, 1)) ** 2)))
+        for v in (d, e)
+    ]
+    return rms[0] / rms[1]
+
+
+def test_recorded_trunnion_comes_out_as_it_is():
+    result, true = calibrated(), truth()
+    q = evenly_spread(machine().lower, machine().upper, 800)
+    assert left(result.tables, true, q) < 0.10
+    assert set(result.made.hidden) == {'ECX', 'ECZ'}
+    assert all('spindle axis' in result.advice[n] for n in result.made.hidden)
+    assert not result.failed_gates and result.fit.inflation < 1.2
+    d = displacement(result.tables, q) - displacement(true, q)
+    away = without_rigid(machine(), q, d.reshape(-1, 1)).reshape(-1, 3)
+    u = predict_u(result, q)
+    assert np.mean(np.abs(away) < 2 * u) > 0.88
+    assert np.sqrt(np.mean((away / u) ** 2)) > 0.35
+
+
+def test_places_of_reflectors_and_tracker_are_found():
+    data = json.loads((BAG / 'truth.json').read_text())
+    for name, (place, u) in calibrated().targets.items():
+        off = np.abs(place - np.array(data['targets'][name]['place']))
+        known = machine().targets[name].u == 0.0
+        assert np.all(off <= 2e-5), name  # the truth has its own gauge
+        assert known == (not u.any())
+    pose = calibrated().solution.poses[0]
+    assert np.abs(pose.translation - np.array(data['alignment']['translation'])).max() < 5e-5
+
+
+def predict_u(result, q):
+    """Standard uncertainty of the predicted errors."""
+    m, tables = machine(), result.tables
+    nodes = {k: tables.motions[k].position for k in m.motions}
+    return prediction_uncertainty(m, nodes, result.made.covariance, q)
+
+
+@cache
+def circles_only(tilted):
+    """Lines with the tool; circles of C and arcs of A on three places, never both at once."""
+    m, parts = machine(), []
+    for part in usual_parts(machine()):
+        q = part.positions
+        if part.target.startswith('nest'):
+            a = (0.5, 1.2) if tilted else (0.0,)
+            rows = [[0, 0, 0, a[0], 0]]
+            for angle in a:
+                rows += [[0, 0, 0, angle, c] for c in (0, 2 * np.pi, 0)]
+            rows += [[0, 0, 0, x, 0] for x in (-0.5, 1.6, -0.5)]
+            q = np.array(rows, dtype=float)
+        parts.append(AxisPath(m.axis_names, q, part.target))
+    config = SimulationConfig(seed=11, rate=40.0)
+    run = simulate_parts(m, parts, config, feed=0.1, dwell=0.1)
+    recording = Recording(
+        run.samples, nominal_track(m, run.parts), m, 'circles', axis_paths=run.parts
+    )
+    return calibrate_axes([recording], CalibrationConfig(), silent)
+
+
+def test_circles_alone_do_not_show_the_angular_positioning():
+    result = circles_only(False)
+    assert {'ECC', 'EAA'} <= set(result.made.hidden)
+    assert not {'EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'X0C', 'Y0C', 'A0C'} & set(result.made.hidden)
+    assert not result.tables.motions['ECC'].value.any()
+    assert 'together in both senses' in result.advice['ECC']
+
+
+def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
+    result = circles_only(True)
+    assert {'ECC', 'EAA', 'A0C'} <= set(result.made.hidden)
+    assert 'EXC' not in result.made.hidden
+    assert not result.tables.location['A0C'].identifiable
+
+
+def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
+    m = machine()
+    axes = {**m.axes, 'C': replace(m.axes['C'], direction=(0.0, 0.0, -1.0))}
+    recording = replace(recorded(), machine=replace(m, axes=axes))
+    words = r'fits where C turns the other way; write C: direction: \[0.0, 0.0, 1.0\]'
+    with pytest.raises(InputError, match=words):
+        calibrate_axes([recording], CalibrationConfig(), silent)
+
+
+def test_centre_that_is_wrong_by_more_than_a_millimetre_fails_the_gate():
+    m = machine()
+    axes = {**m.axes, 'A': replace(m.axes['A'], centre=(0.0, 0.0, 0.023))}
+    recording = replace(recorded(), machine=replace(m, axes=axes))
+    result = calibrate_axes([recording], CalibrationConfig(), silent)
+    assert result.exit_code == 4
+    assert 'axes: A: centre' in result.failed_gates[0] and '0.01999] m' in result.failed_gates[0]
+
+
+def test_places_off_by_ten_millimetres_still_converge():
+    m = machine()
+    targets = {
+        n: replace(t, place=(t.place[0] + 0.006, t.place[1] - 0.006, t.place[2] + 0.005))
+        if t.link == 'w'
+        else t
+        for n, t in m.stated_targets.items()
+    }
+    off = replace(m, stated_targets=targets)
+    found = match(recorded().samples, off, recorded().axis_paths)
+    for name in ('nest-1', 'nest-2', 'nest-3'):
+        assert np.abs(found.places[name] - calibrated().targets[name][0]).max() < 1e-4
+
+
+def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
+    folder, out = tmp_path / 'bag', tmp_path / 'out'
+    yaml = str(BAG / 'machine.yaml')
+    options = ['--rate', '25', '--feed', '9000', '--corner-dwell', '0.1', '--seed', '3']
+    assert main(['simulate', '--machine', yaml, '--out', str(folder), *options]) == 0
+    assert main(['calibrate', str(folder), '--machine', yaml, '--out', str(out)]) == 0
+    data = json.loads((out / 'error_tables.json').read_text())
+    assert data['schema'] == 'otf-error-tables/2'
+    assert data['motions']['ECC']['position_unit'] == 'rad'
+    assert set(data['location']) == set(machine().location)
+    assert data['targets']['nest-1']['u'][0] > 0 and 'gauge' in data
+    points, errors = tmp_path / 'p.csv', tmp_path / 'e.csv'
+    points.write_text('x,y,z,a,c\n0,0,0.1,0.5,3.0\n0.05,0.02,0.2,-0.3,9.0\n')
+    words = ['--tables', str(out / 'error_tables.json'), '--points', str(points)]
+    assert main(['predict', *words, '--out', str(errors)]) == 0
+    rows = np.genfromtxt(errors, delimiter=',', names=True)
+    assert list(rows.dtype.names[:5]) == ['x', 'y', 'z', 'a', 'c']
+    assert rows['inside'].tolist() == [1.0, 1.0] and np.all(rows['u_dx'] > 0)
+    assert main(['info', str(out / 'error_tables.json')]) == 0
+    assert 'small-trunnion' in capsys.readouterr().out
+    points.write_text('x,y,z\n0,0,0.1\n')
+    assert main(['predict', *words, '--out', str(errors), '--overwrite']) == 2
+    assert 'expected x,y,z,a,c' in capsys.readouterr().err
+    page = (out / 'report.html').read_text()
+    assert 'average line of C' in page and 'Radial motion of C' in page
+
+
+def simulated(parts, seed=12, **options):
+    """A simulated recording of the small trunnion."""
+    m = machine()
+    run = simulate_parts(m, parts, SimulationConfig(seed=seed, rate=40.0), dwell=0.1, **options)
+    path = nominal_track(m, run.parts)
+    return Recording(run.samples, path, m, 'simulated', axis_paths=run.parts), run
+
+
+def test_lag_of_an_axis_is_reversal_and_leaves_the_tables_alone():
+    recording, run = simulated(usual_parts(machine()), feed=0.1, lag={'C': 5e-5})
+    result = calibrate_axes([recording], CalibrationConfig(), silent)
+    found = {r.motion: r for r in result.reversal}
+    # C late against A is A ahead of C: together they drive at one ratio
+    assert {'ECC', 'EAA'} & set(found)
+    q = evenly_spread(machine().lower, machine().upper, 400)
+    assert left(result.tables, run.truth, q) < 0.2
+
+
+def test_reflector_that_was_reseated_is_named():
+    tool, _, nest, *_ = usual_parts(machine())
+    recording, run = simulated([tool, nest, nest], feed=0.1)
+    samples = recording.samples
+    last = int(np.flatnonzero(np.diff(samples.stamp_ns) > 1.9e9)[-1]) + 1
+    xyz = samples.xyz.copy()
+    own = run.parts[-1].positions
+    moved = {}
+    for shift in (0.0, 6e-5):
+        place = run.places['nest-1'] + shift
+        sight = Sight(machine(), 'b', 'w', place)
+        time = samples.time[last:] - samples.time[last]
+        q = JointDrive(machine(), own, 0.1, 2.0, 0.1).at(time)
+        moved[shift] = sight.nominal(q) @ run.rotation.T
+    xyz[last:] += moved[6e-5] - moved[0.0]
+    other = replace(recording, samples=replace(samples, xyz=xyz))
+    result = calibrate_axes([other], CalibrationConfig(), silent)
+    assert any("target 'nest-1': in part 3 it lies 10" in w for w in result.failed_gates)
+    good = calibrate_axes([recording], CalibrationConfig(), silent)
+    assert not good.failed_gates
