@@ -375,7 +375,7 @@ def at_stops(samples: Samples, config: CalibrationConfig) -> Index:
     """
     margin = round(GENTLE / samples.step)
     spans = find_standstills(samples, config.standstill_speed, SETTLED + 2.0 * GENTLE)
-    return spans + np.array([margin, -margin])
+    return np.asarray(spans + np.array([margin, -margin]))
 
 
 def _stops_of_part(
