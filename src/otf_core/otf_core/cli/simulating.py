@@ -234,6 +234,8 @@ def _plan_rotary(
 
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
+    from otf_core.planning.axis_programs import on_axis_increment
+    from otf_core.planning.nc import DIALECTS
     from otf_core.planning.plan_report import read_place
     from otf_core.planning.rotary_paths import (
         beside,
@@ -245,7 +247,7 @@ def _plan_rotary(
     )
     from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
 
-    for option in ('path', 'after', 'time_budget', 'wanted_uncertainty', 'dialect'):
+    for option in ('path', 'after', 'time_budget', 'wanted_uncertainty'):
         if getattr(arguments, option) is not None:
             raise ConfigError(
                 f'--{option.replace("_", "-")}: not available for machines with rotary axes'
@@ -256,14 +258,15 @@ def _plan_rotary(
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
     with progress_of(arguments, 'choosing lines', PLAN) as progress:
-        parts = plan_parts(machine, config)
+        parts = [on_axis_increment(machine, part) for part in plan_parts(machine, config)]
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
         durations = [duration_of(machine, part, config) for part in parts]
         plan = RotaryPlan(machine, parts, durations, place, forecast, sights(machine, place))
         progress('writing', 0.0)
         with out.filled('plan') as folder:
-            files = write_plan(plan, folder, about)
+            dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
+            files = write_plan(plan, folder, about, dialect, config.feed)
     answer_from(arguments, plan_words(plan), files, 'plan.json')
     return 0
 

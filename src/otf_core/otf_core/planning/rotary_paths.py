@@ -141,6 +141,20 @@ def rest(machine: Machine) -> Array:
     return np.array([0.0 if a.min <= 0.0 <= a.max else 0.5 * (a.min + a.max) for a in own])
 
 
+def clear_of_table(machine: Machine, name: str) -> dict[str, float]:
+    """Where the linear axes of the spindle wait while a reflector on the table is in view.
+
+    X and Y at rest, Z at the end of its range that is farther from the reflector.
+    """
+    free = [a for a in AXES if a in machine.chain.target_side]
+    if 'Z' not in free or machine.targets[name].link != TABLE:
+        return {}
+    ends = machine.axes['Z'].min, machine.axes['Z'].max
+    spindle, own = Sight.of_tool(machine), np.array(machine.targets[name].place)
+    off = [np.linalg.norm(spindle.nominal(positions_of(machine, Z=z))[0] - own) for z in ends]
+    return {'Z': ends[int(np.argmax(off))]}
+
+
 def box_lines(machine: Machine, levels: int) -> Array:
     """Lines and diagonals of the linear axes, corners (n, k); rotary axes at rest."""
     ends = np.array([(machine.axes[a].min, machine.axes[a].max) for a in AXES])
@@ -159,7 +173,9 @@ def turn(machine: Machine, axis: str, **others: float) -> Array:
     return there_and_back(positions_of(machine, **{axis: ends}, **others))
 
 
-def turn_together(machine: Machine, first: str, second: str, sweeps: int) -> Array:
+def turn_together(
+    machine: Machine, first: str, second: str, sweeps: int, **others: float
+) -> Array:
     """Two axes at once: ``second`` sweeps its range several times while ``first`` runs once.
 
     Beginning at either end of the second, each in both senses; corners (n, k).
@@ -169,7 +185,8 @@ def turn_together(machine: Machine, first: str, second: str, sweeps: int) -> Arr
     odd = np.arange(sweeps + 1) % 2 == 1
     chains = []
     for start, end in ((b.min, b.max), (b.max, b.min)):
-        chain = positions_of(machine, **{first: along, second: np.where(odd, end, start)})
+        own = {first: along, second: np.where(odd, end, start)}
+        chain = positions_of(machine, **own, **others)
         chains.append(there_and_back(chain))
     return np.concatenate(chains)
 
@@ -216,15 +233,21 @@ def creep(machine: Machine, axis: str, start: Array, drift: Array, target: str =
     return there_and_back(q)
 
 
-def stops(machine: Machine, axis: str) -> Array:
+def stops(machine: Machine, axis: str, **others: float) -> Array:
     """Positions of a rotary axis to stop at, corners (n, k)."""
     own = machine.axes[axis]
     count = int(np.ceil((own.max - own.min) / STOP_TURN)) + 1
-    return positions_of(machine, **{axis: np.linspace(own.min, own.max, count)})
+    return positions_of(machine, **{axis: np.linspace(own.min, own.max, count)}, **others)
 
 
-def creeps(machine: Machine, axis: str, target: str) -> list[Array]:
-    """TCP creep at several places in two directions, as far as the linear axes reach."""
+def creeps(machine: Machine, axis: str, target: str, size: float = CREEP) -> list[Array]:
+    """TCP creep at several places in two directions, as far as the linear axes reach.
+
+    Parameters
+    ----------
+    size : float
+        m; of the drift, 0 where the reflector stands still.
+    """
     sight = Sight.of_target(machine, target)
     nominal = sight.nominal(_middle(machine)[None])[0]
     own = machine.axes[axis]
@@ -235,7 +258,7 @@ def creeps(machine: Machine, axis: str, target: str) -> list[Array]:
     for x, y, z in CREEP_PLACES:
         at = REACH * np.array([x, y, z])
         start = np.array(own.centre) + at if table else nominal + 0.5 * at
-        for drift in (CREEP * across, CREEP * side / np.linalg.norm(side)):
+        for drift in (size * across, size * side / np.linalg.norm(side)):
             try:
                 paths.append(creep(machine, axis, start - 0.5 * drift, drift, target))
             except ConfigError:
@@ -292,18 +315,21 @@ def _table_parts(
     machine: Machine, name: str, turning: Sequence[str], linear: Sequence[str], number: int
 ) -> list[PlannedPart]:
     """Parts with a reflector on the table."""
-    chains = [turn(machine, a) for a in (*turning, *linear)]
+    wait = {a: v for a, v in clear_of_table(machine, name).items() if a not in linear}
+    chains = [turn(machine, a, **wait) for a in (*turning, *linear)]
     words = f'{" and ".join((*turning, *linear))} alone'
     sweeps = SWEEPS[number % len(SWEEPS)]
     pairs = [(a, b) for k, a in enumerate(turning) for b in (*turning[k + 1 :], *linear)]
     for first, second in pairs:
         wide = max((first, second), key=lambda a: machine.axes[a].max - machine.axes[a].min)
         other = second if wide == first else first
-        chains.append(turn_together(machine, wide, other, sweeps))
+        chains.append(turn_together(machine, wide, other, sweeps, **wait))
         words += f', {first} with {second}'
     parts = [_part(machine, name, chains, words)]
     if not pairs:
-        halts = _part(machine, name, [stops(machine, turning[0])], f'stops of {turning[0]}')
+        halts = _part(
+            machine, name, [stops(machine, turning[0], **wait)], f'stops of {turning[0]}'
+        )
         parts.append(PlannedPart(halts.path, STOP_TIME, halts.words))
     return parts
 
@@ -335,6 +361,33 @@ def beside(machine: Machine) -> Array:
     return np.asarray(middle + reach * np.array([*side[:2] / np.linalg.norm(side[:2]), 0.5]))
 
 
+def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
+    """Times (n - 1,) of the legs between corners, s: none is faster than feed and ``TURN_RATE``.
+
+    Parameters
+    ----------
+    feed : float
+        m/s, of the linear axes.
+    """
+    legs = np.abs(np.diff(q, axis=0))
+    turning = np.array([machine.axes[a].rotary for a in machine.axis_names])
+    travel = np.linalg.norm(legs[:, ~turning], axis=1)
+    angle = legs[:, turning].max(axis=1, initial=0.0)
+    return np.asarray(np.maximum(travel / feed, angle / TURN_RATE))
+
+
+def driven_through(machine: Machine, q: Array) -> NDArray[np.bool_]:
+    """Tell of the corners (n - 2,) between the ends which are smooth."""
+    legs = np.diff(q, axis=0) * _scale(machine)
+    unit = legs / np.linalg.norm(legs, axis=1)[:, None]
+    return np.asarray(np.linalg.norm(np.diff(unit, axis=0), axis=1) <= SMOOTH)
+
+
+def _scale(machine: Machine) -> Array:
+    """Lengths (k,) of a unit of every axis, m: a rotation acts on the radius ``LEVER``."""
+    return np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+
+
 @dataclass(frozen=True)
 class _Cut:
     """Pieces of one part: places on its path and times."""
@@ -349,16 +402,9 @@ class _Cut:
 def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: float) -> _Cut:
     """Cut a part into pieces of equal travel, with times at the speed of its slowest leg."""
     q = part.path.positions
-    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
-    legs = np.diff(q, axis=0)
-    length = np.linalg.norm(legs * scale, axis=1)
-    unit = legs * scale / length[:, None]
-    sharp = np.append(True, np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH)
-    stretch = np.cumsum(sharp) - 1
-    turning = np.array([machine.axes[a].rotary for a in machine.axis_names])
-    travel = np.linalg.norm(legs[:, ~turning], axis=1)
-    angle = np.abs(legs[:, turning]).max(axis=1, initial=0.0)
-    per_metre = np.maximum(travel / config.feed, angle / TURN_RATE) / length
+    length = np.linalg.norm(np.diff(q, axis=0) * _scale(machine), axis=1)
+    stretch = np.cumsum(np.append(True, ~driven_through(machine, q))) - 1
+    per_metre = seconds_of_legs(machine, q, config.feed) / length
     reach = np.append(0.0, length.cumsum())
     rows, clock = [], 0.0
     for k in range(stretch[-1] + 1):
@@ -401,7 +447,7 @@ def _pieces(
     middle = position_at(q, 0.5 * (cut.first + cut.last))
     along = sight.nominal(last) - sight.nominal(first)
     size = np.linalg.norm(along, axis=1)
-    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+    scale = _scale(machine)
     samples = np.floor(cut.duration * judged.rate).astype(np.int64)
     keep = (size > STILL * np.linalg.norm((last - first) * scale, axis=1)) & (samples > 0)
     own = np.flatnonzero(keep)

@@ -4,6 +4,7 @@
 plan.json (``otf-rotary-plan/1``), SI units: machine, place of the tracker in the frame of its
 link, parts with target, axis positions at the corners, dwell and duration, and the forecast.
 path.csv (``target,x,y,z,a,c``) and path.mcap (``/planner/axes`` messages) hold the parts alone.
+For a dialect one NC program per part with TCP off, and verify.csv with its program, TCP on.
 """
 
 from __future__ import annotations
@@ -22,6 +23,12 @@ from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import write_text
 from otf_core.model.machine import BED, Machine
 from otf_core.model.motions import unit_of
+from otf_core.planning.axis_programs import (
+    part_program,
+    verification_part,
+    verification_program,
+)
+from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.rotary_paths import (
     HAND_MOVE,
     SMR_ANGLE,
@@ -131,21 +138,57 @@ def plan_words(plan: RotaryPlan) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def path_csv(plan: RotaryPlan) -> str:
-    """Return the corners of all parts, m and rad, as ``simulate --path`` reads them."""
-    lines = [','.join(['target', *(a.lower() for a in plan.machine.axis_names)])]
-    for part in plan.parts:
+def path_csv(machine: Machine, parts: Sequence[PlannedPart]) -> str:
+    """Return the corners of parts, m and rad, as ``simulate --path`` reads them."""
+    lines = [','.join(['target', *(a.lower() for a in machine.axis_names)])]
+    for part in parts:
         for corner in part.path.positions.tolist():
             lines.append(','.join([part.path.target, *(f'{v:.12g}' for v in corner)]))
     return '\n'.join(lines) + '\n'
 
 
-def write_plan(plan: RotaryPlan, folder: Path, about: Mapping[str, Any]) -> list[Path]:
-    """Write plan.json, path.csv, path.mcap and forecast.txt; return their paths."""
-    names = ('plan.json', 'path.csv', 'path.mcap', 'forecast.txt')
-    files = [folder / name for name in names]
-    write_text(files[0], json.dumps(plan_to_dict(plan, about), indent=1) + '\n')
-    write_text(files[1], path_csv(plan))
-    write_axis_paths(files[2], [part.path for part in plan.parts])
-    write_text(files[3], plan_words(plan))
-    return files
+def programs_of(plan: RotaryPlan, dialect: Dialect, feed: float) -> dict[str, str]:
+    """Files of the NC programs of a plan: one per part, TCP off, and the verification, TCP on.
+
+    Raises
+    ------
+    ConfigError
+        If the dialect cannot express the plan.
+    """
+    machine, header = plan.machine, [f'otf plan: machine {plan.machine.name}']
+    found = {
+        dialect.file_of(k): part_program(dialect, machine, part, k, feed, header)
+        for k, part in enumerate(plan.parts, start=1)
+    }
+    last = verification_part(machine)
+    if last is not None:
+        number = len(plan.parts) + 1
+        text = verification_program(dialect, machine, last, number, header)
+        found |= {dialect.file_of(number): text, 'verify.csv': path_csv(machine, [last])}
+    return found
+
+
+def write_plan(
+    plan: RotaryPlan,
+    folder: Path,
+    about: Mapping[str, Any],
+    dialect: Dialect | None = None,
+    feed: float = 0.25,
+) -> list[Path]:
+    """Write plan.json, path.csv, path.mcap, forecast.txt and programs; return their paths.
+
+    Parameters
+    ----------
+    feed : float
+        m/s, of the linear axes in the programs.
+    """
+    texts = {} if dialect is None else programs_of(plan, dialect, feed)
+    texts |= {
+        'plan.json': json.dumps(plan_to_dict(plan, about), indent=1) + '\n',
+        'path.csv': path_csv(plan.machine, plan.parts),
+        'forecast.txt': plan_words(plan),
+    }
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    write_axis_paths(folder / 'path.mcap', [part.path for part in plan.parts])
+    return [folder / name for name in (*texts, 'path.mcap')]

@@ -2,7 +2,10 @@
 """SINUMERIK 840D sl, 828D: G60 with G601 exact stop fine (modal), SUPA per block, G4 F own block.
 
 Source: SINUMERIK 840D sl programming manuals (G60/G601 fundamentals, G4 F in seconds, SUPA
-suppresses all frames for one block, G710 metric for lengths and feed).
+suppresses all frames for one block, G710 metric for lengths and feed). Rotary axes: SINUMERIK ONE
+programming manual 12/2019, 2.7 (G93: F2 drives a block in 0.5 min); 840D sl job planning 06/2009,
+6.2 (TRAORI); 808D programming manual, 1.2 (IC for one axis, whatever G90 says). G9 stops at the
+end of one block, by the criterion of G601; G64 drives through the others.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from otf_core.arrays import Array
-from otf_core.planning.nc.dialect import Dialect, words
+from otf_core.planning.nc.dialect import AxisMove, Dialect, axis_words, plain, words
 
 
 class Sinumerik(Dialect):
@@ -18,6 +21,7 @@ class Sinumerik(Dialect):
 
     name = 'sinumerik'
     file_name = 'OTF_PATH.MPF'
+    unchecked = 'TRAFOOF'
 
     def comment(self, text: str) -> str:
         """Comment line."""
@@ -43,3 +47,24 @@ class Sinumerik(Dialect):
     def end(self) -> list[str]:
         """End of the program."""
         return ['M30']
+
+    def begin_axes(self, header: Sequence[str], number: int, tcp: bool) -> list[str]:
+        """Header comments and modal settings."""
+        note = 'WORKPIECE COORDINATES' if tcp else 'MACHINE COORDINATES - SUPA, D0'
+        tool = ['G54', 'TRAORI'] if tcp else ['D0']
+        modal = ['TRAFOOF', 'G17 G40 G710 G90 G93', 'G64 G601', *tool]
+        return [*map(self.comment, (*header, note)), *modal]
+
+    def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
+        """Straight line; endless axes by increments."""
+        by = [f'{a}=IC({round(v, 3) + 0.0:.3f})' for a, v in move.turned.items()]
+        mode = [*(['G9'] if move.stop else []), *([] if tcp else ['SUPA']), 'G1']
+        return [' '.join([*mode, axis_words(move.absolute), *by, f'F{move.per_minute:.3f}'])]
+
+    def end_axes(self, tcp: bool) -> list[str]:
+        """End of the program."""
+        return [*(['TRAFOOF'] if tcp else []), 'G94', 'M30']
+
+    def say(self, text: str) -> list[str]:
+        """Message on the screen until the next one."""
+        return [*super().say(text), f'MSG("{plain(text).replace(chr(34), "-")[:120]}")']
