@@ -12,6 +12,7 @@ from core_cells import some_machine
 from otf_core.blind.natures import UNKNOWN_EFFECTS
 from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.diagnosis import diagnose as diagnosis
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.effects import REGISTRY, AppliedEffect
@@ -51,6 +52,11 @@ def recording(name='none', seed=411):
     effects = EFFECTS[name]
     config = SimulationConfig(seed=seed, rate=100.0)
     return Recording(simulate(MACHINE, PLAN, config, None, effects).samples, PLAN.path, MACHINE)
+
+
+@functools.cache
+def solved_growth():
+    return solve_recordings([recording('growth')], CalibrationConfig())
 
 
 def with_burst(run):
@@ -199,3 +205,28 @@ def test_drifts_have_coefficients_of_their_own_in_every_run():
         assert len(names) == one.shape[1] * (1 + own)
         assert np.array_equal(two[len(one) :, -one.shape[1] :], one)
         assert own is not np.any(two[: len(one), -one.shape[1] :])
+
+
+def test_runs_of_many_pieces_are_diagnosed_in_longer_ones(monkeypatch):
+    config, solved = CalibrationConfig(), solved_growth()
+    monkeypatch.setattr(diagnosis, 'MOST_PIECES', len(solved.runs[0].pieces) // 2)
+    length = diagnosis._piece_length(solved.runs, config)
+    assert length == pytest.approx(2.0 * config.piece_length, rel=0.01)
+
+    whole, coarse = (
+        diagnosis._without_reversal([recording('growth')], solved, config, own)
+        for own in (config.piece_length, length)
+    )
+    assert len(coarse.runs[0].pieces) < 0.65 * len(whole.runs[0].pieces)
+    assert coarse.solution.unknowns is whole.solution.unknowns
+    sizes = [float(np.sqrt(np.mean(o.solution.runs[0].system.deviation ** 2)))
+             for o in (whole, coarse)]  # fmt: skip
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.02)
+
+
+def test_pieces_are_not_made_longer_than_a_third_of_the_distance_between_nodes(monkeypatch):
+    config, solved = CalibrationConfig(), solved_growth()
+    monkeypatch.setattr(diagnosis, 'MOST_PIECES', 1)
+    assert diagnosis._piece_length(solved.runs, config) == pytest.approx(0.05 / 3.0)
+    monkeypatch.setattr(diagnosis, 'MOST_PIECES', len(solved.runs[0].pieces))
+    assert diagnosis._piece_length(solved.runs, config) == config.piece_length
