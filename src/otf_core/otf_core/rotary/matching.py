@@ -34,8 +34,9 @@ MISMATCH = 0.3
 KNOWN = 1e-4
 """m; places that are known better give the first pose."""
 ROUNDS, QUICK_ROUNDS = 12, 5
-QUICK_STEP = 6e-3
-"""m between places that are assigned to each other where it is only asked whether they fit."""
+QUICK_STEP, FEWEST = 6e-3, 200
+"""m between places that are assigned to each other at first, or where it is only asked whether
+they fit; and their number on a short part."""
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
 WIDEST, NARROWEST = 0.15, 0.03
@@ -201,7 +202,7 @@ def match(
     """
     parts = split_parts(samples, machine, paths)
     known = dict(places) if places is not None else nominal_places(machine)
-    following = []
+    following, tracks = [], []
     for part in parts:
         curve = Curve.of(sight_at(machine, part.path.target, known), part.path.positions)
         track = Track.of(samples, part.first, part.last)
@@ -210,14 +211,25 @@ def match(
                 f"part '{part.path.target}': the reflector moves by only "
                 f'{1e3 * track.length:.1f} mm; is a part missing, or a broken beam between parts?'
             )
-        step = max(STEP, track.length / MOST)
-        track = track.resampled(QUICK_STEP if quick else step)
+        tracks.append(track)
+        track = track.resampled(min(QUICK_STEP, max(STEP, track.length / FEWEST)))
         following.append(_Following(part, track, by_length(track, curve)))
     if pose is None:
         pose = _first_pose(machine, following, known)
     rounds = QUICK_ROUNDS if quick else ROUNDS
     pose, known, location = _refined(machine, following, pose, known, rounds)
+    if not quick:
+        following = [_finer(f, track) for f, track in zip(following, tracks, strict=True)]
+        pose, known, location = _refined(
+            machine, following, pose, known, rounds, location, NARROWEST
+        )
     return _placed(samples, machine, following, pose, known, location)
+
+
+def _finer(one: _Following, track: Track) -> _Following:
+    """The same part by more places of its track."""
+    fine = track.resampled(max(STEP, track.length / MOST))
+    return _Following(one.part, fine, np.interp(fine.reach, one.track.reach, one.reach))
 
 
 def _curve(machine: Machine, one: _Following, places: Mapping[str, Array]) -> Curve:
@@ -270,10 +282,12 @@ def _refined(
     pose: RigidTransform,
     places: Mapping[str, Array],
     rounds: int,
+    lines: Mapping[str, float] | None = None,
+    band: float = WIDEST,
 ) -> tuple[RigidTransform, dict[str, Array], dict[str, float]]:
     """Pose, places of reflectors on the table and lines of axes from the tracks of all parts."""
-    known, actual = dict(places), machine
-    location = dict.fromkeys(machine.location, 0.0)
+    known, location = dict(places), dict(lines or dict.fromkeys(machine.location, 0.0))
+    actual = with_lines(machine, location)
     free = sorted(
         {
             f.part.path.target
@@ -285,7 +299,7 @@ def _refined(
     column = {name: 6 + 3 * k for k, name in enumerate(free)}
     first = 6 + 3 * len(free)
     size = first + len(location)
-    band, far = WIDEST, True
+    far = True
     for _ in range(rounds):
         normal, right = np.zeros((size, size)), np.zeros(size)
         for name, at in column.items():
@@ -306,8 +320,8 @@ def _refined(
                 sight_at(actual, name, known), curve, curve.place_at(f.reach), points
             )
             f.reach = curve.reach_at(place)
-            lines = {scalar: k for k, scalar in enumerate(location, start=first)}
-            matrix, side = _equations(points, seen, tangent, column.get(name), lines, size)
+            at_lines = {scalar: k for k, scalar in enumerate(location, start=first)}
+            matrix, side = _equations(points, seen, tangent, column.get(name), at_lines, size)
             normal, right = normal + matrix, right + side
         step = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0], dtype=np.float64)
         pose = pose.moved_by(step[:3], step[3:6])

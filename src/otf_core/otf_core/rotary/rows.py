@@ -77,6 +77,20 @@ class AxisRows:
         dense[:, :, : len(columns)] = rows[:, :, columns]
         return columns, dense
 
+    def transposed(self, rows: Array) -> Array:
+        """Transposed rows times values (c, p), shape (full,)."""
+        found = np.zeros(self.unknowns.full)
+        for name, own in self.fixed.items():
+            found[self.unknowns.blocks[name]] += np.einsum('cpk,cp->k', own, rows)
+        for axis, shifts in self.motions.items():
+            pull = sum(
+                weight.T @ np.einsum('cpk,cp->pk', six, rows) / len(shifts)
+                for six, weight in shifts
+            )
+            for k, d in enumerate('XYZABC'):
+                found[self.unknowns.blocks[f'E{d}{axis}']] += np.asarray(pull)[:, k]
+        return found
+
     def times(self, value: Array) -> Array:
         """Deviations (c, p) for values of the unknowns (full,)."""
         total = sum(own @ value[self.unknowns.blocks[n]] for n, own in self.fixed.items())

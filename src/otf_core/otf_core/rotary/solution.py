@@ -7,7 +7,7 @@ until nothing changes; leave out pieces far from the solution, fit the noise, so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -28,11 +28,11 @@ from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
 from otf_core.rotary.unknowns import place_block
-from otf_core.solving.joint import FittedNoise, fit_noise
+from otf_core.solving.joint import MAX_RATIO_OF_CHANGES, FittedNoise, fit_noise
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, solve
-from otf_core.solving.unknowns import Unknowns, pose_block
+from otf_core.solving.unknowns import Unknowns, free_values, pose_block
 from otf_core.solving.whitener import Whitener
 
 LEAST = 2e-6
@@ -41,6 +41,9 @@ MOST_BEYOND = 0.05
 """Share of the pieces that may be left out for their distance alone."""
 REPETITIONS = 4
 NOISE_SETTLED = 0.1
+DAMPED = 1e-5
+"""m and rad; a pose moves by little more in one step along what the data do not show: there it
+would follow the squares of errors without end."""
 FINE = 8
 """Parts of an interval between knots in tables for use inside."""
 
@@ -196,6 +199,16 @@ def place_equations(
     return NormalEquations(matrix, right, square, rows)
 
 
+def _pose_equations(unknowns: Unknowns, stations: Iterable[int]) -> NormalEquations:
+    """Small steps of the poses, as normal equations; nothing remains of them at the solution."""
+    matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
+    for station in stations:
+        block = unknowns.free_blocks[pose_block(station)]
+        own = np.arange(block.start, block.stop)
+        matrix[own, own] = 1.0 / DAMPED**2
+    return NormalEquations(matrix, right, 0.0, 0)
+
+
 def _settle(
     runs: Sequence[AxisRun],
     noises: Sequence[NoiseModel],
@@ -216,7 +229,9 @@ def _settle(
     ]
     whiteners: list[Whitener] | None = None
     rough: Roughness | None = None
+    solution: Solution | None = None
     residuals: list[Array] = []
+    change, stuck = np.inf, False
     for iteration in range(1, config.max_iterations + 1):
         own = [run.placed(poses[run.station], places) for run in runs]
         systems = [build_rows(run, unknowns, tables) for run in own]
@@ -225,19 +240,28 @@ def _settle(
                 Whitener.of(cast(Any, s), cast(Any, run.pieces), *model)
                 for s, run, model in zip(systems, own, models, strict=True)
             ]
-        parts = [
-            normal_equations(cast(Any, s), unknowns, w)
-            for s, w in zip(systems, whiteners, strict=True)
-        ]
-        normal = reduce(add, [*parts, place_equations(machine, unknowns, places)])
-        if rough is None or iteration == 2:
-            rough = Search(normal, unknowns, accepted, limit).run(rough.logs if rough else logs)
-        solution = solve(normal, unknowns, limit, accepted, rough.precision)
-        before = residuals
-        residuals = [s.deviation - s.rows.times(solution.value) for s in systems]
+        known = place_equations(machine, unknowns, places)
+        first = iteration == 1 or (iteration == 2 and logs is None)
+        if rough is None or solution is None or first or stuck:
+            parts = [
+                normal_equations(cast(Any, s), unknowns, w)
+                for s, w in zip(systems, whiteners, strict=True)
+            ]
+            normal = reduce(add, [*parts, known])
+            if rough is None or first:
+                rough = Search(normal, unknowns, accepted, limit).run(
+                    rough.logs if rough else logs
+                )
+            damped = normal + _pose_equations(unknowns, poses)
+            solution = solve(damped, unknowns, limit, accepted, rough.precision)
+        else:
+            solution = _improved(solution, unknowns, rough, systems, whiteners, known)
+        before, last = residuals, change
+        residuals = _left_by(systems, solution)
         value = solution.value
         tables = tables_of(machine, unknowns, value)
         change = _change(residuals, before)
+        stuck = change > MAX_RATIO_OF_CHANGES * last
         if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
             solved = tuple(
                 SolvedAxisRun(*row)
@@ -246,17 +270,44 @@ def _settle(
                     [m[0] for m in models], [m[1] for m in models], strict=True,
                 )
             )  # fmt: skip
+            undamped = solve(normal, unknowns, limit, accepted, rough.precision)
             return AxisSolution(
-                machine, unknowns, solution, rough, normal, solved,
+                machine, unknowns, replace(undamped, value=value), rough, normal, solved,
                 tuple(poses[k] for k in sorted(poses)), places, iteration,
             )  # fmt: skip
         _move(poses, places, unknowns, value)
+        solution = replace(solution, value=_without_steps(value, unknowns, poses, places))
         progress('solving', 0.5 * iteration / (iteration + 1))
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
+
+
+def _left_by(systems: Sequence[AxisSystem], solution: Solution) -> list[Array]:
+    """What a solution leaves of the deviations of every run, (c, p), m."""
+    return [s.deviation - s.rows.times(solution.value) for s in systems]
+
+
+def _improved(
+    solution: Solution,
+    unknowns: Unknowns,
+    rough: Roughness,
+    systems: Sequence[AxisSystem],
+    whiteners: Sequence[Whitener],
+    known: NormalEquations,
+) -> Solution:
+    """One Newton step with the normal matrix of an earlier iteration; see ``solving.joint``."""
+    pull = np.zeros(unknowns.full)
+    for system, whitener, rest in zip(
+        systems, whiteners, _left_by(systems, solution), strict=True
+    ):
+        pull += system.rows.transposed(whitener.weighted(rest))
+    free = free_values(unknowns, solution.value)
+    step = unknowns.gauge.T @ pull + known.right - rough.precision @ free
+    lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
+    return replace(solution, value=solution.value + lifted @ step)
 
 
 def _change(residuals: Sequence[Array], before: Sequence[Array]) -> float:
@@ -275,3 +326,14 @@ def _move(
     for name in places:
         if place_block(name) in unknowns.blocks:
             places[name] = places[name] + value[unknowns.blocks[place_block(name)]]
+
+
+def _without_steps(
+    value: Array, unknowns: Unknowns, stations: Iterable[int], places: Iterable[str]
+) -> Array:
+    """Values of the unknowns once poses and places have been moved by theirs."""
+    found = value.copy()
+    for name in (*map(pose_block, stations), *map(place_block, places)):
+        if name in unknowns.blocks:
+            found[unknowns.blocks[name]] = 0.0
+    return found

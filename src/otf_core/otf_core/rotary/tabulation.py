@@ -273,11 +273,11 @@ def _assembled(
     u = np.sqrt(np.maximum(np.diag(spread), 0.0))
     motions = {m: replace(t, u=_of_nodes(machine, nodes, u)[m]) for m, t in motions.items()}
     square = {
-        n: Squareness(float(value[k] * in_tables[k]), float(u[k]))
+        n: Squareness(float(value[k] * in_tables[k]) + 0.0, float(u[k]))
         for k, n in enumerate(machine.squareness)
     }
     location = {
-        n: LocationError(float(value[k] * in_tables[k]), float(u[k]), bool(in_tables[k]))
+        n: LocationError(float(value[k] * in_tables[k]) + 0.0, float(u[k]), bool(in_tables[k]))
         for k, n in enumerate(machine.location, start=len(machine.squareness))
     }
     tables = ErrorTables(machine, motions, square, location)

@@ -169,41 +169,43 @@ def follow(track: Track, curve: Curve, points: Array, band: float, start: Array)
     jump = np.append(False, np.diff(track.time) > GAP)
     price = LATE * step**2 * (np.arange(LONGEST + 1) - 1.0) ** 2
     inner = np.arange(width)
-    best = np.zeros(width)
     choice = np.zeros((len(points), width), dtype=np.int32)
-    for k, point in enumerate(points):
-        window = at[low[k] : low[k] + width]
-        cost = ((window - point) ** 2).sum(axis=1)
+    # squared distances less that of the point from the origin, which does not decide anything
+    square, twice = np.einsum('ij,ij->i', at, at), -2.0 * at
+    before, options = np.empty(width + LONGEST), np.empty((LONGEST + 1, width))
+    best, last = np.zeros(width), int(low[0])
+    for k, (first, point) in enumerate(zip(low.tolist(), points, strict=True)):
+        cost = twice[first : first + width] @ point
+        cost += square[first : first + width]
+        shift, last = first - last, first
         if k == 0:
-            best, choice[0] = cost + price[1] * 0.0, inner
+            best, choice[0] = cost, inner
             continue
-        shift = int(low[k] - low[k - 1])
-        before = np.full(width + LONGEST, np.inf)
+        before.fill(np.inf)
         if shift < width:
             before[LONGEST : LONGEST + width - shift] = best[shift:]
             # what lies below the window now may still move into it
-            for d in range(1, LONGEST + 1):
-                if shift - d >= 0:
-                    before[LONGEST - d] = best[shift - d]
+            for d in range(1, min(LONGEST, shift) + 1):
+                before[LONGEST - d] = best[shift - d]
         if jump[k]:
-            total = np.minimum.accumulate(before)[LONGEST:]
-            marks = np.where(before == np.minimum.accumulate(before), np.arange(len(before)), 0)
+            lowest = np.minimum.accumulate(before)
+            total = lowest[LONGEST:]
+            marks = np.where(before == lowest, np.arange(len(before)), 0)
             origin = np.maximum.accumulate(marks)[LONGEST:] - LONGEST
         else:
-            options = np.stack(
-                [before[LONGEST - d : LONGEST - d + width] + price[d] for d in range(LONGEST + 1)]
-            )
+            for d in range(LONGEST + 1):
+                np.add(before[LONGEST - d : LONGEST - d + width], price[d], out=options[d])
             pick = options.argmin(axis=0)
             total = options[pick, inner]
             origin = inner - pick
         choice[k] = origin + shift  # place in the window before
         best = total + cost
-        if not np.isfinite(best).any():
-            best = cost.copy()
+        if best[best.argmin()] == np.inf:
+            best = cost
             choice[k] = np.clip(inner + shift - 1, 0, width - 1)
     nearest = np.empty(len(points), dtype=np.int64)
-    j = int(np.argmin(best))
+    j, most = int(np.argmin(best)), width - 1
     for k in range(len(points) - 1, -1, -1):
         nearest[k] = low[k] + j
-        j = int(np.clip(choice[k, j], 0, width - 1))
+        j = min(max(int(choice[k, j]), 0), most)
     return np.asarray(np.minimum(nodes[nearest], curve.length))
