@@ -35,7 +35,7 @@ def refuse_unknown(known, words, files):
 
 
 def switched_on(given, name):
-    """Tell whether a launch argument is on; RuntimeError if its word says neither.
+    """Return whether a launch argument is on; RuntimeError if its word says neither.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class CalibrateAction:
         self._server.destroy()
 
     def look(self) -> None:
-        """Tell how far the calibration is, or what it gave."""
+        """Determine how far the calibration is, or what it gave."""
         if self._goal is None:
             return
         if not self._session.busy:

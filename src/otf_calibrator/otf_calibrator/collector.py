@@ -79,7 +79,7 @@ class OtherPath:
         self.watcher = PathWatcher(self.path, self.config)
 
     def worth_asking(self, at_the_end: bool) -> bool:
-        """Tell whether the samples should be compared with both paths; once per so much travel.
+        """Return whether the samples should be compared with both paths; once per so much travel.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class OtherPath:
         return at_the_end or not self._asked or more > COMPARED_EVERY * self.path.length
 
     def asked(self) -> None:
-        """Take note that they are compared."""
+        """Record that they are compared."""
         self._asked = self.watcher.travelled
 
 
@@ -212,7 +212,7 @@ class Collector:
         return len(self._clock.held)
 
     def undecided(self, now: float) -> bool:
-        """Tell whether what is held may turn out to be another run within a moment."""
+        """Return whether what is held may turn out to be another run within a moment."""
         return bool(self.held) and now - self._held_since <= SILENT
 
     @property
@@ -221,11 +221,11 @@ class Collector:
         return self.taken or self._stream.ended
 
     def goes_on(self, now: float) -> bool:
-        """Tell whether more samples of the run are on their way."""
+        """Return whether more samples of the run are on their way."""
         return not self.taken and not self._stream.ended and now - self._heard < LATE
 
     def on_the_way(self, now: float, since: float) -> bool:
-        """Tell whether samples that were measured until ``since`` may still arrive."""
+        """Return whether samples that were measured until ``since`` may still arrive."""
         if self.taken:
             return False
         if self.undecided(now):
@@ -443,7 +443,7 @@ class Collector:
         self.buffer.cut(self.watcher.end)
 
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
-        """Say why the run is complete; empty if it is not."""
+        """State why the run is complete; empty if it is not."""
         if self.taken or self.path is None or not len(self.buffer) or self.undecided(now):
             return ''
         if at_stream_end and self._stream.finished and self._stream.over(now):

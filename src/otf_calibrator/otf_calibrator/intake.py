@@ -76,7 +76,7 @@ class SignalBuffer:
         }
 
     def add(self, spec: SignalSpec, stamp_ns: int, value: float) -> None:
-        """Take one value; what is no number is left out."""
+        """Take one value; what is not a number is left out."""
         if math.isfinite(value):
             self._values[spec].append((stamp_ns, value))
 
@@ -282,12 +282,12 @@ class Intake:
         return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
-        """Say in the journal that a run was calibrated; one that goes on stays as it is."""
+        """Record in the journal that a run was calibrated; one that goes on stays as it is."""
         if self.journal and request.journal and request.final:
             self.journal.settle(request.journal, f'calibrated: {results or "no files"}')
 
     def kept(self) -> str:
-        """Say where the samples of the present run are."""
+        """State where the samples of the present run are."""
         folder = self.journal.folder if self.journal else None
         return f'; the samples are in {folder}' if folder else ''
 

@@ -71,7 +71,7 @@ class Stream:
         return max(0, self.announced - self.unknown - self.received)
 
     def over(self, now: float) -> bool:
-        """Tell whether no further sample of this stream will come."""
+        """Return whether no further sample of this stream will come."""
         silent = now - max(self.ended_at, self.heard)
         return self.ended and (self.received >= self.announced or silent > LATE)
 
@@ -121,5 +121,5 @@ class Restarts:
 
 
 def lost_words(count: int, at_least: bool) -> str:
-    """Say how many samples were lost."""
+    """State how many samples were lost."""
     return f'{"at least " if at_least else ""}{count} samples were lost on the way'

@@ -68,7 +68,7 @@ class Early:
     solved: Solved | None = None
 
     def is_of(self, request: Request) -> bool:
-        """Tell whether a calibration of a request would be this one."""
+        """Return whether a calibration of a request would be this one."""
         own = self.request
         return (
             own.path is request.path

@@ -48,7 +48,7 @@ class SharedTracker:
         node.create_subscription(Header, 'tracker/calibrated', self._on_other, qos.COMMAND)
 
     def tell(self, outcome: Calibrated) -> None:
-        """Say that a run was that of this machine; not of an interim result."""
+        """Announce that a run was that of this machine; not of an interim result."""
         if outcome.request.final:
             stamp = time_from_ns(int(outcome.request.samples.stamp_ns[-1]))
             self._publisher.publish(Header(stamp=stamp, frame_id=self._path))

@@ -64,7 +64,7 @@ class FirstLooks:
         self._found = True
 
     def due(self, collector: Collector, now: float) -> bool:
-        """Tell whether to look now, a time in s; counts it then."""
+        """Return whether to look now, a time in s; counts it then."""
         if collector.path is None or collector.taken or not collector.travelled:
             return False
         if collector.run != self._run:
@@ -337,7 +337,7 @@ class Session:
         self.worker.close()
 
     def complete(self) -> str:
-        """Say why the run is complete and can be calibrated; empty if it is not."""
+        """State why the run is complete and can be calibrated; empty if it is not."""
         if self.busy or self.answered or self.collector.undecided(time.monotonic()):
             return ''
         files, collector, watcher = self._settings()[0], self.collector, self.collector.watcher
@@ -371,7 +371,7 @@ class Session:
         return self._which is not None
 
     def _at_the_end(self) -> bool:
-        """Tell whether the target has stood at the end point for long enough, once."""
+        """Return whether the target has stood at the end point for long enough, once."""
         if not self._verdict or not self._verdict.done():
             return False
         watcher = self.collector.watcher

@@ -105,7 +105,7 @@ class Compensator(SteadyLifecycleNode):
         return Finding(Level.OK, self._tables.words + self._another(self._tables), values)
 
     def _on_calibrated(self, message: ErrorTables) -> None:
-        """Take note of a calibration; its tables are used only once somebody has them read."""
+        """Record a calibration; its tables are used only once somebody has them read."""
         self._published = message
         if self._tables and (words := self._another(self._tables)):
             self.get_logger().info(words.removeprefix('; '))

@@ -63,7 +63,7 @@ class Tables:
         self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 
     def notes(self, wanted: Sequence[Vector]) -> list[str]:
-        """Say which positions lie outside the axis ranges.
+        """State which positions lie outside the axis ranges.
 
         Raises
         ------

@@ -169,7 +169,7 @@ def _end_with(parent: int) -> None:
 
 
 def _may_copy() -> bool:
-    """Tell whether a copy of this process would be of use, and harm nobody.
+    """Return whether a copy of this process would be of use, and harm nobody.
 
     Made by the main thread alone: a copy has the locks of all other threads as they happen to be,
     and where the main thread leaves the work to others, as in a node of the graph, they are many.

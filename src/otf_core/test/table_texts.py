@@ -245,7 +245,7 @@ REFUSED = {
     ),
     'half of the lines': (
         table(';'.join(HEAD), [[r[0], '#N/A' if k % 2 else r[1], *r[2:]] for k, r in enumerate(ROWS)]), {},
-        ("60 of 120 lines are no samples: 60 lines: x_mm is '#N/A' (first line 3)",),
+        ("60 of 120 lines are not samples: 60 lines: x_mm is '#N/A' (first line 3)",),
     ),
     'PLY cut': (
         'ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\n'

@@ -202,7 +202,7 @@ def test_columns_and_rate_on_request(tmp_path):
         ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
         (
             TEXTS['plain'] + 'a,b\n' * 20,
-            r'20 of 70 lines are no samples: 20 lines: 2 columns instead of 4 \(first line 52\)',
+            r'20 of 70 lines are not samples: 20 lines: 2 columns instead of 4 \(first line 52\)',
         ),
     ],
 )
@@ -212,7 +212,7 @@ def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
             reading(tmp_path, text)
     else:
         assert reading(tmp_path, text).remarks == [
-            "left out 1 of 50 lines that are no samples: 1 line: time_s is 'n/a' (line 5)"
+            "left out 1 of 50 lines that are not samples: 1 line: time_s is 'n/a' (line 5)"
         ]
 
 

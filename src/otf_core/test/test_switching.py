@@ -93,7 +93,7 @@ def test_tables_over_such_an_input_are_refused():
         'effect': 'empirical', 'acts_as': 'vector', 'nodes': {'switched:5@0,9': [0.0, 10.0]},
         'table': {'X': [0.0, 1e-6]},
     }  # fmt: skip
-    with pytest.raises(ConfigError, match='no input of a table; write time'):
+    with pytest.raises(ConfigError, match='not an input of a table; write time'):
         effects_from_data([entry], 'file', some_machine())
 
 

@@ -44,7 +44,7 @@ def test_a_line_that_is_no_sample_is_left_out_and_counted(tmp_path, name):
     got = reading(tmp_path, text)
     np.testing.assert_allclose(1e3 * got.received().xyz, np.delete(XYZ, row, axis=0), atol=1e-9)
     if why:
-        assert got.remarks[0].endswith(f'lines that are no samples: 1 line: {why}')
+        assert got.remarks[0].endswith(f'lines that are not samples: 1 line: {why}')
         assert [(o.lines, o.reason) for o in got.left_out] == [(1, why.rpartition(' (')[0])]
     else:
         assert not got.remarks

@@ -56,7 +56,7 @@ class PathPlanner(Node):
 
 
 def _when(names: Collection[str]) -> str:
-    """Say when parameters count that are set now."""
+    """State when parameters count that are set now."""
     return 'counts when planner/replan is called' if set(names) - {'use_sim_time'} else ''
 
 

@@ -65,7 +65,7 @@ _request: EndRequest | None = None
 
 
 def ending() -> bool:
-    """Tell whether the process is asked to end, for callbacks that take long."""
+    """Return whether the process is asked to end, for callbacks that take long."""
     return _request is not None and _request.came
 
 

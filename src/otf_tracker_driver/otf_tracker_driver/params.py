@@ -29,7 +29,7 @@ class DriverConfig(Parameters):
 
 
 def when_they_count(names: Collection[str], state: str) -> str:
-    """Say when parameters count that are set now; nothing if at once.
+    """State when parameters count that are set now; nothing if at once.
 
     Parameters
     ----------

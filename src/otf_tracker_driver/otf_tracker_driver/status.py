@@ -70,7 +70,7 @@ class Status:
         self._change(state, text, trouble)
 
     def hinder(self, hindrance: Hindrance, trouble: str = '') -> None:
-        """Tell that no samples flow, for how long, and why; log it now, and ever less often.
+        """Determine that no samples flow, for how long, and why; log it now, and ever less often.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Status:
         self._last(state, kind, text, lasted)
 
     def wait(self, text: str, since: float) -> None:
-        """Tell that the source is not there yet, since when, s; as ``hinder`` does."""
+        """Determine that the source is not there yet, since when, s; as ``hinder`` does."""
         self._last(int(Flow.NO_CONNECTION), Flow.NO_CONNECTION, text, time.monotonic() - since)
         self._publish()
 
@@ -135,7 +135,7 @@ class Status:
         return self.message.rate * (self._backend.time_scale if self._backend else 1.0)
 
     def describe(self, name: str) -> None:
-        """Say which backend will deliver samples."""
+        """State which backend will deliver samples."""
         self.message = TrackerStatus(backend=name)
         self._backend = None
 

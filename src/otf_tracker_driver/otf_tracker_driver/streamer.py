@@ -165,7 +165,7 @@ class Streamer:
             self._status.report(TrackerStatus.FINISHED, text)
 
     def _missing(self) -> str:
-        """Say what is not there yet that a stream needs; empty if nothing."""
+        """State what is not there yet that a stream needs; empty if nothing."""
         if self._plan_wanted:
             return 'waiting for planner/plan'
         wanted = self._config.wait_for_subscribers

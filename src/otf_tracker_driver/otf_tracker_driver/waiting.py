@@ -50,7 +50,7 @@ class Waiting:
             self._attempt()
 
     def refused(self, error: OtfError) -> None:
-        """Tell that the node cannot be configured, and what comes next."""
+        """Determine that the node cannot be configured, and what comes next."""
         self._error = error
         if self._may_pass:
             self._status.wait(f'{error}; {self._plan}', self._since)

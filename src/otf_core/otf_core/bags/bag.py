@@ -208,7 +208,7 @@ class BagContent:
     remarks : tuple of str
         What was repaired or left out, in words.
     left_out : tuple of LeftOut
-        Lines of a text that are no samples, by reason.
+        Lines of a text that are not samples, by reason.
     signals : mapping of SignalSpec to Signal
         To be written beside them; reading is ``signals.read_signals``.
     axis_paths : tuple of AxisPath

@@ -176,7 +176,7 @@ def _other_messages(source: str | Path, topics: set[str]) -> Iterator[tuple[str,
 
 
 def _enough(where: str, rows: Sequence[tuple[int, float]]) -> bool:
-    """Tell whether a declared signal can be used; the log says if not."""
+    """Return whether a declared signal can be used; the log says if not."""
     if len({stamp for stamp, value in rows if np.isfinite(value)}) >= MIN_MESSAGES:
         return True
     _log.warning('%s: too few messages for a signal', where)

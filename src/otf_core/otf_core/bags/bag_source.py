@@ -139,7 +139,7 @@ def locate(source: str | Path) -> BagSource:
 
 
 def is_storage(path: Path) -> bool:
-    """Tell whether a file holds messages, compressed as a whole or not, by its name."""
+    """Return whether a file holds messages, compressed as a whole or not, by its name."""
     return _storage(path) in STORAGES
 
 
@@ -175,7 +175,7 @@ def _part(path: Path) -> int:
 
 
 def _are_parts(files: list[Path]) -> bool:
-    """Tell whether files are the parts that rosbag2 splits a recording into, none missing."""
+    """Return whether files are the parts that rosbag2 splits a recording into, none missing."""
     same = {(_bare(p).rpartition('_')[0], _storage(p)) for p in files}
     numbers = sorted(map(_part, files))
     return len(same) == 1 and numbers == list(range(len(files)))

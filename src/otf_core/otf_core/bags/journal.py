@@ -257,7 +257,7 @@ class JournalFile:
         self._end += len(data)
 
     def _gone(self) -> bool:
-        """Tell whether somebody has removed or replaced the file."""
+        """Return whether somebody has removed or replaced the file."""
         try:
             return not os.path.samestat(os.stat(self._path), os.fstat(self._file))
         except FileNotFoundError:
@@ -407,7 +407,7 @@ def state_of(folder: Path) -> str:
 
 
 def set_state(folder: Path, state: str) -> None:
-    """Say what became of a run that is not written any more; OSError if that fails."""
+    """Record what became of a run that is not written any more; OSError if that fails."""
     path = folder / METADATA
     try:
         data = read_yaml(path)
@@ -616,7 +616,7 @@ class Journal:
         return run.folder
 
     def settle(self, folder: Path, state: str) -> None:
-        """Say what became of a run, which ends if it is the present one."""
+        """Record what became of a run, which ends if it is the present one."""
         if self._run and self._run.folder == folder:
             self.end(state)
         else:

@@ -266,7 +266,7 @@ class McapMessages:
                 self._remarks.append(f'the damaged chunk at byte {at} of {name} is left out')
 
     def _tell(self, size: int, end: int, whole: bool) -> None:
-        """Say what is missing of a file without its end."""
+        """State what is missing of a file without its end."""
         name = self._file.name
         if whole and end == size - len(MAGIC):
             return
@@ -302,7 +302,7 @@ class McapMessages:
             self._pages.madvise(mmap.MADV_DONTNEED)
 
     def _grown(self) -> bool:
-        """Tell whether the file is being written: its end was then where more stands now."""
+        """Return whether the file is being written: its end was then where more stands now."""
         with suppress(OSError):  # removed meanwhile: what was opened can still be read
             return self._file.stat().st_size != self._size
         return False

@@ -64,7 +64,7 @@ class Clock(Generic[T]):
         return len(self.held) >= CLOCK_CHANGE_SAMPLES
 
     def take(self, stamp_ns: int, item: T, back_ns: int = MAX_OFF_NS) -> bool:
-        """Tell whether a stamp goes on with the clock; it is held if it does not.
+        """Return whether a stamp goes on with the clock; it is held if it does not.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Clock(Generic[T]):
 def of_one_clock(
     stamp_ns: NDArray[np.int64], left_out: Callable[[list[int], int], None]
 ) -> NDArray[np.int64] | None:
-    """Tell which samples go on with one clock; None: all of them.
+    """Determine which samples go on with one clock; None: all of them.
 
     A clock that is behind at the end is not left out unless it is of a few samples; if only a few
     came before, those are.
@@ -147,7 +147,7 @@ REPEATED_SHARE = 0.5
 
 
 def stamp_words(stamp_ns: NDArray[np.int64]) -> str:
-    """Say how stamps that repeat were made, as far as they show it.
+    """State how stamps that repeat were made, as far as they show it.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def _seams(stamp_ns: Stamps, step: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _smooth(xyz: Array, seams: NDArray[np.int64]) -> bool:
-    """Tell whether the target goes on at seams from where it was."""
+    """Return whether the target goes on at seams from where it was."""
     step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
     near = max(LONGEST_STEP * float(np.percentile(step, 90)), MOTION_STEP)
     if near > SMALL * float(np.ptp(xyz, axis=0).max()):
@@ -341,7 +341,7 @@ class MixedSamples(InputError):
 
 
 def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Tell what is wrong with points; 0: nothing.
+    """Determine what is wrong with points; 0: nothing.
 
     Parameters
     ----------
@@ -399,7 +399,7 @@ class Screening:
     def good(
         self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]
     ) -> NDArray[np.bool_] | None:
-        """Tell which points are measurements; None: all of them.
+        """Determine which points are measurements; None: all of them.
 
         Parameters
         ----------
@@ -472,7 +472,7 @@ class Screening:
 # Recorded points to samples with strictly increasing stamps, or a reason why that fails.
 #
 # Transport may swap, repeat and delay messages; the tracker's own stamp says what was measured
-# when. What transport explains is repaired with a remark, and points that are no measurements are
+# when. What transport explains is repaired with a remark, and points that are not measurements are
 # left out (``screening``). A clock that begins again is continued where the target shows it
 # (``reception``). What none explains (two trackers on one topic, several runs, no stamps) is an
 # error.

@@ -50,7 +50,7 @@ def on(*groups: str | tuple[str, ...], besides: Iterable[str] = ()) -> Depends:
 
 
 def named_rightly(named: Sequence[str], groups: Sequence[Sequence[str]], *more: str) -> bool:
-    """Tell whether the groups are named, as many as can be, and nothing but these and ``more``."""
+    """Whether the groups are named, as many as can be, and nothing but these and ``more``."""
     served = sum(bool(set(g) & set(named)) for g in groups)
     known = {n for g in groups for n in g} | set(more)
     enough = served >= min(len(groups), NAMED_AT_MOST)

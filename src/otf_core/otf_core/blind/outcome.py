@@ -105,7 +105,7 @@ class Outcome:
 
 
 def is_visible(part: Mapping[str, Any]) -> bool:
-    """Tell whether an effect of the key leaves enough to be seen."""
+    """Return whether an effect of the key leaves enough to be seen."""
     if part['effect'] in NOISE:
         return True
     blurred = any(REGISTRY[name].wave is not None for name in part['names'])

@@ -61,7 +61,7 @@ class Recovery:
 
 
 def _comparable(effect: str, true: Mapping[str, float], fitted: Mapping[str, float]) -> bool:
-    """Tell whether two sets of parameters have the same shape."""
+    """Return whether two sets of parameters have the same shape."""
     names = [n for n in REGISTRY[effect].shape_names if n not in LOOSE_SHAPE]
     if TIME_CONSTANT in names:
         return False

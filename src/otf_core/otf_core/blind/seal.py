@@ -189,7 +189,7 @@ def sealed(folder: Path) -> str:
 
 
 def holds_trial(folder: str | Path) -> bool:
-    """Tell whether a trial was begun in a folder, so that it goes on there."""
+    """Return whether a trial was begun in a folder, so that it goes on there."""
     folder = Path(folder)
     if not folder.is_dir():
         return False

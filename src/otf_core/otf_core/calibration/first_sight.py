@@ -118,7 +118,7 @@ class TwoPaths:
 
 
 def follows_the_other(run: TwoPaths, config: CalibrationConfig) -> bool:
-    """Tell whether the target has left the present path and follows the other one.
+    """Return whether the target has left the present path and follows the other one.
 
     False as long as too little is driven to determine that; the present path is kept then.
     """
@@ -131,7 +131,7 @@ def follows_the_other(run: TwoPaths, config: CalibrationConfig) -> bool:
 
 
 def _on_the_present(run: TwoPaths, newer: Samples, config: CalibrationConfig) -> bool:
-    """Tell whether what came since lies on the present path, the tracker standing still."""
+    """Return whether what came since lies on the present path, the tracker standing still."""
     beginning = NominalPath(driven_part(run.present, run.travelled))
     try:
         alignment = align(run.samples.in_order(), beginning, config)

@@ -319,7 +319,7 @@ def _axes_volume(
 
 
 def _an_axis_stood(tables: ErrorTables) -> bool:
-    """Tell whether an axis did not move: nothing at all is known of its motions."""
+    """Return whether an axis did not move: nothing at all is known of its motions."""
     low, high = table_ranges(tables)
     return bool(np.any(high <= low))
 

@@ -134,7 +134,7 @@ def _calibrate_axes(
 
 
 def _note_missing(out: OutputFolder) -> None:
-    """Say which files did not fit on the disk."""
+    """State which files did not fit on the disk."""
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
 
@@ -352,7 +352,7 @@ CHECK_PARAMETERS = ('match_tolerance', 'standstill_speed')
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Say whether a recording is usable."""
+    """State whether a recording is usable."""
     config = parameters(CalibrationConfig, arguments, CHECK_PARAMETERS)
     from otf_core.checking.checks import check, format_check
     from otf_core.model.machine import load_machine
@@ -368,7 +368,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
-    """Say what is wrong with an installation."""
+    """State what is wrong with an installation."""
     from otf_core.installation.doctor import ERROR, OK, examine
 
     states = examine()

@@ -163,7 +163,7 @@ def _places(files: Sequence[Path], folder: str) -> list[str]:
 
 
 def listed(files: Sequence[Path], folder: str) -> str:
-    """Say which files were written."""
+    """State which files were written."""
     return f'\nwritten: {", ".join(_places(files, folder))} in {folder}'
 
 

@@ -434,7 +434,7 @@ def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Ma
 
 
 def is_rotary(path: str | Path, machine: Machine | None) -> bool:
-    """Tell whether tables, or a direct measurement of a machine, are of one with rotary axes."""
+    """Return whether tables, or a direct measurement of a machine, are of one with rotary axes."""
     if Path(path).suffix.lower() == '.csv':
         return machine is not None and bool(machine.rotary_names)
     return bool(load_tables(path).tables.machine.rotary_names)

@@ -74,7 +74,7 @@ MIN_DRIVEN_SHARE = 0.8
 
 
 def check_driven_range(model: Model) -> list[Finding]:
-    """Say which axes were driven over a part of their range only."""
+    """State which axes were driven over a part of their range only."""
     machine, q = model.rows.machine, model.rows.q
     low, high = q.min(axis=0), q.max(axis=0)
     size = machine.upper - machine.lower

@@ -147,7 +147,7 @@ def _lengths(vectors: Array) -> Array:
 
 
 def two_streams(samples: Samples) -> str:
-    """Say that samples alternate between two streams; empty if they do not."""
+    """State that samples alternate between two streams; empty if they do not."""
     xyz = samples.xyz
     if len(xyz) < 4 * WINDOW:
         return ''
@@ -178,7 +178,7 @@ def _length(value: float) -> str:
 
 
 def _traced(xyz: Array) -> bool:
-    """Tell whether samples are two tracks, by giving each to the tip that it lies nearer to."""
+    """Return whether samples are two tracks, by giving each to the tip that it lies nearer to."""
     jump = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
     large = float(np.percentile(jump, 95))
     if np.mean(jump > 0.5 * large) < 0.1 or large < 1e-3:

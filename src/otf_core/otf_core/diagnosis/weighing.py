@@ -106,7 +106,7 @@ class Case:
 
 
 def matters(gap_um: float, simulated_um: float) -> bool:
-    """Tell whether a gap is large enough beside the simulated residual to be explained."""
+    """Return whether a gap is large enough beside the simulated residual to be explained."""
     return gap_um > NO_GAP_SHARE * simulated_um
 
 
@@ -290,7 +290,7 @@ def _in_catalogue(cause: Cause) -> bool:
 
 
 def _decoyed(causes: Sequence[Cause], steps: Sequence[Residuals]) -> bool:
-    """Tell whether shapes outside the catalogue explain more than the effects named."""
+    """Return whether shapes outside the catalogue explain more than the effects named."""
     power = {True: 0.0, False: 0.0}
     for cause, before, after in zip(causes, steps[:-1], steps[1:], strict=True):
         power[not _in_catalogue(cause)] += max(0.0, before.rms_um**2 - after.rms_um**2)
@@ -611,7 +611,7 @@ def _standing(
 
 
 def _describes(standing: Standing, explained: Explanation, verdict: str) -> bool:
-    """Tell whether causes and what has no name describe the gap well enough to be believed.
+    """Return whether causes and what has no name describe the gap well enough to be believed.
 
     A right cause leaves the other cause, which has a structure of its own. What imitates a cause
     that no smooth function describes leaves a part of it.
@@ -622,7 +622,7 @@ def _describes(standing: Standing, explained: Explanation, verdict: str) -> bool
 
 
 def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
-    """Tell whether most of a gap is left."""
+    """Return whether most of a gap is left."""
     known = max(KNOWN_SHARE * explained.before_um, NO_GAP_SHARE * explained.simulated_um)
     return gap_um(rest.rms_um, explained.simulated_um) > known
 

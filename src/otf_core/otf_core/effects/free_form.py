@@ -185,7 +185,7 @@ def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
 
 
 def _several_places(states: Sequence[State]) -> bool:
-    """Tell whether the tracker stood at several places, seen from the machine."""
+    """Return whether the tracker stood at several places, seen from the machine."""
     places = np.array([np.mean(s.q - s.beam, axis=0) for s in states if len(s)])
     if len(places) < 2:
         return False

@@ -117,7 +117,7 @@ def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
     acts = _acts_of(fields)
     nodes, table = _ranges(fields, 'nodes'), fields.take('table')
     if switching := next((n for n in nodes if Switching.of(n)), None):
-        fields.fail('nodes', f'{shown(switching)} is no input of a table; write time')
+        fields.fail('nodes', f'{shown(switching)} is not an input of a table; write time')
     fields.done()
     if not isinstance(table, dict) or not table:
         fields.fail('table', 'expected the values of each direction or rotation')

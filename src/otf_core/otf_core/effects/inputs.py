@@ -39,7 +39,7 @@ _LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 
 
 def known_input(name: str) -> bool:
-    """Tell whether a name is one of an input."""
+    """Return whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
     own = (head in OF_AXIS and axis in _LETTERS) or found_kind(name) is not None
     return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)

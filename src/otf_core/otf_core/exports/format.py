@@ -89,7 +89,7 @@ class Request:
 
     @property
     def unseen_words(self) -> tuple[str, ...]:
-        """Say which errors are zero because the calibration could not see them; empty if none."""
+        """Which errors are zero because the calibration could not see them; empty if none."""
         listed = self.content.extra.get('not_identifiable')
         tables = self.content.tables
         machine = tables.machine
@@ -174,7 +174,7 @@ class Format(ABC):
 
     @abstractmethod
     def sign_words(self, request: Request) -> str:
-        """Say what the values are, as a sentence."""
+        """State what the values are, as a sentence."""
 
     @abstractmethod
     def export(self, request: Request) -> Exported:
@@ -228,12 +228,12 @@ WORKPIECE_WORDS = (
 
 
 def offset_words(machine: Machine) -> str:
-    """Say the target offset: '(0.000000, 0.000000, -150.000000) mm'."""
+    """State the target offset: '(0.000000, 0.000000, -150.000000) mm'."""
     return f'({", ".join(f"{1e3 * v:.6f}" for v in machine.target_offset)}) mm'
 
 
 def lever_words(machine: Machine) -> str:
-    """Say what rotations of motions act about, for formats that hold them."""
+    """State what rotations of motions act about, for formats that hold them."""
     whose = ' of linear axes' if machine.rotary_names else ''
     return (
         f'rotations{whose} act about the machine zero carried along by the axes; target at '
@@ -275,14 +275,14 @@ def printable(text: str) -> str:
 
 
 def asked_sign_words(request: Request) -> str:
-    """Say the sign that the user has named."""
+    """State the sign that the user has named."""
     if request.sign == CORRECTION:
         return 'values are corrections (nominal minus actual), as named by --sign correction'
     return 'values are errors (actual minus nominal), as named by --sign error'
 
 
 def is_export(path: Path) -> bool:
-    """Tell whether a file was written by an export."""
+    """Return whether a file was written by an export."""
     try:
         content = path.read_bytes()
     except OSError:

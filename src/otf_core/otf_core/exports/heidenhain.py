@@ -40,7 +40,7 @@ class Heidenhain(Format):
     takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return asked_sign_words(request) + '; positions and C1-C3 in mm, C4-C6 in rad'
 
     def export(self, request: Request) -> Exported:

@@ -40,7 +40,7 @@ class Isg(Format):
     takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return asked_sign_words(request) + '; lengths in mm, angles in rad, right-handed'
 
     def export(self, request: Request) -> Exported:

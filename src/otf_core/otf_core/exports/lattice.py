@@ -215,7 +215,7 @@ def moved_by(machine: Machine, terms: Mapping[str, LineTerm], q: Array) -> Array
 
 
 def without_table(tables: ErrorTables) -> tuple[str, ...]:
-    """Say which axes did not move, so that there is no table over their positions."""
+    """State which axes did not move, so that there is no table over their positions."""
     low, high = table_ranges(tables)
     still = [a for a, b, c in zip(tables.machine.axis_names, low, high, strict=True) if b == c]
     if not still:
@@ -234,7 +234,7 @@ def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
 
 
 def pair_name(pair: Pair, axes: Sequence[str]) -> str:
-    """Say a pair: 'error along Y with X'."""
+    """State a pair: 'error along Y with X'."""
     return f'error along {axes[pair[0]]} with {axes[pair[1]]}'
 
 

@@ -32,7 +32,7 @@ class LatticeCsv(Format):
     takes_points = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return 'dx, dy, dz are errors (actual minus nominal), u standard uncertainties; all in m'
 
     def export(self, request: Request) -> Exported:

@@ -30,7 +30,7 @@ class LatticeNpz(Format):
     takes_points = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return (
             'error is actual minus nominal, u its standard uncertainty, m; covariance, m^2, of '
             'error.ravel(): Z fastest of the points, then the components'

@@ -40,7 +40,7 @@ class LinuxCnc(Format):
     takes_points = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return (
             'COMP_FILE_TYPE = 0: columns 2 and 3 are the actual positions in mm at the nominal '
             'position in column 1 (actual = nominal + error), for forward and backward travel'

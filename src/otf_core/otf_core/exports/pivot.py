@@ -47,7 +47,7 @@ class Pivot(Format):
     takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return (
             'new = old + location error; mm, machine coordinates with all axes at zero, without '
             'the target offset; changes stand beside the new values'

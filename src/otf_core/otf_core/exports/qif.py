@@ -53,7 +53,7 @@ class Qif(Format):
     )
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return (
             'functions are measured minus reported (actual minus nominal), mm and rad; squareness '
             'as tangent, positive where the angle is above 90 degrees'

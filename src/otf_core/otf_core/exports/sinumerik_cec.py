@@ -44,7 +44,7 @@ class SinumerikCec(Format):
     takes_points = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return asked_sign_words(request) + ', mm'
 
     def export(self, request: Request) -> Exported:

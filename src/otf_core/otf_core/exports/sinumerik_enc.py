@@ -41,7 +41,7 @@ class SinumerikEnc(Format):
     takes_rotary = True
 
     def sign_words(self, request: Request) -> str:
-        """Say what the values are."""
+        """State what the values are."""
         return (
             'values are errors in mm (actual minus nominal): a positive value moves the axis in '
             'the negative direction'

@@ -64,7 +64,7 @@ def listed(manifest: Path) -> dict[Path, str]:
 
 
 def is_as_listed(path: Path, entries: dict[Path, str]) -> bool:
-    """Tell whether a file is listed and still what it was then."""
+    """Return whether a file is listed and still what it was then."""
     return path in entries and path.is_file() and file_digest(path) == entries[path]
 
 

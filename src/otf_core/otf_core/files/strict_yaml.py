@@ -177,7 +177,7 @@ class Fields:
         return [str(key) for key in self._data]
 
     def has(self, key: str) -> bool:
-        """Tell whether an optional key is there."""
+        """Return whether an optional key is there."""
         return key in self._data
 
     def take(self, key: str) -> Any:

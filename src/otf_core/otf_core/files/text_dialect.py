@@ -135,12 +135,12 @@ def _unquoted(field: str) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Tell whether a field is a number in the form of any country, well formed or not."""
+    """Return whether a field is a number in the form of any country, well formed or not."""
     return len(text) <= MAX_NUMBER_LETTERS and NUMBER.match(text) is not None
 
 
 def is_value(text: str) -> bool:
-    """Tell whether a field is a number, in any form, or a time of day."""
+    """Return whether a field is a number, in any form, or a time of day."""
     if len(text) > MAX_NUMBER_LETTERS:
         return False
     return bool(NUMBER.match(text) or is_moment(text)) or text.lower() in ('nan', 'inf', '-inf')
@@ -151,7 +151,7 @@ MAX_NUMBER_LETTERS = 80
 
 
 def is_missing(text: str) -> bool:
-    """Tell whether a field says that there is no number."""
+    """Return whether a field says that there is no number."""
     return len(text) <= MAX_NUMBER_LETTERS and MISSING.fullmatch(text) is not None
 
 

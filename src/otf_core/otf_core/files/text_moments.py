@@ -125,7 +125,7 @@ class _Text:
 
 
 def is_moment(text: str) -> bool:
-    """Tell whether a text is a time of day, with or without a date, and no number."""
+    """Return whether a text is a time of day, with or without a date, and no number."""
     if ':' not in text and not ('T' in text.upper() or '_' in text):
         return False
     try:
@@ -227,7 +227,7 @@ def _with_parts(whole_ns: Stamps, parts: Sequence[str], form: str) -> tuple[Stam
 
 
 def zeros_words(power: int) -> str:
-    """Say that leading zeros were put back."""
+    """State that leading zeros were put back."""
     return f', the parts of a second as 10^{power} s, which had lost their leading zeros'
 
 
@@ -279,7 +279,7 @@ def _parted(text: str) -> _Text:
 
 
 def _unread(text: str) -> str:
-    """Say what a text that is not a time may be."""
+    """State what a text that is not a time may be."""
     if re.fullmatch(r'\d{1,2}(:\d{1,2}){3}', text):
         return 'has four numbers: with days in front, or frames behind, which is not stated'
     return 'is not a time'

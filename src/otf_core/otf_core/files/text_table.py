@@ -75,7 +75,7 @@ LINK = re.compile(r'(?:\s+in|[\s/,:-]+)$')
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether a text is the name of a unit."""
+    """Return whether a text is the name of a unit."""
     text = text.lower()
     return any(text in known for known in (LENGTHS, ANGLES, TIMES, LONG_TIMES, OTHERS))
 
@@ -335,7 +335,7 @@ PLY_HEAD = 200
 
 
 def is_comment(line: str) -> bool:
-    """Tell whether a line is a comment by its sign, and no datum such as #N/A or ***."""
+    """Return whether a line is a comment by its sign, and no datum such as #N/A or ***."""
     if not COMMENT.match(line):
         return False
     first = re.split(r'[\t;,|\s]', line.strip(), maxsplit=1)[0]
@@ -448,7 +448,7 @@ class _Reader:
         return misfit or (-1, None)
 
     def _is_known(self, name: str) -> bool:
-        """Tell whether a word is a name in a head, and not one of a sentence."""
+        """Return whether a word is a name in a head, and not one of a sentence."""
         return len(name.split()) == 1 and len(name) <= LONGEST_WORD
 
     def _grouped(self, names: Sequence[str], at: int) -> tuple[str, ...]:
@@ -490,7 +490,7 @@ class _Reader:
         return len(texts) >= MIN_NUMBER_COLUMNS and all(map(is_unit, texts))
 
     def _is_datum(self, fields: Sequence[str], line: str, *, headed: bool) -> bool:
-        """Tell whether a line before the first row is one of data with a fault."""
+        """Return whether a line before the first row is one of data with a fault."""
         if RULE.match(line) and len(fields) < self.dialect.width:
             return False
         if headed:

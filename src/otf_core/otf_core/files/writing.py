@@ -120,7 +120,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def ends_head(path: str | Path, tail: str) -> bool:
-    """Tell whether the first line of a file ends with these columns."""
+    """Return whether the first line of a file ends with these columns."""
     try:
         with open(path, 'rb') as file:
             return file.readline(1000).rstrip(b'\n').endswith(tail.encode())

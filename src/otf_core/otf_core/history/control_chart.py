@@ -49,7 +49,7 @@ class Change:
 
     @property
     def significant(self) -> bool:
-        """Tell whether it is beyond the limits of a control chart."""
+        """Return whether it is beyond the limits of a control chart."""
         return self.p < FALSE_ALARM_CHANGE / self.tests
 
 
@@ -159,7 +159,7 @@ class Drift:
 
     @property
     def significant(self) -> bool:
-        """Tell whether the drift is beyond what chance gives (5 %).
+        """Return whether the drift is beyond what chance gives (5 %).
 
         Two runs are one step, which is judged as every other step.
         """
@@ -351,7 +351,7 @@ class Step:
 
     @property
     def significant(self) -> bool:
-        """Tell whether anything changed beyond chance, one motion or all together."""
+        """Return whether anything changed beyond chance, one motion or all together."""
         return self.volume.significant or bool(self.changed)
 
 

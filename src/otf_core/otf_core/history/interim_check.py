@@ -158,7 +158,7 @@ class InterimCheck:
 
     @property
     def holds(self) -> bool:
-        """Tell whether the tables still hold."""
+        """Return whether the tables still hold."""
         return self.ratio <= HOLDING_RATIO
 
     @property

@@ -71,7 +71,7 @@ class Kind:
 
 
 def begins(path: Path, *starts: str) -> bool:
-    """Tell whether the first line of a text file that is not a comment begins so."""
+    """Return whether the first line of a text file that is not a comment begins so."""
     try:
         with path.open(encoding='utf-8-sig') as file:
             lines = (line for line in file if line.strip() and not line.startswith('#'))
@@ -669,7 +669,7 @@ KINDS: tuple[Kind, ...] = (
 
 
 def explain(name: str | Path) -> tuple[Kind, Explained]:
-    """Say what a file is and says.
+    """State what a file is and says.
 
     Raises
     ------

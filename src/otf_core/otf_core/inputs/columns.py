@@ -309,7 +309,7 @@ def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str]
 
 
 def names_point(headings: Sequence[str]) -> bool:
-    """Tell whether headings name a point."""
+    """Return whether headings name a point."""
     return bool(offers(headings)) or _polar(headings) is not None
 
 
@@ -384,7 +384,7 @@ def columns_of(
 def _choice(
     headings: Sequence[str], offered: Sequence[Offer], time: Sequence[Column], nominal: bool
 ) -> str:
-    """Say how to choose: options that work as they stand."""
+    """State how to choose: options that work as they stand."""
     if nominal:
         return '; delete the columns of the others, or name the right ones x_mm, y_mm, z_mm'
     ways = []
@@ -504,7 +504,7 @@ def _value_places(table: TextTable) -> list[int]:
 
 
 def counts_rows(texts: Sequence[str]) -> bool:
-    """Tell whether a column only counts: 1, 2, 3, with a few left out at most."""
+    """Return whether a column only counts: 1, 2, 3, with a few left out at most."""
     if len(texts) < CHANCE_ROWS or not all(text.isdigit() for text in texts):
         return False
     numbers = [int(text) for text in texts]
@@ -548,13 +548,13 @@ def _states_axes(table: TextTable) -> bool:
 
 
 def _has_names(table: TextTable) -> bool:
-    """Tell whether the last line before the data has as many fields as these, none a number."""
+    """Return whether the last line before the data has as many fields as these, none a number."""
     fields = table.dialect.fields(table.head[-1])
     return len(fields) == table.width and not any(map(is_value, fields))
 
 
 def unnamed_words(table: TextTable) -> str:
-    """Say that nothing names the point of a table, and what stands there instead."""
+    """State that nothing names the point of a table, and what stands there instead."""
     shown = ' | '.join(table.head[-1:]) or 'nothing'
     return (
         f'{table.where}: line {table.lines[0]} has {table.width} columns, and the header '

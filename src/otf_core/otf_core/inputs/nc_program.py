@@ -348,7 +348,7 @@ def without_comments(line: str) -> str | None:
 
 
 def _calls(before: str) -> bool:
-    """Tell whether a bracket belongs to the word before it, as in X=IC(10) or MSG("...")."""
+    """Return whether a bracket belongs to the word before it, as in X=IC(10) or MSG("...")."""
     return bool(re.search(r'(?:^|[\s=])[A-Z_]{2,}\d*$', before))
 
 
@@ -549,12 +549,12 @@ def _text(name: str | Path, size: int = -1) -> str:
 
 
 def is_klartext(text: str) -> bool:
-    """Tell whether a text is HEIDENHAIN Klartext."""
+    """Return whether a text is HEIDENHAIN Klartext."""
     return bool(KLARTEXT.search(text))
 
 
 def is_program(name: str | Path) -> bool:
-    """Tell whether a file is an NC program, by its beginning; False if it cannot be read."""
+    """Return whether a file is an NC program, by its beginning; False if it cannot be read."""
     if not Path(name).is_file():
         return False
     text = _text(name, EXAMINED_BYTES)
@@ -594,7 +594,7 @@ def read_program(name: str | Path) -> Program:
 
 
 def _words(form: str, path: DrivenPath) -> str:
-    """Say what a program was read as."""
+    """State what a program was read as."""
     arcs = f' and {path.arcs} arcs, as chords of at most {1e3 * CHORD:g} mm' if path.arcs else ''
     lines = [f'NC program ({form}): {path.lines} straight moves{arcs}']
     offsets = [name for name in path.frames if name != MACHINE]

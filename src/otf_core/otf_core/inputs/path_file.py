@@ -43,7 +43,7 @@ class PlanFile:
 
 
 def looks_like_json(path: str | Path) -> bool:
-    """Tell whether a file starts as a JSON object; False if it cannot be read.
+    """Return whether a file starts as a JSON object; False if it cannot be read.
 
     Raises
     ------

@@ -72,7 +72,7 @@ SPREADSHEET_1970, MATLAB_1970 = 25_569, 719_529
 
 
 def is_decimal(text: str) -> bool:
-    """Tell whether a text is a decimal number."""
+    """Return whether a text is a decimal number."""
     try:
         return Decimal(text).is_finite()
     except InvalidOperation:
@@ -274,7 +274,7 @@ TRACKER_RANGE = 60.0
 
 
 def is_text(source: str | Path) -> bool:
-    """Tell whether a recording is a text file, by its name."""
+    """Return whether a recording is a text file, by its name."""
     return Path(source).suffix.lower() in SUFFIXES and Path(source).is_file()
 
 
@@ -299,7 +299,7 @@ class TextReading:
     remarks : list of str
         What was left out.
     left_out : list of LeftOut
-        Lines that are no samples, by reason.
+        Lines that are not samples, by reason.
     said : list of str
         How the file was read.
     foreign : Counter of str
@@ -336,7 +336,7 @@ class TextReading:
         if chosen.faults:
             self.remarks.append(
                 f'left out {len(chosen.faults)} of {len(chosen.lines) + len(chosen.faults)} lines '
-                f'that are no samples: {fault_words(chosen.faults)}'
+                f'that are not samples: {fault_words(chosen.faults)}'
             )
         still = _without_noise(chosen, columns_found, factor, self._xyz)
         if still:
@@ -420,17 +420,17 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
 
 
 def _is_decimal(texts: Sequence[str]) -> bool:
-    """Tell whether a column holds numbers, not times of day."""
+    """Return whether a column holds numbers, not times of day."""
     there = (text for text in texts if text and not is_missing(text))
     first = list(itertools.islice(there, 9))
     return sum(is_number(text) or text.lower() in NOT_FINITE for text in first) > len(first) // 2
 
 
 def _refuse_many(table: TextTable, faults: Mapping[int, str], usable: int) -> None:
-    """Refuse a table of which many lines are no samples."""
+    """Refuse a table of which many lines are not samples."""
     if len(faults) > MAX_LEFT_OUT * (len(faults) + usable):
         raise InputError(
-            f'{table.where}: {len(faults)} of {len(faults) + usable} lines are no samples: '
+            f'{table.where}: {len(faults)} of {len(faults) + usable} lines are not samples: '
             f'{fault_words(faults)}; give one table per file, and export the samples that were '
             f'measured only'
         )

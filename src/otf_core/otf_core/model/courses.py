@@ -60,7 +60,7 @@ class Courses(Mapping[str, Array]):
         return name, *(f'{name}@{lag:g}' for lag in LAGS if lag < lasts)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether a name is given, or is that of a signal with or without a lag."""
+        """Return whether a name is given, or is that of a signal with or without a lag."""
         if not isinstance(name, str):
             return False
         return name in self._known or (

@@ -72,7 +72,7 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
 
 
 def has_constant_lever(machine: Machine, motion: ErrorMotion, low: Points, high: Points) -> bool:
-    """Tell whether no other axis, from ``low`` to ``high`` (3,), m, changes how a rotation acts.
+    """Return whether no other axis, from ``low`` to ``high`` (3,), m, changes how a rotation acts.
 
     It is a translation for whoever moves in these ranges with one target offset.
     """

@@ -82,7 +82,7 @@ class Axis:
 
     @property
     def rotary(self) -> bool:
-        """Tell whether the axis turns."""
+        """Return whether the axis turns."""
         return self.direction is not None
 
     @property

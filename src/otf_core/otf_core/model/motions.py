@@ -54,12 +54,12 @@ class ErrorMotion(str):
 
     @property
     def is_positioning(self) -> bool:
-        """Tell whether this is a positioning error such as EXX or ECC."""
+        """Return whether this is a positioning error such as EXX or ECC."""
         return self.direction == self.axis
 
     @property
     def is_straightness(self) -> bool:
-        """Tell whether this is a straightness error such as EYX."""
+        """Return whether this is a straightness error such as EYX."""
         return self.is_translation and not self.is_positioning and self.axis in AXES
 
     @property
@@ -90,12 +90,12 @@ def location_names(axis: str) -> tuple[str, ...]:
 
 
 def is_motion(name: str) -> bool:
-    """Tell whether a symbol is an error motion of any axis, such as EXX or ECC."""
+    """Return whether a symbol is an error motion of any axis, such as EXX or ECC."""
     return len(name) == 3 and name[0] == 'E' and name[1] in DIRECTIONS and name[2] in LETTERS
 
 
 def is_location(name: str) -> bool:
-    """Tell whether a symbol is a location error of a rotary axis, such as X0C."""
+    """Return whether a symbol is a location error of a rotary axis, such as X0C."""
     return len(name) == 3 and name[1] == '0' and name[2] in ROTARY and name[0] in DIRECTIONS
 
 

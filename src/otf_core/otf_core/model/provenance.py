@@ -54,7 +54,7 @@ class Origin:
     machine : Machine, optional
         As it was described for this run.
     left_out : tuple of LeftOut
-        Lines of a text that are no samples, by reason.
+        Lines of a text that are not samples, by reason.
     """
 
     name: str
@@ -74,7 +74,7 @@ def _raw(values: NDArray[Any], kind: str) -> memoryview:
 def origin_of(
     name: str, samples: Samples, path: NominalPath | None = None, machine: Machine | None = None
 ) -> Origin:
-    """Say what a recording is."""
+    """State what a recording is."""
     digest = hashlib.sha256(_raw(samples.stamp_ns, '<i8'))
     digest.update(_raw(samples.xyz, '<f8'))
     if path is not None:
@@ -104,11 +104,11 @@ class Recorded(Protocol):
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Lines that are no samples."""
+        """Lines that are not samples."""
 
 
 def origins(recordings: Iterable[Recorded]) -> tuple[Origin, ...]:
-    """Say what recordings are; they go by the last part of their names."""
+    """State what recordings are; they go by the last part of their names."""
     return tuple(
         replace(
             origin_of(Path(r.name).name or r.name, r.samples, r.path, r.machine),

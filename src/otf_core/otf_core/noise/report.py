@@ -105,7 +105,7 @@ def _known_to(windows: list[Array], step: float) -> tuple[Array, Array, float]:
 
 
 def _coarse(windows: list[Array]) -> str | None:
-    """Say whether samples repeat, and whether by rounding or because a point is held."""
+    """State whether samples repeat, and whether by rounding or because a point is held."""
     new = [np.concatenate([[True], np.diff(w, axis=0).any(axis=1)]) for w in windows]
     count = sum(len(w) for w in windows)
     share = 1.0 - sum(int(n.sum()) for n in new) / count

@@ -116,7 +116,7 @@ class Recording:
         What was found of the track before its last samples came; it saves time and changes
         nothing.
     left_out : tuple of LeftOut
-        Lines of a text that are no samples, by reason.
+        Lines of a text that are not samples, by reason.
     axis_paths : tuple of AxisPath
         Parts that were driven, of a machine with rotary axes; ``path`` is their track then.
 

@@ -63,7 +63,7 @@ class Unseen:
 
 
 def offset_in_words(machine: Machine) -> str:
-    """Say how the target lies: 'with one target offset along Z'."""
+    """State how the target lies: 'with one target offset along Z'."""
     large = np.abs(machine.target_offset) > 1e-9
     if not large.any():
         return 'with the target at the origin of the tool side'
@@ -73,7 +73,7 @@ def offset_in_words(machine: Machine) -> str:
 
 
 def chain_shows(machine: Machine, error: str) -> bool:
-    """Tell whether some path with one target offset tells an error from all others."""
+    """Return whether some path with one target offset tells an error from all others."""
     if error in SQUARENESS or unit_of(error) == 'm':
         return True
     motion = ErrorMotion.of(error)
@@ -185,7 +185,7 @@ def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Unseen:
 
 
 def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, ...]:
-    """Say what a plan does not show.
+    """State what a plan does not show.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class Trace:
         return cls(simple, rich @ (vectors[:, seen] / np.sqrt(values[seen])))
 
     def imitated_by(self, other: Trace) -> bool:
-        """Tell whether another effect can leave every trace of this one."""
+        """Return whether another effect can leave every trace of this one."""
         shared = other.rich.T @ self.simple
         return float(np.sum(shared**2)) > INDISTINGUISHABLE_SHARE * self.square
 

@@ -95,7 +95,7 @@ def beam_lengths(plan: Plan, place: Array) -> tuple[float, float]:
 
 
 def advice(places: list[TrackerPlace], own: float) -> list[str]:
-    """Say in words where the tracker stands best.
+    """State in words where the tracker stands best.
 
     Parameters
     ----------

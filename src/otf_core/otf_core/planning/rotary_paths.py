@@ -548,7 +548,7 @@ def _by_name(
 
 
 def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str:
-    """Say by the rank condition why an error will not be seen, and what would show it."""
+    """State by the rank condition why an error will not be seen, and what would show it."""
     axis = name[-1]
     moved = [p for p in parts if axis in _seen(machine, p) and _travels(machine, p, axis)]
     if not moved:
@@ -584,7 +584,7 @@ def _travels(machine: Machine, part: PlannedPart, axis: str) -> bool:
 
 
 def _combined(machine: Machine, part: PlannedPart, axis: str) -> bool:
-    """Tell whether a part turns an axis while another one in view moves."""
+    """Return whether a part turns an axis while another one in view moves."""
     steps = np.abs(np.diff(part.path.positions, axis=0)) > 0.0
     others = [machine.column(a) for a in _seen(machine, part) if a != axis]
     return bool(np.any(steps[:, machine.column(axis)] & steps[:, others].any(axis=1)))

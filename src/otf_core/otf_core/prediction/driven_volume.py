@@ -126,7 +126,7 @@ def driven_from_dict(data: Any, where: str) -> DrivenVolume | None:
 
 
 def _is_rows(values: Array, width: int) -> bool:
-    """Tell whether these are rows of finite numbers."""
+    """Return whether these are rows of finite numbers."""
     return values.ndim == 2 and values.shape[1] == width and bool(np.all(np.isfinite(values)))
 
 
@@ -155,7 +155,7 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
 
 
 def inside(tables: ErrorTables, driven: DrivenVolume | None, q: Array) -> NDArray[np.bool_]:
-    """Tell which positions (n, k), m and rad, lie in the tables and in what was driven.
+    """Determine which positions (n, k), m and rad, lie in the tables and in what was driven.
 
     The hull of what was driven is that of the linear axes.
     """

@@ -251,7 +251,7 @@ def state_words(history: History) -> str:
 
 
 def drift_words(history: History) -> list[str]:
-    """Say drift and next calibration in sentences."""
+    """State drift and next calibration in sentences."""
     drift, due = history.drift, history.due
     if drift is None:
         return ['Drift: at least two runs since the last event are needed']

@@ -180,7 +180,7 @@ def _scalar(result: AxisCalibration, name: str) -> tuple[float, float, bool]:
 
 
 def location_words(result: AxisCalibration, name: str) -> str:
-    """Say which way the line of an axis lies, in both habits of sign."""
+    """State which way the line of an axis lies, in both habits of sign."""
     value, u, seen = _scalar(result, name)
     axis = name[2]
     if not seen:

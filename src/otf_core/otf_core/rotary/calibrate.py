@@ -476,7 +476,7 @@ def _warnings(tabulated: AxisTables) -> tuple[str, ...]:
 def advice_for(
     machine: Machine, matched: Sequence[Matched], hidden: Sequence[str]
 ) -> dict[str, str]:
-    """Say for every error that the data do not show which path would show it."""
+    """State for every error that the data do not show which path would show it."""
     advice = {}
     moving = {
         axis

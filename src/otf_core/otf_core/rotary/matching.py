@@ -160,7 +160,7 @@ def nominal_places(machine: Machine) -> dict[str, Array]:
 
 
 def is_known(machine: Machine, name: str) -> bool:
-    """Tell whether the place of a target is given well enough to find the tracker with it."""
+    """Return whether the place of a target is given well enough to find the tracker with it."""
     return machine.targets[name].link == SPINDLE or machine.targets[name].u <= KNOWN
 
 

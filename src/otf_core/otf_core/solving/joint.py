@@ -398,7 +398,7 @@ def improved_runs(
 
 
 def _same_noise(fitted: FittedNoise, before: Array) -> bool:
-    """Tell whether noise has settled: it changed by little, or by less than is known of it."""
+    """Return whether noise has settled: it changed by little, or by less than is known of it."""
     change = np.abs(fitted.logs - before)
     return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 

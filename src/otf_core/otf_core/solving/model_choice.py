@@ -129,7 +129,7 @@ def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
 
 
 def is_finer(bases: Bases) -> bool:
-    """Tell whether these are the functions that are tried where others leave steps."""
+    """Return whether these are the functions that are tried where others leave steps."""
     return any(b.degree > 1 and len(b.knots) > INTERVALS + 1 for b in bases.values())
 
 
@@ -139,7 +139,7 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
 
 
 def _steps_unexplained(solved: SolvedRun) -> bool:
-    """Tell whether neighbouring pieces of a line differ by more than the noise."""
+    """Return whether neighbouring pieces of a line differ by more than the noise."""
     pairs = []
     for alike in solved.whitener.alike:
         noise = alike.moments.step.ravel()

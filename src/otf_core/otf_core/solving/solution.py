@@ -237,7 +237,7 @@ def determined_by_data(
     limit: float,
     rows: Array,
 ) -> NDArray[np.bool_]:
-    """Tell which combinations of unknowns the data determine without what is known before.
+    """Determine which combinations of unknowns the data determine without what is known before.
 
     Parameters
     ----------

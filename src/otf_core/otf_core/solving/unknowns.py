@@ -50,7 +50,7 @@ class Basis:
 
     @property
     def periodic(self) -> bool:
-        """Tell whether the functions repeat."""
+        """Return whether the functions repeat."""
         return False
 
     @property
@@ -252,7 +252,7 @@ def reversal_block(motion: str, order: int) -> str:
 
 
 def is_reversal(block: str) -> bool:
-    """Tell whether a block is a reversal coefficient; its first letters are the motion."""
+    """Return whether a block is a reversal coefficient; its first letters are the motion."""
     return block[3:4] == '_' and block[:3] in MOTIONS
 
 

@@ -370,7 +370,7 @@ def _alike(size: Index) -> Iterator[Index]:
 
 
 def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
-    """Say which of some legs has a covariance that is not positive definite."""
+    """State which of some legs has a covariance that is not positive definite."""
     lowest = np.linalg.eigvalsh(covariance)[..., 0]
     leg = int(pieces.leg[own[np.unravel_index(np.argmin(lowest), lowest.shape)[-1], 0]])
     return InputError(

@@ -430,7 +430,7 @@ class Followed:
         return _reaches_end(self.match, self.guide.vertices, self.config.match_tolerance)
 
     def is_of(self, track: Track, path: NominalPath, config: CalibrationConfig) -> bool:
-        """Tell whether this is what such a track, path and configuration give."""
+        """Return whether this is what such a track, path and configuration give."""
         same = config == self.config and np.array_equal(path.points, self.path.points)
         return same and track.same_as(self.measured)
 

@@ -354,7 +354,7 @@ def _freed(values: Array, width: int) -> Array:
 
 
 def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge | None:
-    """Tell how much of the arcs was driven; None if there is no curve or it cannot matter.
+    """Determine how much of the arcs was driven; None if there is no curve or it cannot matter.
 
     Parameters
     ----------

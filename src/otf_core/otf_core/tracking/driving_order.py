@@ -354,7 +354,7 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
 
 
 def as_planned(driven: list[Visit]) -> bool:
-    """Tell whether legs were only driven forward and in order."""
+    """Return whether legs were only driven forward and in order."""
     return all(v.sense == FORWARD for v in driven) and all(
         a.leg < b.leg for a, b in pairwise(driven)
     )

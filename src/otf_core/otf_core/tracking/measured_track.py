@@ -72,7 +72,7 @@ class Track:
         return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
 
     def same_as(self, other: Track) -> bool:
-        """Tell whether another track is the same in every bit."""
+        """Return whether another track is the same in every bit."""
         names = ('hops', 'points', 'start', 'stop', 'joined')
         return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 

@@ -91,7 +91,7 @@ SAME_UNIT = 0.05
 
 
 def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
-    """Say within which tolerance the track would fit, and whether corners are why."""
+    """State within which tolerance the track would fit, and whether corners are why."""
     for factor in WIDER_TOLERANCES:
         enough = factor * tolerance
         match = guide.find(measured_track(samples, enough), enough)

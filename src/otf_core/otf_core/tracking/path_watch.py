@@ -105,15 +105,15 @@ class PathWatcher:
         return self.end is not None and not self._looked_at
 
     def judge(self) -> None:
-        """Take note that the samples are evaluated; once a standstill is enough."""
+        """Record that the samples are evaluated; once a standstill is enough."""
         self._looked_at = True
 
     def dismiss(self) -> None:
-        """Take note that the standstill that was evaluated is not at the end of the path."""
+        """Record that the standstill that was evaluated is not at the end of the path."""
         self._next_end(None if self.end == self._here else self._here)
 
     def stays(self) -> None:
-        """Take note that the target has stood since the last sample, for long enough."""
+        """Record that the target has stood since the last sample, for long enough."""
         self._stood = self.end is not None and self.end == self._here
 
     @property
@@ -132,7 +132,7 @@ class PathWatcher:
 
     @in_one_thread  # as what it begins is calibrated, to the last bit
     def look(self, samples: Samples) -> Followed | None:
-        """Tell how the samples follow the path, and whether to its end; None if they do not.
+        """Determine how the samples follow the path, and whether to its end; None if they do not.
 
         They may be in the order of their arrival.
         """

@@ -190,7 +190,7 @@ class DeviceClock:
         self._suspects.append((device_ns, delay))
 
     def _late_for_long(self) -> bool:
-        """Tell whether late packets have come for long, on both clocks: a backlog has not."""
+        """Return whether late packets have come for long, on both clocks: a backlog has not."""
         measured = self._suspects[-1][0] - self._suspects[0][0]
         return min(measured, self._late_ns) >= LATE_FOR
 
@@ -265,6 +265,6 @@ class DeviceClock:
 
     @staticmethod
     def _raised(above: np.ndarray) -> bool:
-        """Tell whether the newest packets are late without exception."""
+        """Return whether the newest packets are late without exception."""
         older, newest = above[:-RAISED_FOR], above[-RAISED_FOR:]
         return bool(newest.min() > RAISED + np.median(older))

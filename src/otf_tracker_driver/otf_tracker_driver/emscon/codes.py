@@ -167,7 +167,7 @@ SAMPLE_TEXT = {
 
 
 def status_text(status: int) -> str:
-    """Say what a result code means."""
+    """State what a result code means."""
     if 4 <= status <= 10:
         return f'parameter {status - 3} is wrong (status {status})'
     if 11 <= status <= 22:
@@ -176,11 +176,11 @@ def status_text(status: int) -> str:
 
 
 def event_text(event: int) -> str:
-    """Say what a system status change means."""
+    """State what a system status change means."""
     return f'{EVENT_TEXT.get(event, "unknown to this driver")} (event {event})'
 
 
 def command_text(command: int) -> str:
-    """Say which command a number is."""
+    """State which command a number is."""
     known = {int(c): c.name.replace('_', ' ').lower() for c in Command}
     return f'{known.get(command, "unknown")} (command {command})'

@@ -131,7 +131,7 @@ async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]
 
 
 async def unchanged(link: Link) -> str:
-    """Say which setting that gives the samples their meaning has changed; empty if none."""
+    """State which setting that gives the samples their meaning has changed; empty if none."""
     if await link.ask(Command.GET_UNITS) != UNITS:
         return 'units'
     if await link.ask(Command.GET_COORDINATE_SYSTEM) != (codes.CARTESIAN_RIGHT_HANDED,):
@@ -203,7 +203,7 @@ async def _set_system(link: Link, measured: bool) -> tuple[str, ...]:
 
 
 async def _moves_nothing(link: Link, place: int) -> bool | None:
-    """Tell whether a transformation or orientation is the identity; None if it cannot be read."""
+    """Whether a transformation or orientation is the identity; None if it cannot be read."""
     get, identity = SHIFTS[place]
     got = await _optional(link, get)
     if got is None:

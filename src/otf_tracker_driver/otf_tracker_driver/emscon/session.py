@@ -108,7 +108,7 @@ class Session:
         self._made = _now()
 
     def stream(self, on: bool) -> None:
-        """Say whether a stream is wanted; a new one has nothing to do with that before."""
+        """Set whether a stream is wanted; a new one has nothing to do with that before."""
         if on and not self._streaming:
             self._wanted_stream += 1
             self._intake.forget()
@@ -167,7 +167,7 @@ class Session:
         return (LinkError if passing else TrackerError)(f'tracker at {self._address}: {error}')
 
     def _may_be_our_own(self, error: TrackerError) -> bool:
-        """Tell whether a tracker may just not have noticed that our last connection has ended."""
+        """Whether a tracker may just not have noticed that our last connection has ended."""
         refused = isinstance(error, Refused) and error.status == Status.MULTIPLE_CONNECTIONS
         return refused and _now() - self._made < LINGERS
 

@@ -105,7 +105,7 @@ def _json(line: str) -> object:
 
 
 def holds_one_object(datagram: bytes) -> bool:
-    """Tell whether all of a datagram is one JSON object, over however many lines."""
+    """Return whether all of a datagram is one JSON object, over however many lines."""
     try:
         return isinstance(json.loads(datagram), dict)
     except (ValueError, RecursionError):

@@ -261,7 +261,7 @@ class Reader:
             self._say(wrong)
 
     def _say(self, wrong: str) -> None:
-        """Say why lines are none, by an example; another one once twice as many have come."""
+        """State why lines are none, by an example; another one once twice as many have come."""
         if time.monotonic() - self._last_point < WRONG_FOR or self.unreadable < self._next_example:
             return
         self._next_example = 2 * self.unreadable
@@ -274,7 +274,7 @@ class Reader:
         return f'{self._how.source} sends nothing; is it on?'
 
     def _repeating(self) -> str:
-        """Say that times repeat, or go back and forth; empty if they do not."""
+        """State that times repeat, or go back and forth; empty if they do not."""
         points, repeated = self.points - self._begun_points, self.repeated - self._begun_repeated
         if points < MANY or max(repeated, self._back) <= FEW * points:
             return ''

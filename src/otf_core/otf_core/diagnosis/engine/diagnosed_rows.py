@@ -111,7 +111,7 @@ def rows_to_diagnose(
 
 
 def _likelier(rows: Rows, alone: float, fine: float, effects: Sequence[Effect]) -> bool:
-    """Tell whether effects at places are likelier than fine functions; see ``_likelihood``."""
+    """Return whether effects at places are likelier than fine functions; see ``_likelihood``."""
     causes = search(rows, _candidates(rows, effects))[0]
     allowed = NOT_FOLLOWED * (fine - alone) if _in_few_motions(causes) else 0.0
     return _likelihood(rows, causes) + max(allowed, 0.0) > fine + CLEAR
@@ -165,13 +165,13 @@ def _at_places(exclude: Sequence[str]) -> list[Effect]:
 
 
 def _stays_at_places(effect: Effect) -> bool:
-    """Tell whether fine functions of the positions of axes can follow an effect."""
+    """Return whether fine functions of the positions of axes can follow an effect."""
     cyclic = effect.wave is not None and not effect.wave.in_time
     return cyclic or effect.belongs_to is BelongsTo.TABLES
 
 
 def held_by(option: Option, bases: dict[str, Basis]) -> bool:
-    """Tell whether the fine functions of a calibration hold a wave that is an effect."""
+    """Return whether the fine functions of a calibration hold a wave that is an effect."""
     wave = option.effect.wave
     if wave is None or wave.in_time or not is_finer(bases):
         return False
@@ -180,7 +180,7 @@ def held_by(option: Option, bases: dict[str, Basis]) -> bool:
 
 
 def _in_few_motions(causes: Sequence[Cause]) -> bool:
-    """Tell whether something is found, and that in a few motions alone."""
+    """Return whether something is found, and that in a few motions alone."""
     many = [motions_of(c.option) for c in causes if c.option.effect.many_alike]
     return bool(causes) and all(len(motions) <= TOGETHER for motions in many)
 
@@ -272,7 +272,7 @@ def remove_steady_vibration(
 
 
 def _is_steady(cause: Cause) -> bool:
-    """Tell whether a cause swings all the time: at rest as well."""
+    """Return whether a cause swings all the time: at rest as well."""
     effect = cause.option.effect
     return effect.wave is not None and effect.wave.in_time and not isinstance(effect, FreeForm)
 
@@ -308,7 +308,7 @@ def _without(
 
 
 def _same(one: NoiseModel, other: NoiseModel) -> bool:
-    """Tell whether two noises are alike."""
+    """Return whether two noises are alike."""
     pairs = list(zip(one, other, strict=True))
     levels = [abs(np.log(a.level / b.level)) for a, b in pairs]
     times = [_factor(a.correlation_time, b.correlation_time) for a, b in pairs]

@@ -435,13 +435,13 @@ def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
 
 
 def _says_more(inputs: Sequence[str], causes: Sequence[Cause]) -> bool:
-    """Tell whether a function of time and more stands against shifts by free functions of time."""
+    """Whether a function of time and more stands against shifts by free functions of time."""
     effects = [c.option.effect for c in causes]
     alike = all(isinstance(e, FreeForm) and e.form.acts is vector for e in effects)
     return alike and not all(stands_for(n) == ('time',) or n.startswith(SIGNAL) for n in inputs)
 
 
 def _same(trace: Array, other: Array) -> bool:
-    """Tell whether two explanations take away the same."""
+    """Return whether two explanations take away the same."""
     rest = trace - other
     return float(rest @ rest) < THE_SAME * float(trace @ trace)

@@ -154,7 +154,7 @@ def _rows_of(some: Index, components: int, pieces: int) -> Index:
 
 
 def acts_on_lines(values: Array, bounds: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Tell which columns (c, p, k) are not zero on a line, shape (lines, k)."""
+    """Determine which columns (c, p, k) are not zero on a line, shape (lines, k)."""
     starts = [low for low, _ in bounds]
     return np.logical_or.reduceat((values != 0.0).any(axis=0), starts, axis=0)
 

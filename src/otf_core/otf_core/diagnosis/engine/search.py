@@ -177,13 +177,13 @@ def _worth(entry: tuple[float, Tried, Index]) -> float:
 
 
 def is_doubted(tried: Tried) -> bool:
-    """Tell whether this is a free form that is more than a rigid motion by one input."""
+    """Return whether this is a free form that is more than a rigid motion by one input."""
     effect = tried.effect
     return is_free(tried) and not (isinstance(effect, FreeForm) and effect.form.rigid)
 
 
 def is_free(tried: Tried) -> bool:
-    """Tell whether this is the free form of an effect; decoys, which have no name, have none."""
+    """Return whether this is the free form of an effect; decoys, which have no name, have none."""
     free = bool(tried.terms.orders) and not in_proportion(tried)
     return free and tried.effect.name not in DECOY_NAMES
 
@@ -278,7 +278,7 @@ def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
 
 
 def _is_likelier(one: Sequence[Cause], other: Sequence[Cause], rows: Rows) -> bool:
-    """Tell whether causes explain rows clearly better than others, for the same noise."""
+    """Return whether causes explain rows clearly better than others, for the same noise."""
     options = [[c.option for c in causes] for causes in (one, other)]
     residuals = [rows.residual - np.concatenate([o.own for o in part], axis=1)
             @ fit_jointly(causes, rows).value
@@ -405,7 +405,7 @@ def _weights(ranking: Ranking) -> Array:
 
 
 def _time_as_well(group: Sequence[Tried], chosen: Tried, take: Index, variance: float) -> bool:
-    """Tell whether functions of time explain as well what follows a signal."""
+    """Return whether functions of time explain as well what follows a signal."""
     if not signal_of(chosen):
         return False
     _, scores = _pairs([t for t in group if not signal_of(t)], variance)

@@ -50,7 +50,7 @@ def signal_of(tried: Tried) -> str:
 
 
 def in_proportion(tried: Tried) -> bool:
-    """Tell whether a form is in proportion to a signal: as simple as a formula."""
+    """Return whether a form is in proportion to a signal: as simple as a formula."""
     return bool(signal_of(tried)) and max(tried.terms.orders) == 0.0
 
 

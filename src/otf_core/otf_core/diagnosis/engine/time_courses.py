@@ -399,7 +399,7 @@ class _Way:
 
 
 def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
-    """Tell whether any effect that may switch, or a decoy, has the odds to be named."""
+    """Return whether any effect that may switch, or a decoy, has the odds to be named."""
     drivers = {
         e.name
         for g in groups.values()
@@ -509,7 +509,7 @@ def _price(moments: Array, jumps: bool) -> float:
 
 
 def _apart(moments: Array, end: float, *, jumps: bool) -> NDArray[np.bool_]:
-    """Tell which moments (m, c) are far enough from each other and from the end, shape (m,)."""
+    """Which moments (m, c) are far enough from each other and from the end, shape (m,)."""
     least = end * (JUMPS_APART if jumps else APART)
     apart = np.all(np.diff(moments, axis=1) >= least, axis=1)
     return np.asarray(apart & (moments[:, -1] < end * (1.0 - JUMPS_APART)))

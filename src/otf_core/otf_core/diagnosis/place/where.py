@@ -111,7 +111,7 @@ def _kinds(groups: Sequence[Group]) -> dict[str, list[Group]]:
 
 
 def stands_out(total: Group, groups: Sequence[Group]) -> bool:
-    """Tell whether there is anything beyond noise."""
+    """Return whether there is anything beyond noise."""
     most = max(g.significance for g in groups)
     return total.significance > SIGNIFICANT or most > MOST_SIGNIFICANT
 
@@ -155,7 +155,7 @@ def summary_words(
     *,
     loud: bool,
 ) -> str:
-    """Say in a few sentences where a gap lies and along which axes it points.
+    """State in a few sentences where a gap lies and along which axes it points.
 
     Parameters
     ----------
@@ -397,7 +397,7 @@ def where_and_shape(
     certain: bool = True,
     simulated: float | None = None,
 ) -> tuple[Where, str]:
-    """Tell where the gap lies, and its shape as ``describe_structure`` does, in one search.
+    """Determine where the gap lies, and its shape as ``describe_structure`` does, in one search.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ def _parsed(name: str) -> tuple[ErrorMotion, float, float, bool]:
     try:
         ends = float(low), float(high)
     except ValueError:
-        raise ConfigError(f'{where}: {low}..{high} is no interval') from None
+        raise ConfigError(f'{where}: {low}..{high} is not an interval') from None
     if not ends[1] > ends[0]:
         raise ConfigError(f'{where}: the interval is empty')
     return ErrorMotion.of(symbol), *ends, wave is not None

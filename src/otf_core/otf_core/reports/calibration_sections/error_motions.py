@@ -340,7 +340,7 @@ def _ends(position: Array) -> tuple[float, float]:
 
 
 def squareness_words(name: str, value: float, wide: float) -> str:
-    """Say a squareness error as an angle, to the last stated digit of its U.
+    """State a squareness error as an angle, to the last stated digit of its U.
 
     C0Y > 0 tilts +Y to -X, B0Z > 0 tilts +Z to +X, A0Z > 0 tilts +Z to -Y.
 
