@@ -56,7 +56,7 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
 @pytest.mark.parametrize(
     ('old', 'new', 'words'),
     [
-        ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected a text, got \['w', 'b'\]$"),
+        ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected text, got \['w', 'b'\]$"),
         (
             'name:',
             'feed: 3\nname:',
@@ -97,9 +97,9 @@ def test_whole_numbers_are_numbers(read):
         ('max: 0.5,', 'max: 0.5, maximum: 1,', 'axes: Y: maximum: unknown'),
         ('name: cell-600', 'name: a\nname: b', "'name' appears twice"),
         ('min: 0.0, max: 0.6', 'min: 0.0, min: 0.0, max: 0.6', "'min' appears twice"),
-        ('name: cell-600', 'name: 600', 'name: expected a text'),
-        ('name: cell-600', 'name: ""', 'name: expected a text'),
-        ('name: cell-600', 'name:', 'name: expected a text'),
+        ('name: cell-600', 'name: 600', 'name: expected text'),
+        ('name: cell-600', 'name: ""', 'name: expected text'),
+        ('name: cell-600', 'name:', 'name: expected text'),
         ('name: cell-600', r'name: "a\nG0 X100"', 'name: expected one line without control'),
         ('name: cell-600', r'name: "a\x07"', 'name: expected one line without control'),
         ('name: cell-600', r'name: "a\L"', 'name: expected one line without control'),

@@ -197,7 +197,7 @@ class Fields:
         """Return a text that is not empty."""
         value = self.take(key)
         if not isinstance(value, str) or not value.strip():
-            self.fail(key, f'expected a text, got {shown(value)}')
+            self.fail(key, f'expected text, got {shown(value)}')
         return value
 
     def line(self, key: str) -> str:

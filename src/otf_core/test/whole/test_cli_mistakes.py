@@ -27,7 +27,7 @@ PLAN = '{"schema": "otf-plan/1", "path": [[0, 0, NUMBER], [1, 1, 1]]}'
         (('tracker', 'u_range'), 0.5, 'is it in um? Write 5e-07 m'),
         (('tracker', 'u_angle'), 2.0, 'is it in urad? Write 2e-06 rad'),
         (('axes', 'X', 'max'), 10**400, 'the number is too large'),
-        (('name',), [[[1] * 9] * 9] * 9, 'expected a text'),
+        (('name',), [[[1] * 9] * 9] * 9, 'expected text'),
         (('target_offset',), [['x' * 10**5] * 9] * 9, 'expected a list of 3 numbers'),
         (('axes', 'X', 'min'), {'a': 'x' * 10**5}, 'expected a plain number'),
     ],

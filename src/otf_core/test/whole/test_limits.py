@@ -61,7 +61,7 @@ def test_every_error_of_the_model_can_have_a_limit():
             "limits: C0Y: expected a plain number in SI units, got 'small'",
         ),
         ('limits', [1], 'limits: expected a mapping of keys to values, got list'),
-        ('instrument', {'serial': 750123}, 'instrument: serial: expected a text, got 750123'),
+        ('instrument', {'serial': 750123}, 'instrument: serial: expected text, got 750123'),
         ('instrument', {'colour': 'red'}, 'instrument: colour: unknown key'),
         (
             'conditions',

@@ -110,7 +110,7 @@ def test_the_echo_names_the_presets_and_stands_on_its_own():
             {'preset': 'shed'},
             "uncertainty: preset: 'shed' is not a preset; known here: labor",
         ),
-        ({'preset': 3}, None, 'tracker: preset: expected a text'),
+        ({'preset': 3}, None, 'tracker: preset: expected text'),
         ({'preset': 'ltd-class', 'u_rang': 1e-6}, None, 'tracker: u_rang: unknown key'),
         ({'preset': 'ltd-class', 'u_range': 0}, None, 'tracker: u_range: 0 is out of range'),
         ({'u_range': 1e-6}, None, 'tracker: u_angle: missing'),

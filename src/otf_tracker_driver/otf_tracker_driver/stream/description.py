@@ -151,7 +151,7 @@ def _source(top: Fields) -> Source:
 def _separator(top: Fields) -> str:
     value = top.take('separator')
     if not isinstance(value, str) or not value:
-        top.fail('separator', f'expected a text, got {shown(value)}')
+        top.fail('separator', f'expected text, got {shown(value)}')
     return _escaped(value)
 
 

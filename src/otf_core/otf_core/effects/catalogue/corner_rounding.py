@@ -90,7 +90,7 @@ class CornerRounding(Effect):
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Distance from the corner point."""
-        remark = f'at the corner, a third of it {1e3 * fitted.shape["l"]:.2g} mm away'
+        remark = f'at the corner; a third of that {1e3 * fitted.shape["l"]:.2g} mm away'
         return (Size('', ({'A': 1.0},), 'm', remark),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
