@@ -222,6 +222,9 @@ MAX_RATIO_OF_CHANGES = 0.5
 once the poses have moved, it is another one for what the data hardly show."""
 NOISE_SETTLED = 0.1
 """Change of the logarithms of noise and misfit below which they count as settled."""
+MAX_JUDGED_PIECES = 3000
+"""Pieces, about, that tell what the data determine."""
+GOLDEN = 0.6180339887498949
 PARTS_PER_INTERVAL = 8
 """Parts of an interval between knots in tables for use inside."""
 
@@ -460,9 +463,7 @@ def solve_jointly(
     poses = [run.pose for run in runs]
     systems = systems_of(runs, poses, unknowns, start.tables if start else None)
     whiteners = whiteners_of(runs, systems)
-    accepted = (
-        start.accepted if start else find_identifiable_blocks(runs, unknowns, whiteners, limit)
-    )
+    accepted = start.accepted if start else find_identifiable_blocks(runs, unknowns, limit)
     normal = summed(systems, unknowns, whiteners, accepted)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
@@ -527,15 +528,34 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
     return whiteners
 
 
+def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
+    """Every n-th piece of every leg, others from leg to leg: about ``MAX_JUDGED_PIECES`` of all."""
+    step, found = -(-sum(len(run.pieces) for run in runs) // MAX_JUDGED_PIECES), []
+    for run in runs:
+        low, high = np.array(leg_bounds(run.pieces.leg)).T
+        # multiples of the golden section keep no step with the order of a path
+        part = np.arange(len(low)) * GOLDEN % 1.0
+        first = low + (np.minimum(step, high - low) * part).astype(np.int64)
+        drop = (np.arange(len(run.pieces)) - np.repeat(first, high - low)) % step != 0
+        found.append(replace(run, pieces=run.pieces.without(drop)))
+    return found
+
+
 def find_identifiable_blocks(
-    runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
+    runs: Sequence[AnyRun], unknowns: Unknowns, limit: float
 ) -> tuple[str, ...]:
-    """Blocks of unknowns that the data determine, to ``limit``, ``unidentifiable_above``."""
+    """Blocks of unknowns that the data determine, to ``limit``, ``unidentifiable_above``.
+
+    Some of the pieces stand for all: what the data determine, they determine many times over.
+    """
+    some = _thinned(runs)
     judged = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
-        for k, run in enumerate(runs)
+        for k, run in enumerate(some)
     ]
-    return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
+    normal = summed(judged, unknowns, whiteners_of(some, judged))
+    share = sum(len(run.pieces) for run in some) / sum(len(run.pieces) for run in runs)
+    return identifiable_blocks(replace(normal, matrix=normal.matrix / share), unknowns, limit)
 
 
 def left_by(systems: Sequence[System], solution: Solution) -> list[Array]:

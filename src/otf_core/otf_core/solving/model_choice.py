@@ -38,7 +38,6 @@ import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array, Index
-from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
@@ -49,6 +48,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.joint import (
+    GOLDEN,
     JointSolution,
     SolvedRun,
     Start,
@@ -96,7 +96,8 @@ MIN_FIRST_LEGS = 20
 """Fewer legs, however long, are not enough for that."""
 MAX_FIRST_ITERATIONS = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
-GOLDEN = 0.6180339887498949
+CLEAR = 30.0
+"""Difference of log likelihoods of some of the legs that all of them cannot turn round."""
 
 
 @dataclass(frozen=True)
@@ -169,11 +170,10 @@ def choose_shapes(
     """
     limit = config.unidentifiable_above
     smooth = layout(smooth_bases(nodes), len(runs))
-    whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
-    seen = find_identifiable_blocks(runs, smooth, whiteners, limit)
+    seen = find_identifiable_blocks(runs, smooth, limit)
     start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
-    best, scores = _try_all(moved, nodes, start, whiteners, limit)
+    best, scores = _try_all(moved, nodes, start, limit)
     improved = improved_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
@@ -207,13 +207,11 @@ def _started(
 
 
 def _try_all(
-    runs: Sequence[Observed],
-    nodes: Mapping[str, Array],
-    start: Start,
-    whiteners: Sequence[Whitener],
-    limit: float,
+    runs: Sequence[AnyRun], nodes: Mapping[str, Array], start: Start, limit: float
 ) -> tuple[JointSolution, dict[str, float]]:
     """Linear solutions with some functions, and with finer ones where the best leaves steps.
+
+    Functions that some of the legs rule out are not solved for with all of them.
 
     Returns
     -------
@@ -222,23 +220,34 @@ def _try_all(
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    poses = [r.pose for r in runs]
-    systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
+    poses, smooth = [r.pose for r in runs], layout(smooth_bases(nodes), len(runs))
 
-    def fit(name: str) -> _Tried:
-        return _tried(systems, start, whiteners, limit, _CHOICES[name](nodes))
+    def rows(of: Sequence[Observed]) -> tuple[list[System], list[Whitener]]:
+        systems = systems_of(of, poses, smooth, start.tables)
+        return systems, whiteners_of(of, systems)
 
-    first = (SMOOTH, STRAIGHT)
-    fits = shared_out(fit, first, (systems, start, whiteners))
-    tried = dict(zip(first, fits, strict=True))
-    best = max(fits, key=attrgetter('likelihood'))
-    solution = best.solved(systems, poses, whiteners)
+    def fits(names: Sequence[str], of: tuple[list[System], list[Whitener]]) -> dict[str, _Tried]:
+        return {name: _tried(*of, start, limit, _CHOICES[name](nodes)) for name in names}
+
+    scores = _likelihoods(fits((SMOOTH, STRAIGHT), rows(_thinned(runs))))
+    every = rows(runs)
+    tried = fits([name for name, score in scores.items() if score > -CLEAR], every)
+    if len(tried) > 1:
+        scores = _likelihoods(tried)
+    best = max(tried.values(), key=attrgetter('likelihood'))
+    solution = best.solved(*every, poses)
     if any(_steps_unexplained(run) for run in solution.runs):
-        tried[FINER] = fit(FINER)
-        if tried[FINER].likelihood > best.likelihood:
-            best = tried[FINER]
-            solution = best.solved(systems, poses, whiteners)
-    return solution, {name: one.likelihood - best.likelihood for name, one in tried.items()}
+        finer = fits([FINER], every)[FINER]
+        scores[FINER] = finer.likelihood - best.likelihood
+        if scores[FINER] > 0.0:
+            solution = finer.solved(*every, poses)
+    return solution, {name: score - max(scores.values()) for name, score in scores.items()}
+
+
+def _likelihoods(tried: Mapping[str, _Tried]) -> dict[str, float]:
+    """Log likelihoods, less the best."""
+    most = max(one.likelihood for one in tried.values())
+    return {name: one.likelihood - most for name, one in tried.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, legs: Index) -> AnyRun:
@@ -282,8 +291,8 @@ class _Tried:
     def solved(
         self,
         systems: Sequence[System],
-        poses: Sequence[RigidTransform],
         whiteners: Sequence[Whitener],
+        poses: Sequence[RigidTransform],
     ) -> JointSolution:
         """With what it leaves of the rows of any functions at the same poses and positions."""
         own = [s.of_unknowns(self.unknowns) for s in systems]
@@ -296,8 +305,8 @@ class _Tried:
 
 def _tried(
     systems: Sequence[System],
-    start: Start,
     whiteners: Sequence[Whitener],
+    start: Start,
     limit: float,
     bases: Bases,
 ) -> _Tried:
