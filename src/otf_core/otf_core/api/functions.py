@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +16,6 @@ from otf_core.bags import bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.diagnosis.diagnose import calibrate_with_effects
-from otf_core.diagnosis.diagnose import diagnose as diagnose_runs
-from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
 from otf_core.errors import ConfigError, ShapeError
@@ -33,16 +31,14 @@ from otf_core.model.tables import ErrorTables, TablesFile, load_tables, tables_f
 from otf_core.noise.noise_model import read_noise as noise_from_file
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.planning.nc import DIALECTS
-from otf_core.planning.path_creation import plan_path
-from otf_core.planning.plan_report import PlanReport, PlanRequest, make_plan
 from otf_core.prediction import predict as evaluation
 from otf_core.prediction.predict import Prediction
-from otf_core.reports import calibration, plan_files
-from otf_core.reports import diagnosis as reports
+from otf_core.reports import calibration
 from otf_core.reports.calibration import result_to_dict
-from otf_core.sim import cell
-from otf_core.sim.twin import twin_recording
+
+if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
+    from otf_core.diagnosis.result import Diagnosis
+    from otf_core.planning.plan_report import PlanReport
 
 # Public functions that read a run and write results.
 
@@ -180,9 +176,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Name, *, overwrite: bool = Fal
     >>> [file.name for file in files]
     ['report.html', 'gap.json']
     """
-    return _written(
-        folder, overwrite, 'diagnose', lambda place: reports.write_diagnosis(diagnosis, place)
-    )
+    from otf_core.reports.diagnosis import write_diagnosis
+
+    return _written(folder, overwrite, 'diagnose', lambda place: write_diagnosis(diagnosis, place))
 
 
 def write_plan(
@@ -208,12 +204,13 @@ def write_plan(
     >>> [file.name for file in files]
     ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.svg', 'report.html', 'plan.json']
     """
+    from otf_core.planning.nc import DIALECTS
+    from otf_core.reports.plan_files import write_report
+
     if dialect is not None and dialect not in DIALECTS:
         raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')
     chosen = None if dialect is None else DIALECTS[dialect]
-    return _written(
-        folder, overwrite, 'plan', lambda place: plan_files.write_report(report, place, chosen)
-    )
+    return _written(folder, overwrite, 'plan', lambda place: write_report(report, place, chosen))
 
 
 def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
@@ -226,10 +223,15 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     """
     if isinstance(of, CalibrationResult):
         return calibration.format_result(of)
+    from otf_core.diagnosis.result import Diagnosis
+    from otf_core.planning.plan_report import PlanReport
+    from otf_core.reports.diagnosis import format_diagnosis
+    from otf_core.reports.plan_files import format_report
+
     if isinstance(of, Diagnosis):
-        return reports.format_diagnosis(of)
+        return format_diagnosis(of)
     if isinstance(of, PlanReport):
-        return plan_files.format_report(of)
+        return format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 
@@ -300,6 +302,9 @@ def calibrate(
     with giving_back():
         if effects is None:
             return calibrate_runs(runs, config, progress, METHODS[method])
+        from otf_core.diagnosis.diagnose import calibrate_with_effects
+        from otf_core.sim.twin import twin_recording
+
         result = calibrate_with_effects(
             runs, str(effects), twin_recording, config, progress, method
         )
@@ -345,8 +350,11 @@ def diagnose(
         raise ConfigError(
             f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(REGISTRY)}'
         )
+    from otf_core.diagnosis.diagnose import diagnose
+    from otf_core.sim.twin import twin_recording
+
     with giving_back():
-        return diagnose_runs(runs, twin_recording, exclude, config, progress)
+        return diagnose(runs, twin_recording, exclude, config, progress)
 
 
 def predict(
@@ -482,6 +490,8 @@ def plan(
     >>> 0 < report.forecast.mean_grid_u < 2e-6
     True
     """
+    from otf_core.planning.plan_report import PlanRequest, make_plan
+
     config = config or PlannerConfig()
     place = None if tracker_place is None else np.asarray(tracker_place, dtype=float)
     if place is not None and (place.shape != (3,) or not np.all(np.isfinite(place))):
@@ -539,6 +549,10 @@ def simulate(
     >>> bool(abs(run.T_machine_tracker.translation - report.setup.place).max() < 1e-12)
     True
     """
+    from otf_core.planning.path_creation import plan_path
+    from otf_core.planning.plan_report import PlanReport
+    from otf_core.sim.cell import simulate
+
     config = config or SimulationConfig()
     if seed is not None:
         config = replace(config, seed=seed)
@@ -553,7 +567,7 @@ def simulate(
         truth = load_tables(tables).tables
     if truth is not None:
         truth = truth.on(machine)
-    run = cell.simulate(machine, driven, config, truth, _effects(effects, machine), place)
+    run = simulate(machine, driven, config, truth, _effects(effects, machine), place)
     name = f'simulation of seed {config.seed}'
     return Simulation(
         Recording(run.samples, driven.path, machine, name),
