@@ -32,7 +32,7 @@ FAULTS = {
     'none': '',
     'beam lost': 'beam_loss=0.05',
     'packets split and merged': 'split,merge',
-    'server says that it closes': 'close_after=9',
+    'server announces that it closes': 'close_after=9',
     'connection cut': 'cut_after=9',
     'stream falls silent': 'silent=0.04',
     'clock jumps ahead': 'clock_jump=0.04',

@@ -144,8 +144,8 @@ class CalibrationConfig(Parameters):
         'm or rad', 1e-7, 1.0,
     )  # fmt: skip
     reversal: str = parameter(
-        'auto', 'errors that differ between forward and backward travel: one value per motion, '
-        'tables along the axis, or by evidence on held-out legs',
+        'auto', 'errors that differ between forward and backward travel: none, one value per '
+        'motion, tables along the axis; auto: chosen on held-out legs',
         choices=('auto', 'none', 'constant', 'tables'),
     )  # fmt: skip
 
@@ -230,13 +230,13 @@ class ForecastConfig(Parameters):
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
     acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)
     error_size: float = parameter(
-        2e-5, 'mean volumetric error expected, of motions that are taken as smooth', 'm',
+        2e-5, 'expected mean volumetric error, of motions that are assumed to be smooth', 'm',
         1e-7, 1e-1,
     )  # fmt: skip
     grid: int = parameter(7, 'points per axis of the evaluation grid', '', 2, 15)
     min_range: float = parameter(
-        0.15, 'shortest beam: places of the tracker nearer to the path are left out', 'm', 0.01, 10
+        0.15, 'shortest beam: tracker positions nearer to the path are left out', 'm', 0.01, 10
     )
     max_range: float = parameter(
-        20.0, 'longest beam: places of the tracker further away are left out', 'm', 0.1, 100
+        20.0, 'longest beam: tracker positions further away are left out', 'm', 0.1, 100
     )

@@ -33,7 +33,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.sim.cell import EPOCH_NS, SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
-from otf_core.sim.signals import signal_courses
+from otf_core.sim.simulated_signals import signal_courses
 from otf_core.threads import in_one_thread
 
 OBSERVED_RATE = 100.0

@@ -144,7 +144,7 @@ def particulars(
     tables = [
         of_rows(('besides', 'cells'), score.further(outcomes)),
         of_rows(('sizes', ''), score.sizes(recovered, outcomes)),
-        Table(('hidden', 'answered rightly', 'answers'), confusion),
+        Table(('hidden', 'answered correctly', 'answers'), confusion),
         confidences(outcomes),
     ]
     if alone:
@@ -164,7 +164,7 @@ def confidences(outcomes: Sequence[Outcome]) -> Table:
 
 
 def misses(outcomes: Sequence[Outcome]) -> Table:
-    """Every cell that was not answered rightly, or with a needless cause."""
+    """Every cell that was not answered correctly, or with a needless cause."""
     rows = []
     for o in outcomes:
         if o.is_right and not o.extra:

@@ -133,7 +133,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         return [o for o in outcomes if o.kind == kind and all(o.visible)]
 
     def named(words: str, kind: str) -> Row:
-        return _right(f'{words}: named rightly', of(kind))
+        return _right(f'{words}: named correctly', of(kind))
 
     every = {kind: [o for o in outcomes if o.kind == kind] for kind in ('mixture', 'small')}
     parts = [f for o in every['mixture'] for f, v in zip(o.found, o.visible, strict=True) if v]
@@ -150,7 +150,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         _left(', less than a third of the gap left', of('departed'), THIRD),
         named('a table that tilts', 'tilt'),
         named('one on a machine of 2 m to 6 m', 'long'),
-        Row('one that follows a signal: named rightly, with its signal',
+        Row('one that follows a signal: named correctly, with its signal',
             sum(o.is_right and bool(o.follows) for o in signal), len(signal)),
         named('one effect, two tracker places', 'places'),
         Row('two or three causes: visible ones named', sum(parts), len(parts)),
@@ -172,7 +172,7 @@ def further(outcomes: Sequence[Outcome]) -> list[Row]:
     return [
         Row(f'noise as specified: {", ".join(NOISE)} named',
             sum(bool(NOISE & set(o.extra)) for o in noise), len(noise)),
-        Row('one cause named rightly: a needless one besides',
+        Row('one cause named correctly, and a needless one',
             sum(bool(o.extra) for o in right), len(right)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
         _results(', attributed to another', hidden, 'wrong', 'second'),
@@ -186,7 +186,7 @@ def first_place(alone: Sequence[Outcome]) -> list[Row]:
     """What the first tracker place alone says of cells measured from two."""
     hidden = [o for o in alone if not o.visible[0]]
     return [
-        _right('named rightly', [o for o in alone if o.visible[0]]),
+        _right('named correctly', [o for o in alone if o.visible[0]]),
         _results('no trace from there: listed as not visible', hidden, 'not_visible'),
         _results(', attributed to another', hidden, 'wrong', 'second'),
     ]
@@ -204,7 +204,7 @@ def _label(outcome: Outcome) -> str:
 
 
 def confusion(outcomes: Sequence[Outcome]) -> list[tuple[Row, str]]:
-    """Hidden effects, how often answered rightly, and what was answered how often."""
+    """Hidden effects, how often answered correctly, and what was answered how often."""
     single = [o for o in outcomes if len(o.truth) < 2]
     lines = []
     for hidden in sorted({o.truth for o in single}):

@@ -209,7 +209,8 @@ def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument(
         '--wanted-uncertainty', type=float, metavar='UM',
-        help='choose them for this forecast mean grid uncertainty in a short time (um, k = 1)',
+        help='choose lines, passes and feeds that reach this forecast mean grid uncertainty in a '
+        'short time (um, k = 1)',
     )  # fmt: skip
     sub.add_argument(
         '--tracker-place', metavar='X,Y,Z',

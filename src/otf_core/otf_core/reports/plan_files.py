@@ -415,7 +415,7 @@ def program_header(report: PlanReport) -> list[str]:
         f'{report.forecast.duration:.0f} S',
         f'{", ".join(spans)} MM',
         'ERROR COMPENSATION OFF, OR AS IT IS TO BE VERIFIED',
-        'TRY IN THE AIR FIRST',
+        'DRY RUN WITHOUT WORKPIECE FIRST',
     ]
 
 

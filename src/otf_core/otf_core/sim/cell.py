@@ -25,7 +25,7 @@ from otf_core.model.signals import Signal
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
-from otf_core.sim.signals import signal_courses, simulated_signals
+from otf_core.sim.simulated_signals import signal_courses, simulated_signals
 from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
 
 EPOCH_NS = 1_700_000_000_000_000_000

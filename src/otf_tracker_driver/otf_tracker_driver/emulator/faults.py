@@ -19,10 +19,10 @@ class Faults(Parameters):
     split: float = parameter(0.0, 'chance that a packet is sent in pieces', '', 0, 1)
     merge: float = parameter(0.0, 'chance that packets are sent together', '', 0, 1)
     close_after: float = parameter(
-        0.0, 'the server says that it closes, and closes, so long after each connection; 0: never',
+        0.0, 'the server announces that it closes, and closes, this long after each connection; 0: never',
         's', 0, 1e6,
     )  # fmt: skip
-    cut_after: float = parameter(0.0, 'the same without a word; 0: never', 's', 0, 1e6)
+    cut_after: float = parameter(0.0, 'the same without notice; 0: never', 's', 0, 1e6)
     busy: float = parameter(0.0, 'chance that a command is answered with busy', '', 0, 0.9)
     speed_warning: float = parameter(0.0, 'chance of samples with a speed warning', '', 0, 1)
     speed_exceeded: float = parameter(0.0, 'chance of samples of a target too fast', '', 0, 1)
@@ -30,7 +30,7 @@ class Faults(Parameters):
         0.0, 'chance of an unknown sample status, event, error and packet type', '', 0, 1
     )
     clock_jump: float = parameter(0.0, 'chance that the clock jumps ahead by 2 s', '', 0, 1)
-    silent: float = parameter(0.0, 'chance that no more packets come, without a word', '', 0, 1)
+    silent: float = parameter(0.0, 'chance that no more packets come, without notice', '', 0, 1)
     foreign: float = parameter(0.0, 'chance that another program sets millimetres', '', 0, 1)
     jitter: float = parameter(1e-3, 'mean delay of packets', 's', 0, 0.1)
     late: float = parameter(0.01, 'chance that a packet is late by up to 60 ms', '', 0, 1)
