@@ -4,9 +4,9 @@
 Right is: the true effect is the first cause, or named as indistinguishable from it in a short
 list; of a cause in another form, any name that fits it. tracker_noise is a cause like any other;
 it may be named besides where the noise has heavy tails. An effect that leaves next to nothing in
-the residual is answered correctly by listing it as not visible and naming no other cause. Of a cause of
-no catalogue, 'unknown' is right, and the inputs that the answer names are compared with those of
-the truth.
+the residual is answered correctly by listing it as not visible and naming no other cause. Of a
+cause of no catalogue, 'unknown' is right, and the inputs that the answer names are compared with
+those of the truth.
 """
 
 from __future__ import annotations

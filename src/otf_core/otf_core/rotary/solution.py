@@ -263,13 +263,8 @@ def _settle(
         change = _change(residuals, before)
         stuck = change > MAX_RATIO_OF_CHANGES * last
         if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
-            solved = tuple(
-                SolvedAxisRun(*row)
-                for row in zip(
-                    own, systems, whiteners, residuals,
-                    [m[0] for m in models], [m[1] for m in models], strict=True,
-                )
-            )  # fmt: skip
+            columns: list[Any] = [own, systems, whiteners, residuals, *zip(*models, strict=True)]
+            solved = tuple(SolvedAxisRun(*row) for row in zip(*columns, strict=True))
             undamped = solve(normal, unknowns, limit, accepted, rough.precision)
             return AxisSolution(
                 machine, unknowns, replace(undamped, value=value), rough, normal, solved,

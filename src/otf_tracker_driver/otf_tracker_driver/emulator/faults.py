@@ -19,7 +19,9 @@ class Faults(Parameters):
     split: float = parameter(0.0, 'chance that a packet is sent in pieces', '', 0, 1)
     merge: float = parameter(0.0, 'chance that packets are sent together', '', 0, 1)
     close_after: float = parameter(
-        0.0, 'the server announces that it closes, and closes, this long after each connection; 0: never',
+        0.0,
+        'the server announces that it closes, and closes, this long after each connection; '
+        '0: never',
         's', 0, 1e6,
     )  # fmt: skip
     cut_after: float = parameter(0.0, 'the same without notice; 0: never', 's', 0, 1e6)
