@@ -7,9 +7,12 @@ import numpy as np
 import yaml
 
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.joints import Sight
+from otf_core.model.joints import exact_position as exact_of_parts
 from otf_core.model.kinematics import displacement, exact_position
-from otf_core.model.machine import load_machine
+from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.rotary.tabulation import evenly_spread, without_rigid
 from otf_core.sim.cell import random_tables
 
 ERROR_SIZE = 5e-5
@@ -53,8 +56,22 @@ def write_truth(folder, machine_file, seed=3):
 def share_left(found_file, truth_file):
     """Mean error on a grid with compensation, as a share of that without."""
     truth, found = load_tables(truth_file).tables, load_tables(found_file).tables
+    if truth.machine.rotary_names:
+        return _share_left_over_axes(found, truth)
     q = lattice(truth.machine)
     before = exact_position(truth, q) - q
     fields = (before - displacement(found, q), before)
     left, all_of_it = (mean_length(without_rigid_motion(field, q)) for field in fields)
+    return left / all_of_it
+
+
+def _share_left_over_axes(found, truth):
+    """The same over the ranges of all axes, the target in the spindle."""
+    machine = truth.machine
+    q = evenly_spread(machine.lower, machine.upper, 400)
+    sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
+    before = exact_of_parts(truth, sight, q) - sight.nominal(q)
+    fields = (before - displacement(found, q), before)
+    free = (without_rigid(machine, q, field.reshape(-1, 1)) for field in fields)
+    left, all_of_it = (float(np.linalg.norm(field)) for field in free)
     return left / all_of_it

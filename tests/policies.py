@@ -9,7 +9,8 @@ from pathlib import Path
 FILE = Path(__file__).parents[1] / 'src/otf_bringup/config/policies.xml'
 ROLES = ('publish', 'subscribe', 'request', 'reply', 'call', 'execute')
 OTHER_SIDE = {'publish': 'subscribe', 'reply': 'request', 'execute': 'call'}
-ELSEWHERE = {('subscribe', '/clock'), ('publish', '/tf_static'), ('publish', '/planner/path')}
+ELSEWHERE = {('subscribe', '/clock'), ('publish', '/tf_static')}
+ELSEWHERE |= {('publish', '/planner/path'), ('publish', '/planner/axes')}
 """With use_sim_time, with tf2_ros, and by a driver that replays a path, only."""
 DISCOVERED = 20.0
 """s; what a node does is told apart from its names, and after them."""

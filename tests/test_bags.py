@@ -9,9 +9,9 @@ from graph import offline, without_date
 
 from otf_core.bags.bag import read_bag
 
-MACHINES = sorted(Path(__file__).parents[1].glob('bags/*/machine.yaml'))
-BAGS = [file.parent for file in MACHINES if 'rotary' not in file.read_text(encoding='utf-8')]
-"""The live nodes take machines with three linear axes."""
+BAGS = sorted(file.parent for file in Path(__file__).parents[1].glob('bags/*/machine.yaml'))
+MOST_LEFT = {'trunnion': 0.1}
+"""Share of the errors left where it is not the usual one: 40 samples per second."""
 
 
 @pytest.mark.parametrize('folder', BAGS, ids=lambda folder: folder.name)
@@ -30,12 +30,12 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
     assert result.status == result.OK
     assert (result.samples_lost, result.samples) == (0, len(read_bag(bag).samples))
     live = Path(result.output_directory) / 'error_tables.json'
-    assert share_left(live, folder / 'truth.json') < 0.02
+    assert share_left(live, folder / 'truth.json') < MOST_LEFT.get(folder.name, 0.02)
     again = offline(bag, machine_file, tmp_path / 'offline')
     assert without_date(live.read_bytes()) == again.replace(b'"name": "bag"', b'"name": "samples"')
 
 
 def test_the_bags_of_all_chains_are_small():
-    assert (len(BAGS), len(MACHINES)) == (3, 4)
-    files = [f for machine in MACHINES for f in machine.parent.rglob('*') if f.is_file()]
+    assert len(BAGS) == 4
+    files = [f for folder in BAGS for f in folder.rglob('*') if f.is_file()]
     assert sum(file.stat().st_size for file in files) < 10e6

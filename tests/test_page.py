@@ -51,13 +51,25 @@ def a_run():
     run = LiveRun()
     run.set_path(NominalPath(CORNERS))
     run.set_progress(
-        RunProgress('BUFFERING', 'driving', 0.42, 75.0, 1234, 7, 0.3, '<b>go</b>'), 1.0
+        RunProgress('BUFFERING', 'driving', 0.42, 75.0, 1234, 7, 0.3, '<b>go</b>', 5, 3, 'nest-1'),
+        1.0,
     )
-    solved = {'EXX': (12.34e-6, 0.5e-6), 'EAZ': (0.0, float('nan'))}
+    solved = {'EXX': (12.34e-6, 0.5e-6), 'EAZ': (0.0, float('nan')), 'EXC': (3e-6, 0.2e-6)}
     square = {'C0Y': (-20e-6, 1e-6)}
     words = ('<script>document.title = "broken"</script>',)
     run.set_solved(
-        Solved(True, True, 'so far, 5 um', 5e-5, 1e-6, 1e-6, solved, square, words),
+        Solved(
+            True,
+            True,
+            'so far, 5 um',
+            5e-5,
+            1e-6,
+            1e-6,
+            solved,
+            square,
+            {'A0C': (8e-6, 1e-6)},
+            words,
+        ),
         RigidTransform(np.eye(3), np.array([0.1, -0.4, 0.0])),
     )
     run.volume = VolumeErrors(CORNERS, np.full((4, 3), 1e-5), np.full((4, 3), 1e-6), True)
@@ -150,6 +162,7 @@ def test_browser_shows_the_run(tmp_path):
     words = ' '.join(re.sub(r'<[^>]*>', ' ', shown).split())
     for expected in ('this is the last they reported', '1,234', '7 (0.6 %)', '0.3 of 0.9 m',
                      'collecting samples 42 % about 1 min 15 s left', 'so far, 5 µm',
+                     '3 of 5, target nest-1', 'EXC 3.0 ± 0.2', 'A0C 8.0 ± 1.0',
                      'EXX 12.3 ± 0.5', 'EAZ not known', 'C0Y -20.0 ± 1.0',
                      '20.0 µm', '0.100, -0.400, 0.000 m', '&lt;b&gt;go', 'so far'):  # fmt: skip
         assert expected in words, words

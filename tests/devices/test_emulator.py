@@ -12,18 +12,25 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 from cells import write_machine
 from emulated import DRIFT, cell, emulator
 
+from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
+from otf_core.model.axis_path import AxisPath
+from otf_core.model.machine import load_machine
+from otf_core.planning.rotary_paths import PlannedPart
 from otf_tracker_driver.emscon.codes import Command
+from otf_tracker_driver.emulator import cell as cell_module
 from otf_tracker_driver.emulator import measuring
 from otf_tracker_driver.emulator.device import Device
 from otf_tracker_driver.emulator.faults import Faults, read_faults
 
+TRUNNION = Path(__file__).parents[2] / 'bags' / 'trunnion'
 RECORDED = {5: (66, 67, 0.651), 10: (33, 34, 0.321), 20: (16, 17, 0.661)}
 """Samples per packet of recorded trackers, and the share of the larger, by ms between samples."""
 
@@ -165,6 +172,37 @@ def test_lost_beam_is_told_as_recorded_and_nothing_comes_after():
         assert client.ask(63, struct.pack('<d', 3.0))[0] == 0
         assert client.ask(49)[0] == 0
         client.close()
+
+
+def test_reflector_that_is_moved_by_hand_is_found_again_at_the_next_target(monkeypatch):
+    monkeypatch.setattr(cell_module, 'BY_HAND', 1000)
+    machine = load_machine(TRUNNION / 'machine.yaml')
+    q = np.zeros((2, 2, 5))
+    q[0, 1, 0], q[1, 1, 3] = 0.02, 0.02
+    parts = [
+        PlannedPart(AxisPath(machine.axis_names, own, name), 0.0, '')
+        for own, name in zip(q, ('tool', 'nest-1'), strict=True)
+    ]
+    simulated = cell_module.Cell(machine, PlannerConfig(), 1, DRIFT, None, parts)
+    with emulator(simulated=simulated) as running:
+        client = Client(running.port)
+        started(client)
+        while struct.unpack_from('<i', packet := client.packet(), 4)[0] != 1:
+            pass
+        assert struct.unpack('<4i', packet) == (16, 1, 64, 701)
+        assert client.ask(63, struct.pack('<d', 3.0))[0] == 10004  # it is in somebody's hand
+        until = time.monotonic() + 5.0
+        while client.ask(63, struct.pack('<d', 3.0))[0] and time.monotonic() < until:
+            pass
+        count = len(running.true_ns)
+        assert client.ask(49)[0] == 0
+        while len(running.true_ns) < count + 100:
+            client.packet()
+        client.close()
+    points = np.array([np.frombuffer(point) for point in running.true_ns])
+    assert np.linalg.norm(points[:count] - points[0], axis=1).max() < 0.021
+    assert np.linalg.norm(points[count:] - points[-1], axis=1).max() < 0.021
+    assert np.linalg.norm(points[-1] - points[0]) > 0.05
 
 
 def test_server_says_that_it_closes():

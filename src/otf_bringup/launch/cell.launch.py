@@ -153,7 +153,10 @@ def rate(given):
 
 def elsewhere(given):
     """Return remappings of what comes from other namespaces; tf stays within the cell."""
-    names = {'tracker': ('point', 'status', 'gap', 'calibrated'), 'planner': ('path', 'plan')}
+    names = {
+        'tracker': ('point', 'status', 'gap', 'calibrated'),
+        'planner': ('path', 'axes', 'plan'),
+    }
     return [
         *([('/tf_static', 'tf_static')] if given['namespace'] else []),
         *(

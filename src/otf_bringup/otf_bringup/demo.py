@@ -4,7 +4,8 @@
 Planner, tracker driver and calibrator run as processes of their own, as with the launch files. The
 errors of the machine are drawn here and given to the driver only; the calibrator never sees them.
 With ``--diagnose`` the run is diagnosed as well, with ``--effects`` there is something to find.
-With ``--view`` a page in the browser shows how it goes.
+With ``--view`` a page in the browser shows how it goes. ``--machine five-axis`` takes a small
+trunnion machine, whose reflector is moved by hand from the spindle to three places on the table.
 """
 
 from __future__ import annotations
@@ -29,17 +30,27 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.evaluation import lattice, without_rigid_motion
-from otf_core.model.expanded import micro_figure, micro_significant
+from otf_core.model.expanded import COVERAGE_FACTOR, micro_figure, micro_significant
+from otf_core.model.joints import Sight
+from otf_core.model.joints import exact_position as exact_position_of
 from otf_core.model.kinematics import displacement, exact_position
-from otf_core.model.machine import load_machine
+from otf_core.model.machine import SPINDLE, TABLE, load_machine
+from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
+from otf_core.rotary.tabulation import evenly_spread, without_rigid
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import CalibrationResult, GapReport
 
 ERROR_SIZE = 1e-4
 """m; mean volumetric error of the simulated machine."""
-RATE = 500.0
-"""Hz"""
+RATE, ROTARY_RATE = 500.0, 200.0
+"""Hz; of a machine with rotary axes, whose run takes longer."""
+SPEED, ROTARY_SPEED = 10.0, 20.0
+"""Times as fast as measured."""
+PLACES = 1000
+"""Positions of all axes at which errors are compared."""
+FIVE_AXIS = 'five-axis'
+"""Name of a machine that comes along."""
 
 
 class DemoError(OtfError):
@@ -75,8 +86,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         '--seed', type=int, default=7, help='seed of errors and noise (%(default)s)'
     )
     parser.add_argument(
-        '--machine', type=Path, default=share / 'config' / 'machine.yaml', help='machine.yaml'
-    )
+        '--machine', type=Path, default=share / 'config' / 'machine.yaml',
+        help='machine.yaml; or five-axis: a small trunnion machine',
+    )  # fmt: skip
     parser.add_argument(
         '--effects', type=Path, help='effects.yaml: what else is wrong in the simulated cell'
     )
@@ -86,7 +98,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--view', action='store_true', help='show the run in the browser while it is driven'
     )
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.machine == Path(FIVE_AXIS):
+        options.machine = share / 'config' / f'{FIVE_AXIS}.yaml'
+    return options
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -101,7 +116,7 @@ def _run(options: argparse.Namespace) -> int:
             f'calibrator on ROS_DOMAIN_ID={domain}\n',
             flush=True,
         )
-        nodes = _start(out, options, environment)
+        nodes = _start(out, options, environment, rotary=bool(truth.machine.rotary_names))
         with ended_together(nodes):
             from otf_bringup.monitor import follow
 
@@ -111,7 +126,7 @@ def _run(options: argparse.Namespace) -> int:
             result, gap = follow(domain, nodes, options.diagnose)
             took = time.monotonic() - started
             if result.run_id:
-                _report(truth, result)
+                (_report_axes if truth.machine.rotary_names else _report)(truth, result)
             if result.run_id and gap:
                 _report_gap(gap)
             if address:
@@ -128,6 +143,9 @@ def _prepare(out: Path, options: argparse.Namespace) -> ErrorTables:
     machine = load_machine(machine_file)
     if seed < 0:
         raise ConfigError(f'--seed: {seed} is negative')
+    if machine.rotary_names and (options.effects or options.diagnose):
+        option = '--effects' if options.effects else '--diagnose'
+        raise ConfigError(f'{option}: not available for machines with rotary axes')
     if options.effects:
         read_effects(options.effects, machine)
     truth = random_tables(machine, ERROR_SIZE, np.random.default_rng(seed))
@@ -138,20 +156,22 @@ def _prepare(out: Path, options: argparse.Namespace) -> ErrorTables:
 
 
 def _start(
-    out: Path, options: argparse.Namespace, environment: dict[str, str]
+    out: Path, options: argparse.Namespace, environment: dict[str, str], *, rotary: bool
 ) -> list[NodeProcess]:
     """Start the nodes; what shows them first."""
     machine = {'machine_file': out / 'machine.yaml'}
-    simulation = {'rate': RATE, 'seed': options.seed, 'truth_tables': out / 'truth.json'}
+    rate = ROTARY_RATE if rotary else RATE
+    simulation = {'rate': rate, 'seed': options.seed, 'truth_tables': out / 'truth.json'}
     if options.effects:
         simulation['effects'] = options.effects.absolute()
     simulated = {f'simulated.{name}': value for name, value in simulation.items()}
     results = {'output_directory': out / 'calibrations', 'diagnose': options.diagnose}
-    speed = {'time_scale': 10.0, 'max_rate': 6000.0}
+    speed = {'time_scale': ROTARY_SPEED if rotary else SPEED, 'max_rate': 6000.0}
+    short = {'levels': 2} if rotary else {}
     shown = {'page': {'port': 0}, 'viewer': {}} if options.view else {}
     given: dict[str, dict[str, Any]] = {
         **shown,
-        'path_planner': machine,
+        'path_planner': {**machine, **short},
         'calibrator': {**machine, **results},
         'tracker_driver': {**machine, **simulated, **speed},
     }
@@ -189,12 +209,45 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
         f'alone holds here: mean {micro_significant(alone["mean"])}, largest '
         f'{micro_significant(alone["max"])}.'
     )
+    _report_end(result, folder)
+
+
+def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
+    """Print verdict and headline of a machine with rotary axes, and what is left of the errors."""
+    folder, machine = Path(result.output_directory), truth.machine
+    found = load_tables(folder / 'error_tables.json').tables
+    q = evenly_spread(machine.lower, machine.upper, PLACES)
+    sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
+    before = exact_position_of(truth, sight, q) - sight.nominal(q)
+    print((folder / 'summary.txt').read_text(encoding='utf-8').partition('\n\n')[0])
+    print(f'\nAgainst the true errors of this simulation, at {len(q)} positions of all axes:')
+    for when, field in (
+        ('as it stands', before),
+        ('compensated', before - displacement(found, q)),
+    ):
+        free = without_rigid(machine, q, field.reshape(-1, 1)).reshape(-1, 3)
+        length = np.linalg.norm(free, axis=1)
+        mean, largest = (1e6 * float(size()) for size in (length.mean, length.max))
+        print(f'  {when}: mean {mean:.2f} um, largest {largest:.2f} um')
+    print('Where the lines of the rotary axes lie (U, k = 2):')
+    wide = COVERAGE_FACTOR * 1e6
+    for name, value, u in zip(
+        result.location, result.location_value, result.location_u, strict=True
+    ):
+        print(f'  {name}: {1e6 * value:.2f} +/- {wide * u:.2f} u{unit_of(name)}')
+    if result.not_identifiable:
+        print(f'Not determined: {", ".join(result.not_identifiable)}; the report says why.')
+    _report_end(result, folder)
+
+
+def _report_end(result: CalibrationResult, folder: Path) -> None:
+    """Print what was lost, and where the files are."""
     if result.samples_lost:
         share = 100 * result.samples_lost / (result.samples + result.samples_lost)
         print(
             f'{result.samples_lost} samples ({share:.1f} %) were lost on the way to the '
-            f'calibrator: this computer is too slow for ten times the speed of the machine. The '
-            f'remaining samples were used.'
+            f'calibrator: this computer is too slow for so many times the speed of the machine. '
+            f'The remaining samples were used.'
         )
     print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
 

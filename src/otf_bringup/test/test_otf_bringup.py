@@ -27,6 +27,8 @@ def test_every_analyzer_of_diagnostics_looks_for_a_node_that_diagnoses():
         assert one['type'] == 'diagnostic_aggregator/GenericAnalyzer' and one['timeout'] > 1.0
 
 
-@pytest.mark.parametrize('name', ['record_qos.yaml', 'machine.yaml', 'backlash.yaml'])
+@pytest.mark.parametrize(
+    'name', ['record_qos.yaml', 'machine.yaml', 'five-axis.yaml', 'backlash.yaml']
+)
 def test_files_are_yaml(name):
     assert yaml.safe_load((CONFIG / name).read_text())

@@ -23,12 +23,15 @@ from otf_core.live.stages import DIAGNOSE, Progress, of_whole
 from otf_core.memory import give_back, seldom_look_for_cycles
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
+from otf_core.rotary.calibrate import calibrate_axes
 from otf_core.sim.twin import twin_recording
 
 
 def _calibrate(task: CalibrationTask, progress: Progress) -> Solved:
     """Calibrate a run; OtfError if that is not possible."""
     runs = [task.recording]
+    if task.recording.machine.rotary_names:
+        return calibrate_axes(runs, task.config, progress, task.method)
     if task.effects != NONE:
         return calibrate_with_effects(
             runs, task.effects, twin_recording, task.config, progress, task.method

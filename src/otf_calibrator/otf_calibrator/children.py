@@ -31,6 +31,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import OtfError
 from otf_core.live.stages import Progress
 from otf_core.pieces.runs import Recording
+from otf_core.rotary.calibrate import AxisCalibration
 
 MODULE = 'otf_calibrator.child'
 LOOK = 0.05
@@ -38,7 +39,8 @@ LOOK = 0.05
 OF_A_CAUSE = ('effects*.yaml', 'calibration_plain', 'calibration_with_effects')
 """What a diagnosis writes only if it names a cause."""
 
-Solved = CalibrationResult | EffectsCalibration
+AnyCalibration = CalibrationResult | AxisCalibration
+Solved = AnyCalibration | EffectsCalibration
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,10 @@ from otf_calibrator.losses import LATE, Restarts, Stream
 from otf_core.bags.sample_order import Clock, Screening
 from otf_core.calibration.first_sight import TwoPaths, first_legs
 from otf_core.config import CalibrationConfig
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
+from otf_core.rotary.run_progress import PartsWatcher, watcher_of
 from otf_core.tracking.path_watch import NEARLY as DRIVEN
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -161,7 +163,7 @@ class Collector:
         self.missed = 0
         self.restarts = Restarts()
         self._taken_up = False
-        self._lap_taken = False
+        self._lap_taken, self._parts_taken = False, 0
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
         self._lost_before = 0
@@ -239,7 +241,7 @@ class Collector:
         before, config = self.path, self._config()
         if before is not None and _same(path, before):
             return PathTaken.KNOWN
-        if before is not None and not self.taken and self.travelled > MOTION:
+        if before is not None and self.driving:
             if self.other is not None and _same(path, self.other.path):
                 return PathTaken.KNOWN
             self.other = OtherPath(path, config, True, len(self.buffer), message)
@@ -251,6 +253,27 @@ class Collector:
         self.path, self.path_message = path, message
         self._watch()
         return PathTaken.USED
+
+    def set_parts(self, path: PartsTrack, *, further: bool) -> None:
+        """Take the parts of a machine with rotary axes; samples that came before them are kept.
+
+        Parameters
+        ----------
+        path : PartsTrack
+        further : bool
+            They begin with the parts that are known: the run goes on. Else samples so far are set
+            aside.
+        """
+        self.other = None
+        if self.path is not None and not further and (self.taken or len(self.buffer)):
+            self._next_run('other parts were published')
+        self.path = path
+        self._watch()
+
+    @property
+    def driving(self) -> bool:
+        """Whether a run is being driven."""
+        return not self.taken and self.travelled > MOTION
 
     def two_paths(self, at_the_end: bool) -> TwoPaths | None:
         """Return what tells which of two paths is driven, if it should be asked now; once."""
@@ -421,14 +444,29 @@ class Collector:
             self._counted.add(name)
 
     def first_lap(self) -> tuple[Samples, NominalPath] | None:
-        """Return the samples so far, and the part of the path they are of, after one lap; once."""
-        if self.taken or self.path is None or self._lap_taken:
+        """Return the samples so far, and the part of the path they are of, after one lap; once.
+
+        Of a run of several parts after each of them but the last.
+        """
+        if self.taken or self.path is None:
+            return None
+        if isinstance(self.path, PartsTrack):
+            return self._parts_so_far(self.path)
+        if self._lap_taken:
             return None
         lap = self.path.first_lap
         if self.travelled < lap.length + MOTION:
             return None
         self._lap_taken = True
         return self.buffer.snapshot(), lap
+
+    def _parts_so_far(self, path: PartsTrack) -> tuple[Samples, NominalPath] | None:
+        assert isinstance(self.watcher, PartsWatcher), 'of such a path'
+        done = len(self.watcher.starts)
+        if done <= self._parts_taken:
+            return None
+        self._parts_taken = done
+        return self.buffer.snapshot(stop=self.watcher.starts[-1]), path.first_parts(done)
 
     def end_to_judge(self) -> Samples | None:
         """Return the samples of a run that may be over if they should be looked at; once."""
@@ -452,9 +490,10 @@ class Collector:
         stream = self._stream
         goes_on = stream.name and not stream.ended and self.publishers
         stopped = stream.ended and not stream.finished
-        over = self.travelled >= DRIVEN * self.path.length
+        driven = self.watcher.share if self.watcher else 0.0
+        over = driven >= DRIVEN
         if not goes_on and not stopped:
-            over |= self.travelled > max(MOTION, NEARLY * self.path.length)
+            over |= self.travelled > MOTION and driven > NEARLY
         if idle_timeout and idle > idle_timeout and over:
             return f'no sample for {idle:.0f} s'
         return ''
@@ -538,8 +577,8 @@ class Collector:
 
     def _watch(self) -> None:
         self.run += 1
-        self._lap_taken = False
-        self.watcher = PathWatcher(self.path, self._config()) if self.path else None
+        self._lap_taken, self._parts_taken = False, 0
+        self.watcher = watcher_of(self.path, self._config()) if self.path else None
         watchers = [self.watcher] if self.watcher else []
         if self.other:
             other = self.other

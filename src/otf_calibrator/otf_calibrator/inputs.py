@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -12,16 +12,21 @@ from typing import Any
 from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import JointTrajectory
 
 from otf_calibrator.collector import PathTaken
 from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.session import Session
+from otf_calibrator.parts import Heard
+from otf_calibrator.session import Session, Settings
+from otf_core.arrays import Array
 from otf_core.bags.bag_signals import topic_of
+from otf_core.bags.cdr import encode_axes
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import GAP, STATUS
 from otf_core.contradictions.recording_checks import check_path
-from otf_core.errors import OtfError
+from otf_core.errors import InputError, OtfError
+from otf_core.model.axis_path import PartsTrack, nominal_track
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerGap, TrackerStatus
@@ -30,30 +35,89 @@ from otf_ros.convert import ns_from_time
 from otf_ros.definitions import message_text
 from otf_ros.topic_watch import senders
 
+SHOWN_TURN = 0.01
+"""rad between points of a track that is shown: chords leave 3 um at a radius of 0.25 m."""
+
 
 class PathReceiver:
     """Hands every path that fits the machine to the session, and states what became of it.
 
+    Of a machine with rotary axes that is the parts on the topic ``axes``. One part of a machine
+    without is its path.
+
     Parameters
     ----------
     node : rclpy.node.Node
-    files : callable
-        The files that the parameters name now.
+    path, axes : str
+        Topics.
+    settings : callable
+        Returns the present parameters.
     """
 
     def __init__(
-        self, node: Node, topic: str, session: Session, files: Callable[[], CalibratorConfig]
+        self,
+        node: Node,
+        path: str,
+        axes: str,
+        session: Session,
+        settings: Settings,
     ) -> None:
-        self._node, self._topic, self._session, self._files = node, topic, session, files
-        self.machine = load_machine(files().machine_file)
+        self._node, self._session, self._settings = node, session, settings
+        self._topic, self._axes = path, axes
+        self.machine = load_machine(settings()[0].machine_file)
         """As described when the last path arrived."""
-        node.create_subscription(Path, topic, self._receive, qos.PATH)
+        self._track = node.create_publisher(Path, 'calibrator/track', qos.PATH)
+        node.create_subscription(Path, path, self._receive, qos.PATH)
+        node.create_subscription(JointTrajectory, axes, self._receive_part, qos.PARTS)
+        self._shown: PartsTrack | None = None
+
+    def show(self, places: Mapping[str, Array] | None = None) -> None:
+        """Publish the track of the reflectors of new parts, or with places that were found.
+
+        Parameters
+        ----------
+        places : mapping of target to ndarray, shape (3,), m, optional
+        """
+        path = self._session.collector.path
+        if not isinstance(path, PartsTrack) or (path is self._shown and not places):
+            return
+        self._shown = path
+        track = nominal_track(path.machine, path.parts, places, SHOWN_TURN)
+        now = self._node.get_clock().now().to_msg()
+        self._track.publish(convert.path_to_message(track, now))
+
+    def _receive_part(self, message: JointTrajectory) -> None:
+        log, sender = self._node.get_logger(), senders(self._node, self._axes)
+        intake = self._session.intake
+        try:
+            part = convert.axes_from_message(message)
+            self.machine = load_machine(self._settings()[0].machine_file)
+            if not self.machine.rotary_names:
+                self._receive(convert.path_of_part(part.of(self.machine), message.header.stamp))
+                return
+            stamp_ns = ns_from_time(message.header.stamp)
+            data = encode_axes(part.axes, part.positions, stamp_ns, part.target)
+            heard = intake.part(part, self.machine, data, stamp_ns)
+        except OtfError as error:
+            log.error(f'{self._axes} of {sender} ignored: {error}')
+            return
+        text = f"part '{part.target}' of {len(part.positions)} corners"
+        if heard == Heard.NEXT:
+            log.warning(f'{text} was published in mid-run by {sender}; {heard.value}')
+        elif heard != Heard.KNOWN:
+            log.info(f'{text}, for {len(self._session.collector.buffer)} samples so far')
 
     def _receive(self, message: Path) -> None:
         sender, log = senders(self._node, self._topic), self._node.get_logger()
         try:
             path = convert.path_from_message(message)
-            self.machine = load_machine(self._files().machine_file)
+            self.machine = load_machine(self._settings()[0].machine_file)
+            if self.machine.rotary_names:
+                raise InputError(
+                    f'{self.machine.name} has the rotary axes '
+                    f'{", ".join(self.machine.rotary_names)}; publish axis positions on '
+                    f'{self._axes}'
+                )
             check_path(path, self.machine)
         except OtfError as error:
             log.error(f'{self._topic} of {sender} ignored: {error}')
@@ -93,7 +157,8 @@ def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
     ConfigError
         If the journal cannot be kept where the parameters say.
     """
-    specs = [s for s in load_machine(files.machine_file).signals if s.type]
+    intake.machine = load_machine(files.machine_file)
+    specs = [s for s in intake.machine.signals if s.type]
     intake.signals = SignalBuffer(specs)
     for spec in specs:
         module, _, kind = spec.type.replace('/msg/', '.msg/').partition('/')

@@ -16,15 +16,18 @@ from numpy.typing import NDArray
 
 from otf_calibrator.collector import Collector, PathTaken
 from otf_calibrator.losses import lost_words
+from otf_calibrator.parts import Heard, PartsHeard
 from otf_calibrator.publishers import Choice, SequenceWatch
 from otf_calibrator.request import Request
 from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
-from otf_core.bags.cdr import DecodedPoints, decode_path
+from otf_core.bags.cdr import DecodedPoints, decode_axes, decode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.rosbag2_metadata import GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import AXES, GAP, OTHER_POINT, PATH, POINT, STATUS
 from otf_core.bags.sample_order import judged
 from otf_core.errors import InputError
+from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
 from otf_core.model.declared_signals import SignalSpec
+from otf_core.model.machine import TOOL, Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
@@ -105,6 +108,11 @@ class Intake:
         Takes messages for the user.
     publishers : callable
         Returns how many publishers of samples the graph knows at this moment.
+
+    Attributes
+    ----------
+    machine : Machine or None
+        As described when the last part arrived, or at the start.
     """
 
     def __init__(
@@ -116,6 +124,8 @@ class Intake:
         self._collector, self._warn = collector, warn
         self.journal: Journal | None = None
         self.signals = SignalBuffer()
+        self.machine: Machine | None = None
+        self._parts = PartsHeard()
         self._sequence, self._choice = SequenceWatch(publishers), Choice()
         self._apart = 0
         self._gaps: set[bytes] = set()
@@ -129,6 +139,33 @@ class Intake:
         if fate == PathTaken.USED and self.journal:
             self.journal.message(PATH, message)
         return fate
+
+    def part(self, part: AxisPath, machine: Machine, message: bytes, stamp_ns: int) -> Heard:
+        """Take a part of a run of a machine with rotary axes, and its message.
+
+        Raises
+        ------
+        InputError
+            If the part is not of this machine.
+        """
+        part.of(machine)
+        collector, now = self._collector, time.monotonic()
+        self.machine = machine
+        heard = self._parts.take(part, message, stamp_ns, now, collector.driving)
+        if heard in (Heard.ADDED, Heard.NEW):
+            self._use_parts(further=heard == Heard.ADDED)
+        return heard
+
+    def _use_parts(self, *, further: bool) -> None:
+        """The parts of the plan are those of the run."""
+        self._collector.set_parts(self._track(), further=further)
+        if self.journal:
+            self.journal.message(AXES, *self._parts.plan.messages)
+
+    def _track(self) -> PartsTrack:
+        """Track of the parts of the plan."""
+        assert self.machine is not None, 'of which the parts are'
+        return nominal_track(self.machine, self._parts.plan.parts)
 
     def follow_the_other_path(self) -> None:
         """The samples since another path came follow that one: they are a run of their own."""
@@ -251,6 +288,10 @@ class Intake:
         self._apart = 0
         if collector.run_over() and self.journal:
             self.journal.message(PATH, collector.path_message)
+        if self._parts.run_over():
+            collector.path = self._track()
+            if self.journal:
+                self.journal.message(AXES, *self._parts.plan.messages)
         if not collector.taken:
             place = f'; they are in {folder}' if folder else ''
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
@@ -279,6 +320,8 @@ class Intake:
         folder = self.journal.end('set aside: reset') if self.journal else None
         self._collector.reset()
         self._apart = 0
+        if self._parts.run_over():
+            self._use_parts(further=False)
         return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
@@ -336,6 +379,7 @@ class Intake:
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in others]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
+            wrong = ''
             for part in recorded.parts:
                 for topic, content in part:
                     if isinstance(content, DecodedPoints):
@@ -347,6 +391,9 @@ class Intake:
                         path = NominalPath(decode_path(content, PATH.frame))
                         self._collector.set_path(path, content)
                         journal.message(PATH, content)
+                    elif topic == AXES:
+                        wrong = wrong or self._restore_part(content)
+                        journal.keep(AXES, *self._parts.plan.messages)
                     elif topic == GAP:
                         self.gap(*gap(content), content)
                     else:
@@ -360,7 +407,21 @@ class Intake:
                 for stamp, value in zip(signal.stamp_ns, signal.value, strict=True):
                     self.signals.add(spec, int(stamp), float(value))
             said.append(f'{recorded.run.folder}: continues with {count} samples of it')
+            said += [f'its parts are not of this machine: {wrong}'] if wrong else []
         return '; '.join(said)
+
+    def _restore_part(self, message: bytes) -> str:
+        """Take a part of a run that is taken up; say what is wrong with it, empty if nothing."""
+        frame, names, positions = decode_axes(message)
+        part = AxisPath(names, positions, frame or TOOL)
+        try:
+            assert self.machine is not None, 'known at the start'
+            part.of(self.machine)
+        except InputError as error:
+            return str(error)
+        self._parts.restore(part, message, time.monotonic())
+        self._collector.set_parts(self._track(), further=True)
+        return ''
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
         """Signals of a run that is taken up."""

@@ -17,7 +17,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
 
-from otf_calibrator.children import CalibrationTask, Solved, Solver
+from otf_calibrator.children import AnyCalibration, CalibrationTask, Solved, Solver
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Early, Request
 from otf_core.bags.bag import BagContent, write_bag
@@ -27,12 +27,14 @@ from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest, written_files
-from otf_core.files.writing import DISK_FULL, DiskFull
+from otf_core.files.writing import DISK_FULL, DiskFull, write_text
 from otf_core.history.store import add_run
 from otf_core.live.stages import Progress
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
+from otf_core.reports import rotary_calibration
 from otf_core.reports.calibration import (
     REPORT_FILE,
     RESIDUALS_FILE,
@@ -44,12 +46,15 @@ from otf_core.reports.calibration import (
     write_residuals_of_both,
     write_with_effects,
 )
+from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import Followed
 
 Writer = Callable[[Path], object]
 FilesWriter = Callable[[Path, dict[str, str]], object]
 A = TypeVar('A')
-Look = Callable[[Samples], Followed | None]
+Seen = Followed | PartsDriven
+Look = Callable[[Samples], Seen | None]
 Wake = Callable[[], None]
 
 BAG = 'samples'
@@ -69,7 +74,7 @@ class Calibrated:
 
     request: Request
     recording: Recording
-    result: CalibrationResult
+    result: AnyCalibration
     folder: Path | None
     later: Mapping[str, Writer]
     problem: str = ''
@@ -98,7 +103,7 @@ class Worker:
         self._stop, self._ahead = threading.Event(), threading.Event()
         self._cancelled = threading.Event()
         self._solver = Solver()
-        self._seen: Followed | None = None
+        self._seen: Seen | None = None
         self._early: Early | None = None
         self.stage, self.fraction = '', 0.0
 
@@ -116,7 +121,7 @@ class Worker:
         """End the calibration under way at its next step."""
         self._cancelled.set()
 
-    def look_ahead(self, request: Request) -> Future[CalibrationResult]:
+    def look_ahead(self, request: Request) -> Future[AnyCalibration]:
         """Calibrate what has been driven so far, until a calibration is started."""
         self._ahead.clear()
         self._solver.warm_up()
@@ -140,7 +145,7 @@ class Worker:
             (BAG, files.save_bag),
         ):
             try:
-                if wanted:
+                if wanted and name in writers:
                     writers[name](folder)
             except OtfError as error:
                 missing[name] = DISK_FULL if isinstance(error, DiskFull) else str(error)
@@ -185,7 +190,7 @@ class Worker:
             self._progress(stage, fraction)
 
         try:
-            recording = replace(recording_of(early.request), seen=self._seen)
+            recording = replace(recording_of(early.request), seen=self._followed)
             early.solved = self._solve(recording, early.request, progress)
         except Cancelled:
             if not self._stop.is_set():
@@ -217,21 +222,26 @@ class Worker:
             raise Cancelled('the calibration was cancelled; its samples stay')
         self.stage, self.fraction = stage, fraction
 
-    def _provisional(self, request: Request) -> CalibrationResult:
+    @property
+    def _followed(self) -> Followed | None:
+        """What was found of the track, where that saves time."""
+        return self._seen if isinstance(self._seen, Followed) else None
+
+    def _provisional(self, request: Request) -> AnyCalibration:
         def progress(stage: str, fraction: float) -> None:
             if self._ahead.is_set():
                 raise Cancelled('the run is calibrated')
 
         task = CalibrationTask(recording_of(request), request.config, request.files.method, NONE)
         result = self._solver.solve(task, progress)
-        assert isinstance(result, CalibrationResult), 'no effects are removed'
+        assert isinstance(result, AnyCalibration), 'no effects are removed'
         return result
 
     def _calibrate(self, request: Request, early: Early | None) -> Calibrated:
         solved = None if early is None else early.solved
         if early is not None and solved is not None:
             request = replace(request, signals=early.request.signals)
-        recording = replace(recording_of(request), seen=self._seen)
+        recording = replace(recording_of(request), seen=self._followed)
         if solved is None:
             solved = self._solve(recording, request, self._progress)
         result, write, later = _written(solved)
@@ -254,8 +264,20 @@ class Worker:
         return self._solver.solve(task, progress)
 
 
-def _written(solved: Solved) -> tuple[CalibrationResult, FilesWriter, dict[str, Writer]]:
+def _written(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Writer]]:
     """The result, what writes its files as far as they fit, and what adds the larger ones."""
+    if isinstance(solved, AxisCalibration):
+        return (
+            solved,
+            lambda folder, missing: rotary_calibration.write_calibration(
+                solved, folder, report=False, missing=missing
+            ),
+            {
+                REPORT_FILE: lambda folder: write_text(
+                    folder / REPORT_FILE, rotary_calibration.page(solved)
+                )
+            },
+        )
     if isinstance(solved, CalibrationResult):
         result, write_first = solved, functools.partial(write_calibration, solved)
         later: dict[str, Writer] = {
@@ -280,7 +302,9 @@ def _written(solved: Solved) -> tuple[CalibrationResult, FilesWriter, dict[str, 
 def _write_samples(outcome: Calibrated, folder: Path) -> None:
     """Write path and samples of a run as a bag."""
     recording, signals = outcome.recording, outcome.request.signals
-    write_bag(folder / BAG, BagContent(recording.samples, recording.path, signals=signals))
+    path = None if recording.axis_paths else recording.path
+    content = BagContent(recording.samples, path, signals=signals, axis_paths=recording.axis_paths)
+    write_bag(folder / BAG, content)
 
 
 def recording_of(request: Request) -> Recording:
@@ -291,7 +315,10 @@ def recording_of(request: Request) -> Recording:
     # in the order in which the offline command takes them from a bag
     samples = in_time_order(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
     signals = {spec.name: signal for spec, signal in request.signals.items()}
-    return Recording(samples, request.path, machine, BAG, tuple(remarks), signals)
+    parts = request.path.parts if isinstance(request.path, PartsTrack) else ()
+    return Recording(
+        samples, request.path, machine, BAG, tuple(remarks), signals, axis_paths=parts
+    )
 
 
 def check_files(files: CalibratorConfig, changed: Collection[str] | None = None) -> None:
@@ -311,6 +338,10 @@ def check_files(files: CalibratorConfig, changed: Collection[str] | None = None)
         if not files.machine_file:
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         machine = load_machine(files.machine_file)
+        if files.effects != NONE and machine.rotary_names:
+            raise ConfigError(
+                f'parameter effects: not available for machines with rotary axes ({machine.name})'
+            )
         if files.effects not in (NONE, AUTO):
             read_effects(files.effects, machine)
     if not files.history_directory:

@@ -14,6 +14,7 @@ from otf_calibrator.diagnostics import tell
 from otf_calibrator.inputs import PathReceiver, listen, status_of, stream_before
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import check_files
+from otf_calibrator.messages import places_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import OutcomePublisher
 from otf_calibrator.session import Session
@@ -28,9 +29,10 @@ from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at if nothing happens to them."""
-POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
-GAP = 'tracker/gap'
-READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS, GAP: qos.EVENTS}
+POINT, PATH, AXES = 'tracker/point', 'planner/path', 'planner/axes'
+STATUS, GAP = 'tracker/status', 'tracker/gap'
+READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, AXES: qos.PARTS}
+READ |= {STATUS: qos.STATUS, GAP: qos.EVENTS}
 
 AT_CALIBRATION = {
     'machine_file', 'output_directory', 'history_directory', 'method', 'save_bag', 'report',
@@ -40,7 +42,7 @@ AT_CALIBRATION = {
 
 
 class Calibrator(Node):
-    """From ``planner/path`` and ``tracker/point`` to the topics below ``calibrator/``.
+    """From ``planner/path`` (``axes``) and ``tracker/point`` to the topics below ``calibrator/``.
 
     Raises
     ------
@@ -67,8 +69,8 @@ class Calibrator(Node):
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
-        self._outcomes = OutcomePublisher(self, self._session, self._state)
-        self._paths = PathReceiver(self, PATH, self._session, lambda: self._read_settings()[0])
+        self._paths = PathReceiver(self, PATH, AXES, self._session, self._read_settings)
+        self._outcomes = OutcomePublisher(self, self._session, self._state, self._paths.machine)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         self.create_subscription(TrackerGap, GAP, self._on_gap, qos.EVENTS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
@@ -114,9 +116,11 @@ class Calibrator(Node):
         if self._session.intake.waiting:
             self._on_points([], [])
         self._watch.look()
+        self._paths.show()
         self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():
             self._outcomes.finish(job)
+            self._paths.show(places_of(job))
         if outcome := self._session.saved():
             self._outcomes.complete(outcome)
         if started := self._session.due():
@@ -124,6 +128,7 @@ class Calibrator(Node):
         if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._outcomes.results.publish_provisional(early, method))
+            self._paths.show(places_of(early))
         if diagnosed := self._session.diagnosed():
             self._outcomes.publish_diagnosis(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)

@@ -6,22 +6,21 @@ from __future__ import annotations
 import traceback
 from concurrent.futures import Future
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated
 from otf_calibrator.losses import lost_words
+from otf_calibrator.messages import messages_of
 from otf_calibrator.session import Ahead, Session
 from otf_calibrator.state import StatePublisher
-from otf_core.calibration.calibration_result import CalibrationResult, volume_errors
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
-from otf_core.model.frames import RigidTransform
-from otf_core.model.motions import MOTIONS
+from otf_core.model.machine import Machine
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
@@ -68,14 +67,14 @@ class ResultPublishers:
         The result that was published last.
     """
 
-    def __init__(self, node: Node, intake: Intake) -> None:
+    def __init__(self, node: Node, intake: Intake, machine: Machine) -> None:
         self._clock = node.get_clock()
         self._shared = SharedTracker(node, intake)
         self.latest: ResultMessage | None = None
-        self._tables = {
-            name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
-            for name in MOTIONS
-        }
+        self._node = node
+        self._tables: dict[str, Publisher] = {}
+        for name in machine.motions:
+            self._table(name)
         self._all = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
         self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
         self._provisional = node.create_publisher(
@@ -90,20 +89,26 @@ class ResultPublishers:
             StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
         )
 
+    def _table(self, name: str) -> Publisher:
+        """Publisher of the table of a motion; a machine.yaml may come with others."""
+        if name not in self._tables:
+            topic = f'calibrator/error_table/{name}'
+            self._tables[name] = self._node.create_publisher(ErrorTable, topic, qos.RESULT)
+        return self._tables[name]
+
     def publish(self, outcome: Calibrated) -> list[str]:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
-        tables = convert_result.tables_to_messages(result, now)
-        for name, table in tables.items():
-            self._tables[name].publish(table)
-        method = outcome.request.files.method
-        together = convert_result.all_tables_to_message(result, tables.values(), now, method)
+        messages = messages_of(result, now, outcome.request.files.method)
+        for name, table in messages.tables.items():
+            self._table(name).publish(table)
+        together, message = messages.together, messages.result
         together.output_directory = str(outcome.folder or '')
         self._all.publish(together)
-        self._alignment.publish(self._place(result.T_machine_tracker, now))
-        self._grid(result, now, provisional=False)
-        message = convert_result.result_to_message(result, now, method)
+        self._alignment.publish(messages.alignment)
+        self._tell_tf(messages.alignment)
+        self._volume.publish(messages.volume)
         message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
         message.samples_lost_is_lower_bound = outcome.request.lost_at_least
         warnings = [*result.warnings, outcome.problem]
@@ -123,26 +128,21 @@ class ResultPublishers:
             self._provisional.publish(convert_result.failure_to_message(code, str(error), now))
             return f'no provisional result: {error}'
         result = job.result()
-        self._place(result.T_machine_tracker, now)
         if isinstance(result, FirstSight):
+            place = result.T_machine_tracker
+            self._tell_tf(convert_result.alignment_to_message(place, now))
             self._provisional.publish(convert_result.sight_to_message(result, now))
             return f'provisional: {result.words}'
-        self._grid(result, now, provisional=True)
-        message = convert_result.result_to_message(result, now, method)
-        message.warnings = list(result.warnings)
-        self._provisional.publish(message)
-        return f'provisional: {convert_result.summary(result)}'
+        messages = messages_of(result, now, method, provisional=True)
+        self._tell_tf(messages.alignment)
+        self._volume.publish(messages.volume)
+        self._provisional.publish(messages.result)
+        return f'provisional: {messages.result.message}'
 
-    def _place(self, T_machine_tracker: RigidTransform, now: Time) -> TransformStamped:
-        """Return the place of the tracker, and tell tf of it."""
-        alignment = convert_result.alignment_to_message(T_machine_tracker, now)
+    def _tell_tf(self, alignment: TransformStamped) -> None:
+        """Tell tf of the place of the tracker."""
         if self._broadcaster:
             self._broadcaster.sendTransform(alignment)
-        return alignment
-
-    def _grid(self, result: CalibrationResult, now: Time, provisional: bool) -> None:
-        volume = volume_errors(result, provisional)
-        self._volume.publish(convert_result.volume_to_message(volume, result.run_id, now))
 
     def publish_failure(self, error: BaseException) -> str:
         """Publish that there is no result unless it was cancelled; return why there is none.
@@ -176,9 +176,11 @@ class ResultPublishers:
 class OutcomePublisher:
     """Publishes what a calibration or a diagnosis ended with."""
 
-    def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
+    def __init__(
+        self, node: Node, session: Session, state: StatePublisher, machine: Machine
+    ) -> None:
         self._log, self._session, self._state = node.get_logger(), session, state
-        self.results = ResultPublishers(node, session.intake)
+        self.results = ResultPublishers(node, session.intake, machine)
 
     def finish(self, job: Future[Calibrated]) -> None:
         """Publish the result of a calibration, or why there is none."""

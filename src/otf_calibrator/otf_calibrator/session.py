@@ -12,13 +12,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 
-from otf_calibrator.children import Answer, Diagnosis
+from otf_calibrator.children import Answer, AnyCalibration, Diagnosis
 from otf_calibrator.collector import Collector
 from otf_calibrator.intake import Batch, Intake
 from otf_calibrator.job import Calibrated, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
-from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.first_sight import (
     FirstSight,
     TwoPaths,
@@ -27,10 +26,11 @@ from otf_core.calibration.first_sight import (
     follows_the_other,
 )
 from otf_core.config import CalibrationConfig
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import Samples
 from otf_core.tracking.path_watch import PathWatcher
 
-Ahead = CalibrationResult | FirstSight
+Ahead = AnyCalibration | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
 INTERIM = 'interim result: the run continues, and its samples are still collected'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
@@ -67,6 +67,8 @@ class FirstLooks:
         """Return whether to look now, a time in s; counts it then."""
         if collector.path is None or collector.taken or not collector.travelled:
             return False
+        if isinstance(collector.path, PartsTrack):
+            return False  # the first part tells
         if collector.run != self._run:
             self._run, self._began, self._looks, self._found = collector.run, now, 0, False
             self._least = first_legs(collector.path)
@@ -165,7 +167,7 @@ class Session:
         if self.busy:
             return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
         if self.collector.path is None:
-            return False, 'no path yet: start the path planner or publish planner/path'
+            return False, 'no path yet: start the path planner or publish planner/path (axes)'
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
         if self.collector.on_the_way(now := time.monotonic(), now):
@@ -306,6 +308,8 @@ class Session:
             return False, 'no run is calibrated yet: drive the path, or call calibrator/calibrate'
         if self._last.folder is None:
             return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
+        if self._last.recording.machine.rotary_names:
+            return False, 'diagnosis: not available for machines with rotary axes'
         try:
             self.diagnosis = Diagnosis(
                 self._last.recording, self._last.request.config, self._last.folder

@@ -6,17 +6,20 @@ from __future__ import annotations
 import math
 import re
 import time
+from typing import Any
 
 from rclpy.node import Node
 
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import Calibrated
+from otf_calibrator.messages import summary
 from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_core.live.stages import TimeLeft
+from otf_core.model.axis_path import PartsTrack
+from otf_core.rotary.run_progress import PartsWatcher
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
-from otf_ros.convert_result import summary
 
 REPEAT = 0.5
 """s; the state is published at least so often."""
@@ -116,6 +119,7 @@ class StatePublisher:
             samples_lost=collector.lost_for_sure(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
+            **_part(collector),
             message=text,
             diagnosing=diagnosis[0],
             diagnosis_progress=diagnosis[1],
@@ -143,7 +147,8 @@ class StatePublisher:
             return (
                 CalibratorState.WAITING_FOR_PATH,
                 0.0,
-                'waiting for planner/path: start the path planner, or replay a bag with a path',
+                'waiting for planner/path or planner/axes: start the path planner, or replay a '
+                'bag with a path',
             )
         if not len(collector.buffer):
             text = 'waiting for tracker/point: activate the tracker driver'
@@ -151,6 +156,9 @@ class StatePublisher:
         length = collector.path.length
         silence = collector.silence(time.monotonic())
         text = f'{collector.travelled:.2f} of {length:.2f} m driven; '
+        parts = _part(collector)
+        if parts['parts'] > 1:
+            text += f"part {parts['part']} of {parts['parts']}, target '{parts['target']}'; "
         if silence > SILENCE and collector.ended:
             text += 'the stream has ended: call calibrator/calibrate, or drive again; '
             text += 'a new stream sets these samples aside'
@@ -165,6 +173,19 @@ class StatePublisher:
 def _driven(collector: Collector) -> float:
     """Part of the path that is driven."""
     return min(1.0, collector.travelled / collector.path.length) if collector.path else 0.0
+
+
+def _part(collector: Collector) -> dict[str, Any]:
+    """Fields of the state on the parts of the path."""
+    path, watcher = collector.path, collector.watcher
+    if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+        return {'parts': int(path is not None)}
+    driven = len(collector.buffer) > 0
+    return {
+        'parts': len(path.parts),
+        'part': watcher.part if driven else 0,
+        'target': path.parts[watcher.part - 1].target if driven else '',
+    }
 
 
 def _stage(session: Session) -> str:

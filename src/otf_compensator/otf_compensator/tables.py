@@ -57,6 +57,11 @@ class Tables:
                 'parameter tables_file: missing; give the path of an error_tables.json'
             )
         content = load_tables(file)
+        if turning := content.tables.machine.rotary_names:
+            raise ConfigError(
+                f'parameter tables_file: {file} is of a machine with rotary axes '
+                f'({", ".join(turning)}); the compensator corrects linear axes alone'
+            )
         self._predictor = Predictor.of(content)
         self.run_id = str(content.extra.get('run_id', ''))
         self.machine = self._predictor.tables.machine.name

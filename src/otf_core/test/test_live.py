@@ -198,7 +198,7 @@ def test_volume_errors_and_motion_sizes_are_those_of_the_tables(calibrated):
     turned = 1e-4 * np.cross([1.0, 2.0, 3.0], volume.points) + 5e-4
     moved = VolumeErrors(volume.points, volume.errors + turned, volume.u)
     assert 1e-6 < volume.mean == pytest.approx(moved.mean, rel=1e-6)
-    sizes = motion_sizes(calibrated)
+    sizes = motion_sizes(calibrated.tables)
     assert list(sizes) == list(MOTIONS)
     table = calibrated.tables.motions['EYX']
     assert sizes['EYX'] == (max(abs(table.value)), max(table.u))

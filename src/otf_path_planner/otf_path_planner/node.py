@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Path planner node: publishes the nominal path and the plan, latched; plans anew on request."""
+"""Path planner node: publishes the nominal path and the plan, latched; plans anew on request.
+
+A machine with rotary axes has a trajectory of axis positions for every part instead of a path.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,20 @@ from collections.abc import Collection
 
 from nav_msgs.msg import Path
 from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import OtfError
+from otf_core.model.machine import Machine
 from otf_msgs.msg import Plan
 from otf_path_planner.params import PlannerFiles
-from otf_path_planner.planning import make_plan
+from otf_path_planner.planning import make_axis_plan, make_plan, read_machine
 from otf_ros import app, convert, qos, services
 from otf_ros.params import NodeParameters
 
 
 class PathPlanner(Node):
-    """Publishes ``planner/path`` and ``planner/plan``; service ``planner/replan``.
+    """Publishes ``planner/path`` or ``planner/axes``, and ``planner/plan``; ``planner/replan``.
 
     Raises
     ------
@@ -32,20 +37,40 @@ class PathPlanner(Node):
         self._settings = NodeParameters(self, PlannerFiles, PlannerConfig)
         self._settings.tell_when(_when)
         self._path_publisher = self.create_publisher(Path, 'planner/path', qos.PATH)
+        self._axes_publisher = self.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)
         self._plan_publisher = self.create_publisher(Plan, 'planner/plan', qos.PATH)
         self.get_logger().info(self._plan())
         services.offer(self, 'planner/replan', self._replan)
 
     def _plan(self) -> str:
         """Plan with the present parameters, publish, and say what was planned."""
-        config = self._settings.read(PlannerConfig)
-        machine, plan, passes = make_plan(self._settings.read(PlannerFiles), config)
+        files, config = self._settings.read(PlannerFiles), self._settings.read(PlannerConfig)
+        machine = read_machine(files)
+        return (self._plan_parts if machine.rotary_names else self._plan_path)(
+            machine, files, config
+        )
+
+    def _plan_path(self, machine: Machine, files: PlannerFiles, config: PlannerConfig) -> str:
+        plan, passes = make_plan(machine, files, config)
         now = self.get_clock().now().to_msg()
         self._path_publisher.publish(convert.path_to_message(plan.path, now))
         self._plan_publisher.publish(convert.plan_to_message(plan, machine.name, passes, now))
         return (
             f'planned for {machine.name}: {len(plan.path.points)} points, '
             f'{plan.path.length:.2f} m, {plan.duration:.0f} s without acceleration'
+        )
+
+    def _plan_parts(self, machine: Machine, files: PlannerFiles, config: PlannerConfig) -> str:
+        plan, track = make_axis_plan(machine, files, config)
+        now = self.get_clock().now().to_msg()
+        for part in plan.parts:
+            self._axes_publisher.publish(convert.axes_to_message(part, now))
+        message = convert.axis_plan_to_message(plan, machine.name, track.length, now)
+        self._plan_publisher.publish(message)
+        targets = ', '.join(part.target for part in plan.parts)
+        return (
+            f'planned for {machine.name}: {len(plan.parts)} parts ({targets}), '
+            f'{track.length:.2f} m, {plan.duration:.0f} s without moves by hand'
         )
 
     def _replan(self) -> tuple[bool, str]:

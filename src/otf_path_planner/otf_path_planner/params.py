@@ -15,5 +15,6 @@ class PlannerFiles(Parameters):
     machine_file: str = parameter('', 'machine description (machine.yaml); required')
     path_file: str = parameter(
         '', 'path to drive instead of a created one: CSV of corner points with the header x,y,z, '
-        'in m, plan.json or NC program; empty: create the path',
+        'in m, plan.json or NC program; of a machine with rotary axes CSV with the header '
+        'target,x,y,z,a,c, in m and rad; empty: create the path',
     )  # fmt: skip

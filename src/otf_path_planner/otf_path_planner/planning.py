@@ -5,16 +5,26 @@ from __future__ import annotations
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.path_file import read_path
+from otf_core.inputs.path_file import read_axis_paths, read_path
+from otf_core.model.axis_path import PartsTrack, nominal_track
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import Plan, check_inside, plan_for_path
+from otf_core.model.plan import AxisPlan, Plan, check_inside, plan_for_path
+from otf_core.planning.axis_plan import axis_plan
 from otf_core.planning.path_creation import plan_path
+from otf_core.planning.rotary_paths import PlannedPart, plan_parts
 from otf_path_planner.params import PlannerFiles
 
 
-def make_plan(files: PlannerFiles, config: PlannerConfig) -> tuple[Machine, Plan, int]:
-    """Read the files and plan.
+def read_machine(files: PlannerFiles) -> Machine:
+    """Read machine.yaml; ConfigError if it is not given or wrong."""
+    if not files.machine_file:
+        raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
+    return load_machine(files.machine_file)
+
+
+def make_plan(machine: Machine, files: PlannerFiles, config: PlannerConfig) -> tuple[Plan, int]:
+    """Plan for a machine with linear axes alone.
 
     Returns
     -------
@@ -26,14 +36,38 @@ def make_plan(files: PlannerFiles, config: PlannerConfig) -> tuple[Machine, Plan
     ConfigError
         Names the parameter or the file that is wrong.
     """
-    if not files.machine_file:
-        raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
-    machine = load_machine(files.machine_file)
     if not files.path_file:
-        return machine, plan_path(machine, config), config.passes
+        return plan_path(machine, config), config.passes
     try:
         path = NominalPath(read_path(files.path_file)[0])
         check_inside(path, machine)
     except InputError as error:
         raise ConfigError(f'{files.path_file}: {error}') from None
-    return machine, plan_for_path(path, config), 1
+    return plan_for_path(path, config), 1
+
+
+def make_axis_plan(
+    machine: Machine, files: PlannerFiles, config: PlannerConfig
+) -> tuple[AxisPlan, PartsTrack]:
+    """Plan for a machine with rotary axes: the parts of ``otf plan``, or of a file.
+
+    Returns
+    -------
+    track : PartsTrack
+        Of the reflectors.
+
+    Raises
+    ------
+    ConfigError
+        Names the parameter or the file that is wrong.
+    """
+    try:
+        if files.path_file:
+            own = read_axis_paths(files.path_file, machine.axis_names)
+            parts = [PlannedPart(path.of(machine), 0.0, '') for path in own]
+        else:
+            parts = plan_parts(machine, config)
+        track = nominal_track(machine, [part.path for part in parts])
+    except InputError as error:
+        raise ConfigError(f'{files.path_file or files.machine_file}: {error}') from None
+    return axis_plan(machine, parts, config), track

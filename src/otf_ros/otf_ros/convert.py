@@ -12,14 +12,17 @@ from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from otf_core.bags.cdr import frame_text
 from otf_core.bags.sample_order import usable_path
-from otf_core.errors import InputError
+from otf_core.errors import InputError, ShapeError
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import TOOL
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import Plan
+from otf_core.model.plan import AxisPlan, Plan
 from otf_msgs.msg import Plan as PlanMessage
 from otf_ros import frames
 
@@ -107,6 +110,72 @@ def path_for_journal(message: Path) -> Path:
     for head in (message.header, *(pose.header for pose in message.poses)):
         head.frame_id = frames.MACHINE
     return message
+
+
+def axes_to_message(part: AxisPath, stamp: Time) -> JointTrajectory:
+    """Return a part of a run as a trajectory without times; its frame names the target."""
+    points = [JointTrajectoryPoint(positions=row) for row in part.positions.tolist()]
+    head = header(stamp, part.target)
+    return JointTrajectory(header=head, joint_names=list(part.axes), points=points)
+
+
+def axes_from_message(message: JointTrajectory) -> AxisPath:
+    """Return the part that a trajectory says; InputError if it is none."""
+    names, rows = tuple(message.joint_names), [point.positions for point in message.points]
+    for number, row in enumerate(rows):
+        if len(row) != len(names):
+            raise InputError(f'point {number} has {len(row)} positions of {len(names)} joints')
+    positions = np.array(rows, float).reshape(-1, len(names))
+    return AxisPath(names, positions, message.header.frame_id or TOOL)
+
+
+def path_of_part(part: AxisPath, stamp: Time) -> Path:
+    """Return the path of a machine with linear axes that has a part of its tool alone.
+
+    Raises
+    ------
+    InputError
+        If another target is in view.
+    """
+    if part.target != TOOL:
+        raise InputError(f"target '{part.target}': without rotary axes it is '{TOOL}'")
+    return path_to_message(NominalPath(part.positions), stamp)
+
+
+def axis_plan_to_message(plan: AxisPlan, machine: str, length: float, stamp: Time) -> PlanMessage:
+    """Return a plan message for a machine with rotary axes of this name.
+
+    Parameters
+    ----------
+    length : float
+        Of the track of the reflectors, m.
+    """
+    digest = hashlib.sha256()
+    for part in plan.parts:
+        digest.update(part.target.encode() + np.ascontiguousarray(part.positions).tobytes())
+    digest.update(np.array([plan.feed, plan.dwell, plan.stops]).tobytes())
+    return PlanMessage(
+        header=header(stamp),
+        plan_id=digest.hexdigest()[:16],
+        machine=machine,
+        passes=1,
+        parts=[axes_to_message(part, stamp) for part in plan.parts],
+        part_feed=list(plan.feed),
+        part_dwell=list(plan.dwell),
+        part_stops=list(plan.stops),
+        length=length,
+        duration=plan.duration,
+    )
+
+
+def axis_plan_from_message(message: PlanMessage) -> AxisPlan:
+    """Return the plan of a message for a machine with rotary axes; InputError if it is none."""
+    parts = tuple(axes_from_message(part) for part in message.parts)
+    try:
+        given = message.part_feed, message.part_dwell, message.part_stops
+        return AxisPlan(parts, *map(tuple, given), message.duration)
+    except ShapeError as error:
+        raise InputError(str(error)) from None
 
 
 def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanMessage:

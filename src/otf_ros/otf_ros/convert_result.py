@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of a calibration to messages."""
+"""Results of a calibration to messages; of machines with rotary axes see ``convert_rotary``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
 
-from otf_core.calibration.calibration_result import CalibrationResult, motion_sizes
+from otf_core.calibration.calibration_result import (
+    CalibrationResult,
+    motion_sizes,
+    volume_errors,
+)
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.machine_verdict import FAIL, NOT_STATED, OPEN, PASS, UNKNOWN
+from otf_core.errors import ShapeError
 from otf_core.model.frames import RigidTransform
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.motions import SQUARENESS, unit_of
+from otf_core.model.tables import ErrorTables
 from otf_core.model.volume import VolumeErrors
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
@@ -34,18 +41,20 @@ ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
 STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
 
 
-def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, ErrorTable]:
-    """Return one message per error motion, EXX to ECZ."""
+def tables_to_messages(tables: ErrorTables, run_id: str, stamp: Time) -> dict[str, ErrorTable]:
+    """Return one message per error motion, EXX to ECZ first."""
     messages = {}
-    for name in MOTIONS:
-        table = result.tables.motions[name]
+    for name in tables.machine.motions:
+        table, axis = tables.motions[name], tables.machine.axes[name.axis]
         seen = table.node_identifiable
-        messages[name] = ErrorTable(
+        straight = name.is_straightness and not axis.rotary
+        messages[str(name)] = ErrorTable(
             header=header(stamp),
-            run_id=result.run_id,
+            run_id=run_id,
             motion=name,
             axis=name.axis,
             unit=unit_of(name),
+            position_unit=axis.unit,
             position=table.position.tolist(),
             value=table.value.tolist(),
             u=table.u.tolist(),
@@ -53,7 +62,7 @@ def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, Erro
             node_identifiable=[table.identifiable] * len(table.position)
             if seen is None
             else seen.tolist(),
-            gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
+            gauge=STRAIGHTNESS_GAUGE if straight else ZERO_GAUGE,
         )
     return messages
 
@@ -82,6 +91,7 @@ def all_tables_to_message(
         squareness_value=[entry.value for entry in squareness.values()],
         squareness_u=[entry.u for entry in squareness.values()],
         squareness_identifiable=[name not in result.not_identifiable for name in squareness],
+        tracker_link=machine.tracker.link,
         alignment=transform_to_message(result.T_machine_tracker),
         software=f'otf_core {__version__}',
         first=time_from_ns(run.first_ns),
@@ -105,7 +115,7 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
     """Return the summary; what only the node knows (lost samples, folder) is left empty."""
     fit, machine = result.fit, result.tables.machine
     verdicts, first = result.verdicts, result.headline
-    sizes = motion_sizes(result)
+    sizes = motion_sizes(result.tables)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -126,6 +136,7 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         machine=machine.name,
         chain=str(machine.chain),
         method=method,
+        tracker_link=machine.tracker.link,
         alignment=transform_to_message(result.T_machine_tracker),
         samples=fit.samples,
         used=fit.used,
@@ -171,6 +182,8 @@ def volume_to_message(volume: VolumeErrors, run_id: str, stamp: Time) -> VolumeM
         header=header(stamp),
         run_id=run_id,
         provisional=volume.provisional,
+        axes=list(volume.axes),
+        positions=volume.positions.ravel().tolist(),
         points=[Point(x=x, y=y, z=z) for x, y, z in volume.points.tolist()],
         errors=vectors[0],
         u=vectors[1],
@@ -183,7 +196,48 @@ def volume_from_message(message: VolumeMessage) -> VolumeErrors:
         np.array([(v.x, v.y, v.z) for v in field], float).reshape(-1, 3)
         for field in (message.points, message.errors, message.u)
     ]
-    return VolumeErrors(*fields, message.provisional)
+    axes, count = tuple(message.axes), len(message.points)
+    if len(message.positions) != count * len(axes):
+        raise ShapeError(
+            f'{len(message.positions)} positions of {len(axes)} axes at {count} points'
+        )
+    positions = (
+        np.array(message.positions, float).reshape(-1, len(axes)) if axes else np.empty((0, 0))
+    )
+    return VolumeErrors(*fields, message.provisional, axes, positions)
+
+
+@dataclass(frozen=True)
+class Messages:
+    """What is published of a calibration; lost samples and folder are left empty."""
+
+    tables: dict[str, ErrorTable]
+    together: TablesMessage
+    alignment: TransformStamped
+    result: ResultMessage
+    volume: VolumeMessage
+
+
+def messages_of(
+    result: CalibrationResult, stamp: Time, method: str, *, provisional: bool = False
+) -> Messages:
+    """Return all messages of a calibration.
+
+    Parameters
+    ----------
+    provisional : bool
+        Of a part of the run.
+    """
+    tables = tables_to_messages(result.tables, result.run_id, stamp)
+    message = result_to_message(result, stamp, method)
+    volume = volume_to_message(volume_errors(result, provisional), result.run_id, stamp)
+    return Messages(
+        tables,
+        all_tables_to_message(result, tables.values(), stamp, method),
+        alignment_to_message(result.T_machine_tracker, stamp),
+        message,
+        volume,
+    )
 
 
 def summary(result: CalibrationResult) -> str:

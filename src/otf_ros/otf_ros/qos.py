@@ -30,6 +30,10 @@ fills. Volatile: old samples are no news."""
 PATH = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Nominal path and plan: published once; a node that starts later still gets the last one."""
 
+PARTS = _profile(100, DurabilityPolicy.TRANSIENT_LOCAL)
+"""Parts of a run of a machine with rotary axes, one message each: a node that starts later gets
+all of them, in their order."""
+
 STATUS = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """States: only the latest counts, and a late listener sees it at once."""
 

@@ -10,6 +10,7 @@ from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
+from trajectory_msgs.msg import JointTrajectory
 
 from otf_core.config import Parameters
 from otf_core.errors import OtfError
@@ -60,21 +61,26 @@ class Streamer:
         self._points = node.create_lifecycle_publisher(
             PointStamped, 'tracker/point', qos.MEASUREMENT
         )
-        self._path = self._offered_path()
+        self._offered = self._offer_path()
         self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
         self._pending, self._allowed, self._ticked = NO_SAMPLES, 0.0, time.monotonic()
         self._held_until = 0.0
         self._listening, self._looked = 0, 0.0
 
-    def _offered_path(self) -> Publisher | None:
+    def _offer_path(self) -> list[Publisher]:
         """Publish the path that comes with the samples, if one does."""
-        if self._backend.path is None:
-            return None
-        publisher = self._node.create_publisher(Path, 'planner/path', qos.PATH)
-        now = self._node.get_clock().now().to_msg()
-        publisher.publish(convert.path_to_message(self._backend.path, now))
-        return publisher
+        publishers, now = [], self._node.get_clock().now().to_msg()
+        if self._backend.path is not None:
+            publishers.append(self._node.create_publisher(Path, 'planner/path', qos.PATH))
+            publishers[-1].publish(convert.path_to_message(self._backend.path, now))
+        if self._backend.parts:
+            publishers.append(
+                self._node.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)
+            )
+            for part in self._backend.parts:
+                publishers[-1].publish(convert.axes_to_message(part, now))
+        return publishers
 
     def begin(self, plan: Plan | None) -> None:
         """Get ready for a stream from the beginning; it starts when nothing is missing."""
@@ -92,7 +98,8 @@ class Streamer:
         if not self._plan_wanted:
             return
         try:
-            self._backend.prepare(convert.plan_from_message(plan))
+            read = convert.axis_plan_from_message if plan.parts else convert.plan_from_message
+            self._backend.prepare(read(plan))
             self._plan_wanted = False
             self._timer.reset()
         except OtfError as error:
@@ -123,8 +130,8 @@ class Streamer:
         self._backend.disconnect()
         self._node.destroy_timer(self._timer)
         self._node.destroy_lifecycle_publisher(self._points)
-        if self._path:
-            self._node.destroy_publisher(self._path)
+        for publisher in self._offered:
+            self._node.destroy_publisher(publisher)
 
     def _tick(self) -> None:
         """Publish what the backend has measured since the last tick."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path as FilePath
 
 from geometry_msgs.msg import PointStamped
@@ -49,7 +50,8 @@ class Ears:
         self._solved_ns = -1
         self._points: Glance | None = None
         subscribe = node.create_subscription
-        subscribe(Path, 'planner/path', self._on_path, qos.PATH)
+        for topic in ('planner/path', 'calibrator/track'):  # the latter of several parts
+            subscribe(Path, topic, partial(self._on_path, topic), qos.PATH)
         subscribe(CalibratorState, 'calibrator/state', self._on_state, qos.STATUS)
         subscribe(CalibrationResult, 'calibrator/provisional', self._on_provisional, qos.RESULT)
         subscribe(CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT)
@@ -63,11 +65,11 @@ class Ears:
         if message and self.run.collecting:
             self.run.track.add(message.point.x, message.point.y, message.point.z)
 
-    def _on_path(self, message: Path) -> None:
+    def _on_path(self, topic: str, message: Path) -> None:
         try:
             self.run.set_path(convert.path_from_message(message))
         except OtfError as error:
-            self._node.get_logger().warning(f'planner/path ignored: {error}')
+            self._node.get_logger().warning(f'{topic} ignored: {error}')
             return
         self.news += 1
 
@@ -80,6 +82,9 @@ class Ears:
             'samples': message.samples,
             'lost': message.samples_lost,
             'travelled': message.travelled,
+            'parts': message.parts,
+            'part': message.part,
+            'target': message.target,
             'message': message.message,
         }
         self.run.set_progress(RunProgress(**fields), time.monotonic())
@@ -97,6 +102,7 @@ class Ears:
             return  # latched topics come in any order
         self._solved_ns = stamp_ns
         sizes = zip(message.motion_largest, message.motion_u, strict=True)
+        location = zip(message.location_value, message.location_u, strict=True)
         solved = Solved(
             provisional=provisional,
             ok=message.status == CalibrationResult.OK,
@@ -109,6 +115,7 @@ class Ears:
                 name: (getattr(message, name.lower()), getattr(message, f'u_{name.lower()}'))
                 for name in SQUARENESS
             },
+            location=dict(zip(message.location, location, strict=True)),
             warnings=tuple(message.warnings),
         )
         placed = message.run_id or message.coverage  # a first look has no run id yet

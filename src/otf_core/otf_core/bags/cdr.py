@@ -25,6 +25,9 @@ from otf_core.files.message_text import shortened
 SECOND_NS = 1_000_000_000
 MAX_TRAILING = 3
 """Bytes a serializer may add after the last field."""
+RESERVED = 16
+"""Bytes that Fast DDS reserves for a trajectory point beyond its fields: its empty sequences count
+as if they were aligned. They follow the message, whatever was in the memory."""
 MIN_POSE_SIZE = 69
 """Bytes a PoseStamped takes at least: stamp 8, empty frame_id 5, seven float64 56."""
 
@@ -281,10 +284,10 @@ class CdrReader:
         self._at += length
         return raw[:-1].decode()
 
-    def finish(self) -> None:
-        """Check that nothing but padding follows."""
+    def finish(self, further: int = 0) -> None:
+        """Check that nothing but padding follows, and so many bytes that its writer reserved."""
         rest = len(self._data) - self._at
-        if rest > MAX_TRAILING:
+        if rest > MAX_TRAILING + further:
             raise ValueError(f'{rest} bytes follow its last field')
 
 
@@ -349,7 +352,7 @@ def decode_axes(data: bytes) -> tuple[str, tuple[str, ...], NDArray[np.float64]]
             if len(own) != len(names):
                 raise InputError(f'point {i} has {len(own)} positions of {len(names)} joints')
             rows.append(own)
-        reader.finish()
+        reader.finish(RESERVED * len(rows))
     except (ValueError, UnicodeDecodeError) as error:
         raise InputError(
             f'message is not a trajectory_msgs/msg/JointTrajectory in CDR ({error})'

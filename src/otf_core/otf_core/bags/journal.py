@@ -45,6 +45,7 @@ from otf_core.bags.mcap_messages import (
     complete_records,
 )
 from otf_core.bags.rosbag2_metadata import (
+    AXES,
     CREATOR,
     GAP,
     OTHER_POINT,
@@ -300,7 +301,7 @@ def _sync_folder(folder: Path) -> None:
 # Its state stands in metadata.yaml (``custom_data``): ``recording`` as long as samples may be
 # added, then what became of the run. A run that is taken up goes on in a further part.
 
-TOPICS = (PATH, STATUS, POINT)
+TOPICS = (PATH, AXES, STATUS, POINT)
 """Of which a run consists, and what it is taken up from."""
 ASIDE = (GAP, OTHER_POINT)
 """Kept beside it."""
@@ -565,7 +566,7 @@ class Journal:
         self._lock = _locked(directory)
         self._definitions = Definitions(texts, tuple(beside))
         self._run: JournalRun | None = None
-        self._latched: dict[Topic, bytes] = {}
+        self._latched: dict[Topic, tuple[bytes, ...]] = {}
         self._items: list[tuple[JournalRun, Rows] | _End] = []
         self._pending, self._missed = 0, 0
         self._clock = time.time_ns() - time.monotonic_ns()
@@ -596,11 +597,22 @@ class Journal:
         run = self._run or self._begin()
         self._put(run, Rows(topic, encode_points(stamp_ns, xyz, frame), self._now()))
 
-    def message(self, topic: Topic, data: bytes) -> None:
-        """Take a serialized message that stays valid: it is part of every run from now on."""
+    def message(self, topic: Topic, *data: bytes) -> None:
+        """Take serialized messages that stay valid: they are part of every run from now on.
+
+        They take the place of those of the same topic; what these begin with alike is not written
+        again.
+        """
+        before = self._latched.get(topic, ())
         self._latched[topic] = data
+        goes_on = len(data) > len(before) and data[: len(before)] == before
         if self._run:
-            self._put(self._run, one_message(topic, data, self._now()))
+            for one in data[len(before) :] if goes_on else data:
+                self._put(self._run, one_message(topic, one, self._now()))
+
+    def keep(self, topic: Topic, *data: bytes) -> None:
+        """Take messages as ``message`` does that the present run has already."""
+        self._latched[topic] = data
 
     def event(self, topic: Topic, data: bytes) -> None:
         """Take a serialized message of what has happened: it is part of this run only."""
@@ -664,8 +676,9 @@ class Journal:
     def _begin(self) -> JournalRun:
         name = f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}'
         self._run = run = JournalRun(self.directory / name, self._definitions)
-        for topic, data in self._latched.items():
-            self._put(run, one_message(topic, data, self._now()))
+        for topic, messages in self._latched.items():
+            for data in messages:
+                self._put(run, one_message(topic, data, self._now()))
         return run
 
     def _now(self) -> int:

@@ -625,14 +625,14 @@ def volume_errors(
     return VolumeErrors(points, displacement(tables, points), u, provisional)
 
 
-def motion_sizes(result: CalibrationResult) -> dict[str, tuple[float, float]]:
+def motion_sizes(tables: ErrorTables) -> dict[str, tuple[float, float]]:
     """Return of every motion the largest absolute error and the largest u of a node, m or rad.
 
     u is NaN where the samples do not determine the motion.
     """
     sizes: dict[str, tuple[float, float]] = {}
-    for name in MOTIONS:
-        table = result.tables.motions[name]
+    for name in tables.machine.motions:
+        table = tables.motions[name]
         seen = table.u if table.node_identifiable is None else table.u[table.node_identifiable]
         known = table.identifiable and len(seen) > 0
         u = float(seen.max()) if known else float('nan')

@@ -37,7 +37,15 @@ NUMBERS = {
 
 @dataclass(frozen=True)
 class RunProgress:
-    """How far the calibrator is; as ``calibrator/state`` says it."""
+    """How far the calibrator is; as ``calibrator/state`` says it.
+
+    Attributes
+    ----------
+    parts, part : int
+        Parts of the path, and that which is driven, from 1; 0 for none.
+    target : str
+        Reflector in view.
+    """
 
     state: str = ''
     stage: str = ''
@@ -47,6 +55,9 @@ class RunProgress:
     lost: int = 0
     travelled: float = 0.0
     message: str = ''
+    parts: int = 0
+    part: int = 0
+    target: str = ''
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,8 @@ class Solved:
     motions : mapping of EXX ... ECZ to (largest absolute error, largest u of a node), m or rad
         u is NaN where the samples do not determine the motion.
     squareness : mapping of C0Y, B0Z, A0Z to (value, u), rad
+    location : mapping of X0C, A0C ... to (value, u), m or rad
+        Of rotary axes.
     """
 
     provisional: bool
@@ -74,6 +87,7 @@ class Solved:
     residual_rms: float = 0.0
     motions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     squareness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    location: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -194,6 +208,9 @@ def now(run: LiveRun) -> dict[str, Any]:
         'lost': progress.lost,
         'rate': _number(run.rate),
         'travelled': progress.travelled,
+        'parts': progress.parts,
+        'part': progress.part,
+        'target_name': progress.target,
         'length': run.path.length if run.path else None,
         'distance_um': _number(UM * track.distance),
         'tracker': _rounded(run.pose.translation, 5) if run.pose else None,
@@ -214,7 +231,8 @@ def now(run: LiveRun) -> dict[str, Any]:
 def _solved(solved: Solved) -> dict[str, Any]:
     micro = {
         name: [_number(UM * value), _number(UM * u)]
-        for name, (value, u) in {**solved.motions, **solved.squareness}.items()
+        for names in (solved.motions, solved.squareness, solved.location)
+        for name, (value, u) in names.items()
     }
     return {
         'provisional': solved.provisional,
@@ -225,6 +243,7 @@ def _solved(solved: Solved) -> dict[str, Any]:
         'residual_rms_um': UM * solved.residual_rms,
         'motions': {name: micro[name] for name in solved.motions},
         'squareness': {name: micro[name] for name in solved.squareness},
+        'location': {name: micro[name] for name in solved.location},
         'warnings': list(solved.warnings),
     }
 

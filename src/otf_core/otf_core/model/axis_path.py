@@ -7,8 +7,8 @@ of the reflector on a leg is a curve p(q), q linear from corner to corner.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -138,18 +138,69 @@ def position_at(positions: Array, place: Array) -> Array:
     return np.asarray((1.0 - share) * positions[leg] + share * positions[leg + 1])
 
 
-def nominal_track(machine: Machine, parts: Sequence[AxisPath]) -> NominalPath:
-    """Track of the reflectors of all parts in the frame of the tracker's link, as a polyline."""
-    tracks = []
-    for part in parts:
-        own = part.of(machine)
-        place = along_legs(own.positions, TRACK_STEP, TRACK_TURN)
-        q = position_at(own.positions, place)
-        tracks.append(Sight.of_target(machine, own.target).nominal(q))
+@dataclass(frozen=True)
+class PartsTrack(NominalPath):
+    """Track of the reflectors of all parts of a run, as a polyline; between parts a hand move.
+
+    Attributes
+    ----------
+    machine : Machine
+    parts : tuple of AxisPath
+        Axes in the order of the machine.
+    ends : tuple of int
+        Points of the track up to the end of every part.
+    """
+
+    machine: Machine
+    parts: tuple[AxisPath, ...]
+    ends: tuple[int, ...]
+
+    @property
+    def reach(self) -> list[float]:
+        """Length of the track up to the end of every part, hand moves included, m."""
+        along = np.append(0.0, np.cumsum(self.leg_lengths))
+        return [float(along[end - 1]) for end in self.ends]
+
+    def first_parts(self, count: int) -> PartsTrack:
+        """Track of the first parts alone."""
+        points = self.points[: self.ends[count - 1]]
+        return PartsTrack(points, self.machine, self.parts[:count], self.ends[:count])
+
+
+def nominal_track(
+    machine: Machine,
+    parts: Sequence[AxisPath],
+    places: Mapping[str, Array] | None = None,
+    turn: float = TRACK_TURN,
+) -> PartsTrack:
+    """Track of the reflectors of all parts in the frame of the tracker's link.
+
+    Parameters
+    ----------
+    machine : Machine
+    parts : sequence of AxisPath
+    places : mapping of target to ndarray, shape (3,), m, optional
+        Where reflectors were found to be; else as machine.yaml says.
+    turn : float
+        rad; most that a rotary axis turns between two points.
+
+    Raises
+    ------
+    InputError
+        If a part is not of this machine, or no reflector moves.
+    """
+    tracks, driven = [], tuple(part.of(machine) for part in parts)
+    for own in driven:
+        q = position_at(own.positions, along_legs(own.positions, TRACK_STEP, turn))
+        sight = Sight.of_target(machine, own.target)
+        if places and own.target in places:
+            sight = replace(sight, place=places[own.target])
+        tracks.append(sight.nominal(q))
     points = np.concatenate(tracks)
     if np.ptp(points, axis=0).max() < 1e-6:
         raise InputError(
             f'the reflector does not move relative to the tracker (link {machine.tracker.link}); '
             f'check targets and tracker: link in machine.yaml'
         )
-    return NominalPath(points)
+    ends = np.cumsum([len(track) for track in tracks])
+    return PartsTrack(points, machine, driven, tuple(int(end) for end in ends))

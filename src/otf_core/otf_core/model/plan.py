@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
 from otf_core.errors import InputError, ShapeError
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 
@@ -64,6 +65,48 @@ class Plan:
     def duration(self) -> float:
         """Driving time without acceleration, s."""
         return float(np.sum(self.path.leg_lengths / self.feed) + self.dwell.sum())
+
+
+@dataclass(frozen=True)
+class AxisPlan:
+    """What a machine with rotary axes is to drive.
+
+    Attributes
+    ----------
+    parts : tuple of AxisPath
+        Between two of them the reflector is moved by hand.
+    feed : tuple of float, m/s
+        Programmed speed in every part, a rotation counting as travel at a radius of 0.2 m.
+    dwell : tuple of float, s
+        Standstill at every corner of a part that is not driven through.
+    stops : tuple of bool
+        Whether a part is stopped at smooth corners, too; else they are driven through.
+    duration : float, s
+        Driving time, without hand moves.
+
+    Raises
+    ------
+    ShapeError
+        If feeds or dwells do not go with the parts.
+    InputError
+        If a feed is not finite and above 0, or a dwell not finite or negative; names the part.
+    """
+
+    parts: tuple[AxisPath, ...]
+    feed: tuple[float, ...]
+    dwell: tuple[float, ...]
+    stops: tuple[bool, ...]
+    duration: float
+
+    def __post_init__(self) -> None:
+        """Check numbers and values."""
+        for name in ('feed', 'dwell', 'stops'):
+            count = len(getattr(self, name))
+            if count != len(self.parts):
+                raise ShapeError(f'{name}: {count} values for {len(self.parts)} parts')
+        feed, dwell = np.array(self.feed), np.array(self.dwell)
+        _check('feed: part', feed, feed > 0, 'must be above 0')
+        _check('dwell: part', dwell, dwell >= 0, 'must not be negative')
 
 
 def _check(where: str, values: Array, good: NDArray[np.bool_], rule: str) -> None:

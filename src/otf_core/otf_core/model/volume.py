@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ShapeError
@@ -17,11 +19,15 @@ class VolumeErrors:
     Attributes
     ----------
     points : ndarray, shape (n, 3), m
-        Programmed axis positions.
+        Nominal positions of the target: without rotary axes the programmed positions.
     errors, u : ndarray, shape (n, 3), m
         Error in the gauge of the tables, and its standard uncertainty (k = 1).
     provisional : bool
         From a part of the run.
+    axes : tuple of str
+        Letters of the axes of a machine with rotary axes.
+    positions : ndarray, shape (n, k), m and rad
+        Their programmed positions at the points.
 
     Raises
     ------
@@ -33,6 +39,8 @@ class VolumeErrors:
     errors: Array
     u: Array
     provisional: bool = False
+    axes: tuple[str, ...] = ()
+    positions: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
         """Check the shapes."""

@@ -63,6 +63,8 @@ class JointDrive:
         m/s and m/s^2, of the axes together; a rotation counts as travel on the radius ``LEVER``.
     dwell : float
         s, at the ends of every stretch.
+    stops : bool
+        Every leg is a stretch: the drive stops at smooth corners, too.
     """
 
     def __init__(
@@ -72,12 +74,14 @@ class JointDrive:
         feed: float,
         acceleration: float,
         dwell: float,
+        stops: bool = False,
     ) -> None:
         scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
         legs = np.diff(positions, axis=0) * scale
         length = np.linalg.norm(legs, axis=1)
         unit = legs / length[:, None]
         turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
+        turned |= stops
         self._positions = positions
         self._reach = np.append(0.0, np.cumsum(length))
         ends = self._reach[np.concatenate([[0], np.flatnonzero(turned) + 1, [len(legs)]])]
@@ -114,8 +118,9 @@ def simulate_parts(
     config: SimulationConfig,
     tables: ErrorTables | None = None,
     *,
-    feed: float = 0.05,
-    dwell: float = 0.5,
+    feed: float | Sequence[float] = 0.05,
+    dwell: float | Sequence[float] = 0.5,
+    stops: bool | Sequence[bool] = False,
     lag: Mapping[str, float] | None = None,
     tracker_place: Array | None = None,
 ) -> SimulatedParts:
@@ -126,8 +131,11 @@ def simulate_parts(
     tables : ErrorTables, optional
         Errors of the truth machine; drawn from the seed if not given.
     feed : float, m/s
+        Of all parts, or one of each.
     dwell : float, s
-        At every corner that is not driven through.
+        At every corner that is not driven through; the same.
+    stops : bool
+        Whether smooth corners are stopped at; the same.
     lag : mapping of axis to float, s, optional
         By which an axis is late.
     tracker_place : ndarray, shape (3,), m, optional
@@ -153,8 +161,10 @@ def simulate_parts(
         for name, t in machine.targets.items()
     }
     own = [part.of(machine) for part in parts]
+    every = [np.broadcast_to(given, len(own)).tolist() for given in (feed, dwell, stops)]
     drives = [
-        JointDrive(machine, p.positions, feed, config.acceleration, max(dwell, 1e-3)) for p in own
+        JointDrive(machine, p.positions, f, config.acceleration, max(d, 1e-3), s)
+        for p, f, d, s in zip(own, *every, strict=True)
     ]
     if sum(d.duration for d in drives) * config.rate >= MOST_SAMPLES:
         raise ConfigError(f'the run is too long to simulate, {MOST_SAMPLES} samples at most')

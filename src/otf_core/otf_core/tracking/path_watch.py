@@ -76,7 +76,7 @@ class PathWatcher:
 
     def _rest(self) -> None:
         """The target stands: it may be the end."""
-        if self._share >= MIN_TRAVEL and self.standstill >= self._long(AT_REST):
+        if self.share >= MIN_TRAVEL and self.standstill >= self._long(AT_REST):
             self._here = self._count
             if self.end is None:
                 self.end = self._here
@@ -123,12 +123,13 @@ class PathWatcher:
         return self._stood or (here and self.standstill >= self._long(SOON))
 
     @property
-    def _share(self) -> float:
+    def share(self) -> float:
+        """Share of the path that has been travelled; 0 as long as the run cannot be over."""
         return self.travelled / self._path.length
 
     def _long(self, at_the_end: float) -> float:
         """Standstill, s, that counts here."""
-        return at_the_end if self._share >= NEARLY else END_STANDSTILL
+        return at_the_end if self.share >= NEARLY else END_STANDSTILL
 
     @in_one_thread  # as what it begins is calibrated, to the last bit
     def look(self, samples: Samples) -> Followed | None:

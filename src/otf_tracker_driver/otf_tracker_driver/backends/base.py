@@ -21,9 +21,10 @@ import numpy as np
 
 from otf_core.config import Parameters, parameter
 from otf_core.errors import InputError
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import Plan
+from otf_core.model.plan import AxisPlan, Plan
 from otf_tracker_driver.health import Health, Hindrance
 
 OPERATIONS = (
@@ -79,6 +80,8 @@ class Backend(ABC):
         So many times as fast as they were measured the samples come.
     path : NominalPath or None
         Nominal path that comes with the samples; known once connected.
+    parts : tuple of AxisPath
+        The same of a machine with rotary axes.
     remark : str
         What is worth saying about the stream when it starts.
     cancelled : callable
@@ -94,6 +97,7 @@ class Backend(ABC):
     time_scale: float = 1.0
     expected: int = 0
     path: NominalPath | None = None
+    parts: tuple[AxisPath, ...] = ()
     remark: str = ''
     cancelled: Callable[[], bool] = staticmethod(lambda: False)
     now_ns: Callable[[], int] = staticmethod(time.time_ns)
@@ -108,7 +112,7 @@ class Backend(ABC):
         OtfError if it cannot be used; Unreachable if it is not there, or not ready, yet.
         """
 
-    def prepare(self, plan: Plan | None) -> None:  # noqa: B027 - not every source needs it
+    def prepare(self, plan: Plan | AxisPlan | None) -> None:  # noqa: B027 - not every source needs it
         """Get ready for a new stream; returns at once, ``preparing`` tells when it is done."""
 
     @property

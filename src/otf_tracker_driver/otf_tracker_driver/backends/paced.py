@@ -12,7 +12,10 @@ import numpy as np
 from otf_core.config import Parameters
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig
+from otf_tracker_driver.health import Beam, Flow, Gap, Health, Hindrance
 
+BROKEN = 1.9
+"""s; so long a beam is broken where a reflector is moved by hand; shorter gaps are losses."""
 _LONGEST_STEP = 0.1
 """s; after a longer pause of the process the stream goes on late instead of in one burst."""
 
@@ -49,6 +52,7 @@ class PacedBackend(Backend):
         self._samples, self._due = NO_SAMPLES, np.empty(0)
         self._next, self._elapsed, self._last = 0, 0.0, 0.0
         self.time_scale = common.time_scale
+        self._breaks = np.empty(0, np.int64)
 
     def load(self, samples: Samples) -> None:
         """Take the samples of the whole stream."""
@@ -63,6 +67,47 @@ class PacedBackend(Backend):
         if limit < wanted:
             self.remark += f', limited by max_rate = {most:g} samples per second'
         self._next = 0
+        self._breaks = np.flatnonzero(np.diff(self._due) >= BROKEN) + 1
+
+    @property
+    def _broken(self) -> int | None:
+        """Number of the break that there is now; None outside of one."""
+        at = int(np.searchsorted(self._breaks, self._next))
+        return at if at < len(self._breaks) and self._breaks[at] == self._next else None
+
+    def moved(self, number: int) -> str:
+        """Say what happens in a break of the beam."""
+        return f'the beam was broken here for {self._broken_for(number):.1f} s'
+
+    def _broken_for(self, number: int) -> float:
+        at = self._breaks[number]
+        return float(self._due[at] - self._due[at - 1])
+
+    @property
+    def hindrance(self) -> Hindrance | None:
+        """A broken beam."""
+        number = self._broken
+        if number is None:
+            return None
+        since = (self._elapsed - float(self._due[self._next - 1])) / self.time_scale
+        return Hindrance(Flow.BEAM_BROKEN, self.moved(number), self._clock() - since)
+
+    @property
+    def trouble(self) -> str:
+        """None: a break of the beam is part of what was measured."""
+        return ''
+
+    @property
+    def health(self) -> Health:
+        """Beam, and the breaks that are over."""
+        over = int(np.searchsorted(self._breaks, self._next))
+        stamp_ns = self._samples.stamp_ns
+        gaps = [
+            Gap(int(stamp_ns[at - 1]), int(stamp_ns[at]), self.moved(k))
+            for k, at in enumerate(self._breaks[:over].tolist())
+        ]
+        beam = Beam.ON_TARGET if self._broken is None else Beam.LOST
+        return Health(beam=beam, interruptions=over, gaps=tuple(gaps))
 
     def start(self) -> None:
         """Start from the first sample, which is due at once."""

@@ -16,11 +16,13 @@ class ReplayConfig(Parameters):
     """Which bag, and what of it."""
 
     bag: str = parameter('', 'rosbag2 folder or .mcap file with /tracker/point; required')
-    publish_path: bool = parameter(True, 'publish the path in the bag as planner/path, too')
+    publish_path: bool = parameter(
+        True, 'publish the path in the bag as planner/path or planner/axes, too'
+    )
 
 
 class Replay(PacedBackend):
-    """Streams ``/tracker/point`` of a bag; ``path`` is its ``/planner/path``."""
+    """Streams ``/tracker/point`` of a bag; its path is published beside it."""
 
     parameters = ReplayConfig
     brings_path = True
@@ -33,5 +35,6 @@ class Replay(PacedBackend):
             raise ConfigError('parameter replay.bag: missing; name the bag to play')
         content = read_bag(bag)
         self.load(content.samples)
-        self.path = content.path if self.own.publish_path else None
+        if self.own.publish_path:
+            self.path, self.parts = content.path, content.axis_paths
         return f'replay of {bag}: {self.expected} samples at {self.rate:.0f} Hz'

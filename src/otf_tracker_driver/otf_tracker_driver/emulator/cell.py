@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the target of the simulated cell is, seen by the tracker, at every tick of its clock."""
+"""Where the target of the simulated cell is, seen by the tracker, at every tick of its clock.
+
+On a machine with rotary axes the reflector is moved by hand between the parts of the run: the beam
+is broken, and can be found again at the next target before that part is driven.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +15,21 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
+from otf_core.planning.axis_plan import axis_plan
 from otf_core.planning.path_creation import plan_path
+from otf_core.planning.rotary_paths import PlannedPart, plan_parts
+from otf_core.sim.axis_cell import simulate_parts
 from otf_core.sim.cell import simulate
 
 TICK = 1e-3
 """s on the tracker's clock; the shortest time between samples."""
 STANDING = 1000
 """Ticks at the end of the run that are repeated for as long as found there."""
+
+
+BY_HAND, BACK = 4000, 3000
+"""Ticks for which the beam is broken between two parts, and for which the reflector then stands at
+the next target before that part is driven."""
 
 
 class Cell:
@@ -31,6 +45,8 @@ class Cell:
         Rate of the tracker's clock, less one.
     truth : ErrorTables, optional
         Errors of the machine; drawn from the seed if not given.
+    parts : sequence of PlannedPart, optional
+        Of a machine with rotary axes, instead of those that are planned for it.
     """
 
     def __init__(
@@ -40,19 +56,54 @@ class Cell:
         seed: int,
         drift: float,
         truth: ErrorTables | None = None,
+        parts: Sequence[PlannedPart] = (),
     ) -> None:
         rate = (1 + drift) / TICK
         config = SimulationConfig(seed=seed, rate=rate, clock_drift=0.0)
         if truth is not None:
             truth = truth.on(machine)
+        if machine.rotary_names:
+            self._drive_parts(
+                machine, parts or plan_parts(machine, planning), planning, config, truth
+            )
+            return
         run = simulate(machine, plan_path(machine, planning), config, truth)
-        self._xyz = run.samples.xyz
+        self._xyz, self._lit = run.samples.xyz, np.ones(len(run.samples), dtype=bool)
         self.truth = run.truth
+
+    def _drive_parts(
+        self,
+        machine: Machine,
+        parts: Sequence[PlannedPart],
+        planning: PlannerConfig,
+        config: SimulationConfig,
+        truth: ErrorTables | None,
+    ) -> None:
+        """Simulate parts, and what the tracker sees between them."""
+        plan = axis_plan(machine, parts, planning)
+        run = simulate_parts(
+            machine, plan.parts, config, truth, feed=plan.feed, dwell=plan.dwell, stops=plan.stops
+        )
+        self.truth = run.truth
+        ends = np.flatnonzero(np.diff(run.samples.stamp_ns) > 1e9) + 1
+        points, lit = [], []
+        for k, own in enumerate(np.split(run.samples.xyz, ends)):
+            if k:
+                at_rest = own[: max(1, round(0.5 * plan.dwell[k] / TICK))]
+                points += [np.zeros((BY_HAND, 3)), np.resize(at_rest, (BACK, 3))]
+                lit += [np.zeros(BY_HAND, dtype=bool), np.ones(BACK, dtype=bool)]
+            points.append(own)
+            lit.append(np.ones(len(own), dtype=bool))
+        self._xyz, self._lit = np.concatenate(points), np.concatenate(lit)
 
     @property
     def ticks(self) -> int:
         """Ticks of the whole run."""
         return len(self._xyz)
+
+    def lit(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether there is a reflector in view at these ticks since the machine started, (n,)."""
+        return np.asarray(self._lit[np.clip(tick, 0, self.ticks - 1)])
 
     def at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
         """Measured points at these ticks since the machine started, shape (n, 3), m."""

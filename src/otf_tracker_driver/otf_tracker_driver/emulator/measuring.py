@@ -44,6 +44,10 @@ class Drive:
     def __init__(self) -> None:
         self.started: float | None = None
 
+    def elapsed(self, now: float) -> float:
+        """Seconds since it started, 0 before."""
+        return 0.0 if self.started is None else now - self.started
+
     def since(self, now: float) -> float:
         """Seconds since it started; it starts with the first question."""
         if self.started is None:
@@ -91,6 +95,10 @@ class Measuring:
             lost = self._happens('beam_loss')
             if lost:  # recorded trackers send at once what they have
                 upto = self._rng.randint(sent, upto)
+                end = upto * step * TICK
+            dark = np.flatnonzero(~self._cell.lit(self._first_tick + step * np.arange(sent, upto)))
+            if dark.size:  # the reflector is taken out of the beam
+                lost, upto = True, sent + int(dark[0])
                 end = upto * step * TICK
             packet = self._packet(step * np.arange(sent, upto))
             due = self._begun + end / (1 + self._drift)

@@ -14,7 +14,7 @@ from otf_tracker_driver.emscon import commands
 from otf_tracker_driver.emscon.codes import Command, Event, Status
 from otf_tracker_driver.emscon.framing import Framer, ProtocolError
 from otf_tracker_driver.emscon.packets import encode_answer, encode_event
-from otf_tracker_driver.emulator.cell import Cell
+from otf_tracker_driver.emulator.cell import TICK, Cell
 from otf_tracker_driver.emulator.device import Device
 from otf_tracker_driver.emulator.faults import Faults
 from otf_tracker_driver.emulator.measuring import Drive, Measuring, Record
@@ -177,11 +177,16 @@ class EmulatedTracker:
             await asyncio.sleep(MOVED)
             if command == C.CHANGE_FACE:
                 device.face = 3 - device.face
-            elif time.monotonic() < self._blocked_until:
+            elif time.monotonic() < self._blocked_until or not self._in_view():
                 status = NOT_FOUND
             else:
                 device.seen = True
         wire.put(encode_answer(command, status))
+
+    def _in_view(self) -> bool:
+        """Tell whether there is a reflector to be found just now."""
+        elapsed = self._drive.elapsed(time.monotonic())
+        return bool(self._cell.lit(np.array([round(elapsed * (1 + self._drift) / TICK)]))[0])
 
     def _start(self, wire: Wire) -> None:
         status = self.device.ready()

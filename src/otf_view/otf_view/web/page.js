@@ -44,6 +44,8 @@ function showNow() {
   text('message', now.message);
   text('driven', now.length === null ? '–'
     : `${now.travelled.toFixed(1)} of ${now.length.toFixed(1)} m`);
+  const named = now.target_name ? `, target ${now.target_name}` : '';
+  text('part', now.parts > 1 ? `${now.part} of ${now.parts}${named}` : '–');
   text('samples', now.samples.toLocaleString('en'));
   text('rate', now.rate === null ? '–' : `${Math.round(now.rate)} per second`);
   const share = now.samples + now.lost ? 100 * now.lost / (now.samples + now.lost) : 0;
@@ -128,7 +130,19 @@ function showMotions(solved) {
   const rows = ROWS.map(([label, name]) => row(label, [...'XYZ'].map(a =>
     cell(name(a), solved.motions[name(a)]))));
   const squareness = ['C0Y', 'B0Z', 'A0Z'].map(name => cell(name, solved.squareness[name]));
-  byId('rows').replaceChildren(...rows, row('squareness', squareness));
+  byId('rows').replaceChildren(...rows, row('squareness', squareness), ...rotaryRows(solved));
+}
+
+function rotaryRows(solved) {
+  const letters = [...'ABC'].filter(a => `EX${a}` in solved.motions);
+  return letters.flatMap(a => [
+    row(`${a}: translations`, [...'XYZ'].map(d => cell(`E${d}${a}`, solved.motions[`E${d}${a}`]))),
+    row(`${a}: rotations`, [...'ABC'].map(d => cell(`E${d}${a}`, solved.motions[`E${d}${a}`]))),
+    ...['XYZ', 'ABC'].map(kind => {
+      const names = [...kind].map(d => `${d}0${a}`).filter(name => name in solved.location);
+      const what = kind === 'XYZ' ? 'position of the axis' : 'orientation of the axis';
+      return row(`${a}: ${what}`, names.map(name => cell(name, solved.location[name])));
+    })]);
 }
 
 function draw() {

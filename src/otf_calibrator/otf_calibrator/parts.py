@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages of ``planner/axes`` make up a plan: a part comes in each, in driving order.
+
+Parts of one plan have one stamp; or each its own, and then they come within two seconds of each
+other, or one by one while the run is driven, before it is over. A plan that comes again from its
+beginning, as after a restart of the planner or of the calibrator, is the same. Any other part
+begins another plan: at once if nothing is driven yet, else after the run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from otf_core.model.axis_path import AxisPath
+
+TOGETHER = 2.0
+"""s; parts with stamps of their own that come within this time of each other are of one plan."""
+SAME = 1e-9
+"""m or rad; corners that differ by less are the same."""
+
+
+class Heard(Enum):
+    """What becomes of a part that arrives."""
+
+    KNOWN = 'it is known already'
+    ADDED = 'it is the next part of the plan'
+    NEW = 'it begins a plan, which is used from now on'
+    NEXT = 'it is of another plan, which is used after this run; calibrator/reset takes it at once'
+
+
+@dataclass
+class PartsPlan:
+    """Parts as they came.
+
+    Attributes
+    ----------
+    parts : list of AxisPath
+    messages : list of bytes
+        In which they came.
+    """
+
+    parts: list[AxisPath] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    _stamps: set[int] = field(default_factory=set)
+    _came: float = 0.0
+    _one_by_one: bool = False
+
+    def add(self, part: AxisPath, message: bytes, stamp_ns: int, now: float) -> None:
+        """Take the next part."""
+        self._one_by_one |= bool(self.parts) and now - self._came >= TOGETHER
+        self.parts.append(part)
+        self.messages.append(message)
+        self._stamps.add(stamp_ns)
+        self._came = now
+
+    def comes_again(self, stamp_ns: int, now: float) -> None:
+        """Take the stamp, ns, and the time, s, of a part that came once more."""
+        self._stamps, self._came = {stamp_ns}, now
+
+    def goes_on(self, stamp_ns: int, now: float) -> bool:
+        """Tell whether a part that comes now is of the same sending."""
+        if stamp_ns in self._stamps:
+            return True
+        own_stamps = len(self._stamps) == len(self.parts)
+        return bool(self.parts) and own_stamps and now - self._came < TOGETHER
+
+    def long_ago(self, now: float) -> bool:
+        """Tell whether its last part came some time ago."""
+        return now - self._came >= TOGETHER
+
+    @property
+    def open(self) -> bool:
+        """Whether parts come one by one, as far as is known."""
+        return self._one_by_one or len(self.parts) == 1
+
+
+class PartsHeard:
+    """Takes parts as they arrive.
+
+    Attributes
+    ----------
+    plan : PartsPlan
+        Of the present run.
+    """
+
+    def __init__(self) -> None:
+        self.plan = PartsPlan()
+        self._next = PartsPlan()
+        self._again = 0
+        self._resumed = False
+
+    def take(
+        self, part: AxisPath, message: bytes, stamp_ns: int, now: float, driving: bool
+    ) -> Heard:
+        """Take a part.
+
+        Parameters
+        ----------
+        part : AxisPath
+        message : bytes
+            In which it came.
+        stamp_ns : int, ns
+        now : float, s
+        driving : bool
+            A run is being driven.
+        """
+        plan, again, self._again = self.plan, self._again, 0
+        if self._next.goes_on(stamp_ns, now):
+            self._next.add(part, message, stamp_ns, now)
+            return Heard.NEXT
+        if again or self._begins_again(part, stamp_ns, now, driving):
+            if _same(part, plan.parts[again]):
+                plan.comes_again(stamp_ns, now)
+                self._again = (again + 1) % len(plan.parts)
+                return Heard.KNOWN
+            before = PartsPlan(plan.parts[:again], plan.messages[:again])
+            before.comes_again(stamp_ns, now)
+        elif plan.goes_on(stamp_ns, now) or (driving and plan.open):
+            plan.add(part, message, stamp_ns, now)
+            return Heard.ADDED
+        else:
+            before = PartsPlan()
+        before.add(part, message, stamp_ns, now)
+        if driving:
+            self._next = before
+            return Heard.NEXT
+        self.plan, self._next = before, PartsPlan()
+        return Heard.NEW
+
+    def _begins_again(self, part: AxisPath, stamp_ns: int, now: float, driving: bool) -> bool:
+        """Tell whether a part is the first of the known plan once more."""
+        plan, resumed = self.plan, self._resumed
+        if not plan.parts or not _same(part, plan.parts[0]):
+            return False
+        self._resumed = False
+        if resumed or not driving:
+            return resumed or not plan.goes_on(stamp_ns, now) or plan.long_ago(now)
+        one_by_one = plan.open and len(plan.parts) > 1
+        return not one_by_one and not plan.goes_on(stamp_ns, now)
+
+    def restore(self, part: AxisPath, message: bytes, now: float) -> None:
+        """Take a part of a run that is taken up: the planner will send it again."""
+        self.plan.add(part, message, 0, now)
+        self._resumed = True
+
+    def run_over(self) -> bool:
+        """Use the plan that came during the run, if one did; tell whether."""
+        if not self._next.parts:
+            return False
+        self.plan, self._next, self._again = self._next, PartsPlan(), 0
+        return True
+
+
+def _same(a: AxisPath, b: AxisPath) -> bool:
+    if (a.axes, a.target, a.positions.shape) != (b.axes, b.target, b.positions.shape):
+        return False
+    return bool(np.abs(a.positions - b.positions).max() < SAME)

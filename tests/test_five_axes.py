@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machines with rotary axes in the graph: several parts, broken beam, a kill, and who looks on."""
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from cells import share_left
+from geometry_msgs.msg import PointStamped
+from graph import offline, without_date
+from nav_msgs.msg import Path as PathMessage
+from rclpy.serialization import serialize_message
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from otf_core.bags.bag import read_bag
+from otf_core.bags.cdr import decode_axes
+from otf_core.model.observation import Samples
+from otf_msgs.msg import CalibrationResult, ErrorTables, TrackerGap, TrackerStatus, VolumeErrors
+from otf_ros import convert, qos
+
+CELL = Path(__file__).parents[1] / 'bags' / 'trunnion'
+TARGETS = ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
+PARTS = """target,x,y,z,a,c
+tool,-0.15,-0.12,0,0,0
+tool,0.15,0.12,0.25,0,0
+tool,0.15,-0.12,0,0,0
+tool,-0.15,0.12,0.25,0,0
+tool,-0.15,-0.12,0.1,0,0
+tool,0.15,-0.12,0.1,0,0
+tool,0.15,0.12,0.1,0,0
+tool,0.15,0.12,0,0,0
+tool,-0.15,-0.12,0,0,0
+nest-1,0,0,0,0,0
+nest-1,0,0,0,0.8,0
+nest-1,0,0,0,0,6.2
+nest-1,0,0,0,0,0
+"""
+"""Enough to find the tracker and one nest; not enough for all errors."""
+
+
+def stood(samples, count):
+    """Samples, and so many more of a target that stands at the end."""
+    step = round(samples.step_ns)
+    stamps = samples.stamp_ns[-1] + step * np.arange(1, count + 1)
+    noise = np.random.default_rng(8).normal(scale=1e-6, size=(count, 3))
+    return Samples(
+        np.concatenate([samples.stamp_ns, stamps]),
+        np.concatenate([samples.xyz, samples.xyz[-1] + noise]),
+    )
+
+
+def test_trajectory_of_a_node_is_read_as_it_is_recorded():
+    for part in read_bag(CELL / 'bag').axis_paths:
+        data = serialize_message(convert.axes_to_message(part, Time()))
+        frame, names, positions = decode_axes(data)
+        assert (frame, names) == (part.target, part.axes)
+        assert np.array_equal(positions, part.positions)
+
+
+def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last_part(
+    graph, tmp_path
+):
+    whole = read_bag(CELL / 'bag')
+    samples, half = stood(whole.samples, 80), len(whole.samples) // 2
+    ear = graph.ear()
+    axes = ear.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)
+    for part in whole.axis_paths:  # each with a stamp of its own, as other planners may
+        axes.publish(convert.axes_to_message(part, ear.get_clock().now().to_msg()))
+    points = ear.create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
+
+    def publish(these, readers):
+        graph.wait(lambda: points.get_subscription_count() >= readers, 'the calibrator')
+        for message in convert.points_to_messages(these):
+            points.publish(message)
+
+    given = {'machine_file': CELL / 'machine.yaml', 'output_directory': tmp_path / 'out'}
+    node = graph.start('calibrator', **given)
+    graph.wait(lambda: graph.state() and graph.state().parts == 5, 'the parts')
+    publish(samples.part(0, half), 1)
+    graph.wait(lambda: graph.state().samples == half, 'half of the samples')
+    assert (graph.state().part, graph.state().target) == (3, 'nest-1')
+    (journal,) = (p for p in (tmp_path / 'out' / 'journal').iterdir() if p.is_dir())
+    graph.wait(lambda: len(read_bag(journal).samples) == half, 'the journal')
+    node.interrupt(signal.SIGKILL)
+    node.wait()
+    graph.nodes.remove(node)
+    graph.heard['calibrator/state'].clear()
+
+    tables = graph.listen(ErrorTables, 'calibrator/error_tables', qos.RESULT)
+    graph.start('calibrator', **given)
+    graph.wait(lambda: graph.state() and graph.state().samples == half, 'the run before')
+    publish(samples.part(half, len(samples)), 2)
+    result, state = graph.wait_for_result()
+    assert (result.status, state.name) == (result.OK, 'DONE'), state.message
+    assert (state.parts, result.not_identifiable) == (5, ['ECX', 'ECZ'])
+    assert all('spindle axis' in need for need in result.needs)
+    folder = Path(result.output_directory)
+    graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    live = (folder / 'error_tables.json').read_bytes()
+    again = offline(journal, CELL / 'machine.yaml', tmp_path / 'offline')
+    name = json.dumps(journal.name).encode()
+    assert without_date(live) == again.replace(name, b'"samples"')
+    assert [p.target for p in read_bag(folder / 'samples').axis_paths] == TARGETS
+
+    graph.wait(lambda: tables, 'all tables in one message')
+    told, written = tables[-1], json.loads(live)
+    assert [table.motion for table in told.tables] == list(written['motions'])
+    units = {table.axis: table.position_unit for table in told.tables}
+    assert units == {'X': 'm', 'Y': 'm', 'Z': 'm', 'A': 'rad', 'C': 'rad'}
+    for k, name in enumerate(told.location):
+        one = written['location'][name]
+        assert told.location_value[k] == one['value'] == result.location_value[k]
+        assert (told.location_u[k], told.location_identifiable[k]) == (one['u'], True)
+    assert len(told.location) == 8 and told.tracker_link == 'b'
+    for target in told.targets:
+        place = written['targets'][target.name]['place']
+        assert [target.place.x, target.place.y, target.place.z] == place
+        assert target.link == written['machine']['targets'].get(target.name, {'link': 't'})['link']
+    assert share_left(folder / 'error_tables.json', CELL / 'truth.json') < 0.1
+
+
+def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path):
+    machine = {'machine_file': CELL / 'machine.yaml'}
+    path = tmp_path / 'path.csv'
+    path.write_text(PARTS)
+    graph.start('viewer')
+    page = graph.start('page', port=0)
+    statuses = graph.listen(TrackerStatus, 'tracker/status')
+    gaps = graph.listen(TrackerGap, 'tracker/gap', qos.EVENTS)
+    early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
+    volumes = graph.listen(VolumeErrors, 'calibrator/volume', qos.RESULT)
+    tracks = graph.listen(PathMessage, 'calibrator/track', qos.PATH)
+    scenes = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
+    graph.start('path_planner', **machine, path_file=path)
+    graph.start('calibrator', **machine, report=False, save_bag=False)
+    simulated = {'simulated.rate': 100.0, 'time_scale': 10.0}
+    graph.start('tracker_driver', **machine, **simulated)
+    result, state = graph.wait_for_result()
+    assert result.run_id and result.samples_lost == 0, state.message
+    assert {'ECC', 'A0C'} <= set(result.not_identifiable)
+    words = {status.message for status in statuses if status.name == 'BEAM_BROKEN'}
+    assert any("moved by hand to the target 'nest-1'" in text for text in words)
+    graph.wait(lambda: gaps, 'the gap')
+    assert gaps[0].reason == "the reflector is moved by hand to the target 'nest-1'"
+    shown = {(s.part, s.target) for s in graph.listen(None, 'calibrator/state')}
+    assert {(1, 'tool'), (2, 'nest-1')} <= shown
+    assert early and early[0].motions and early[0].samples < result.samples
+    graph.wait(lambda: volumes and not volumes[-1].provisional, 'the errors on a grid')
+    volume = volumes[-1]
+    assert len(volume.positions) == 5 * len(volume.points) > 500 and 'C' in volume.axes
+    found = graph.listen(None, 'calibrator/track')[-1]
+    assert len(tracks) >= 2 and len(found.poses) == len(tracks[0].poses) > 600
+    graph.wait(lambda: scenes and any(m.ns == 'errors' for m in scenes[-1].markers), 'the picture')
+    assert 'live view at' in page.last_lines()
