@@ -9,7 +9,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from cells import share_left
 from geometry_msgs.msg import PointStamped
-from graph import offline, without_date
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
@@ -17,28 +16,14 @@ from visualization_msgs.msg import MarkerArray
 
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import decode_axes
+from otf_core.inputs.recordings import read_recording
 from otf_core.model.observation import Samples
-from otf_msgs.msg import CalibrationResult, ErrorTables, TrackerGap, TrackerStatus, VolumeErrors
+from otf_core.model.provenance import origin_of
+from otf_msgs.msg import CalibrationResult, ErrorTables, TrackerGap, VolumeErrors
 from otf_ros import convert, qos
 
 CELL = Path(__file__).parents[1] / 'bags' / 'trunnion'
 TARGETS = ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
-PARTS = """target,x,y,z,a,c
-tool,-0.15,-0.12,0,0,0
-tool,0.15,0.12,0.25,0,0
-tool,0.15,-0.12,0,0,0
-tool,-0.15,0.12,0.25,0,0
-tool,-0.15,-0.12,0.1,0,0
-tool,0.15,-0.12,0.1,0,0
-tool,0.15,0.12,0.1,0,0
-tool,0.15,0.12,0,0,0
-tool,-0.15,-0.12,0,0,0
-nest-1,0,0,0,0,0
-nest-1,0,0,0,0.8,0
-nest-1,0,0,0,0,6.2
-nest-1,0,0,0,0,0
-"""
-"""Enough to find the tracker and one nest; not enough for all errors."""
 
 
 def stood(samples, count):
@@ -99,10 +84,12 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
     assert all('spindle axis' in need for need in result.needs)
     folder = Path(result.output_directory)
     graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    assert read_bag(journal).samples.xyz.tobytes() == samples.xyz[: result.samples].tobytes()
+    assert len(whole.samples) - 5 < result.samples < len(samples)
     live = (folder / 'error_tables.json').read_bytes()
-    again = offline(journal, CELL / 'machine.yaml', tmp_path / 'offline')
-    name = json.dumps(journal.name).encode()
-    assert without_date(live) == again.replace(name, b'"samples"')
+    (used,) = json.loads(live)['provenance']['runs']  # equal input gives equal tables
+    content = read_recording([journal], CELL / 'machine.yaml')
+    assert used['sha256'] == origin_of('', content.samples, content.path).sha256
     assert [p.target for p in read_bag(folder / 'samples').axis_paths] == TARGETS
 
     graph.wait(lambda: tables, 'all tables in one message')
@@ -125,10 +112,13 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
 def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path):
     machine = {'machine_file': CELL / 'machine.yaml'}
     path = tmp_path / 'path.csv'
-    path.write_text(PARTS)
+    lines = ['target,x,y,z,a,c']
+    for part in read_bag(CELL / 'bag').axis_paths:
+        if part.target != 'long':
+            lines += [','.join([part.target, *map(str, q)]) for q in part.positions.tolist()]
+    path.write_text('\n'.join(lines))
     graph.start('viewer')
     page = graph.start('page', port=0)
-    statuses = graph.listen(TrackerStatus, 'tracker/status')
     gaps = graph.listen(TrackerGap, 'tracker/gap', qos.EVENTS)
     early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
     volumes = graph.listen(VolumeErrors, 'calibrator/volume', qos.RESULT)
@@ -136,17 +126,17 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     scenes = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
     graph.start('path_planner', **machine, path_file=path)
     graph.start('calibrator', **machine, report=False, save_bag=False)
-    simulated = {'simulated.rate': 100.0, 'time_scale': 10.0}
-    graph.start('tracker_driver', **machine, **simulated)
+    simulated = {'simulated.rate': 100.0, 'time_scale': 50.0}
+    driver = graph.start('tracker_driver', **machine, **simulated)
     result, state = graph.wait_for_result()
     assert result.run_id and result.samples_lost == 0, state.message
-    assert {'ECC', 'A0C'} <= set(result.not_identifiable)
-    words = {status.message for status in statuses if status.name == 'BEAM_BROKEN'}
-    assert any("moved by hand to the target 'nest-1'" in text for text in words)
+    assert result.status == result.OK and 'C0C' not in result.location
+    said = driver.log.read_text(encoding='utf-8')
+    assert "BEAM_BROKEN: the reflector is moved by hand to the target 'nest-1'" in said
     graph.wait(lambda: gaps, 'the gap')
     assert gaps[0].reason == "the reflector is moved by hand to the target 'nest-1'"
     shown = {(s.part, s.target) for s in graph.listen(None, 'calibrator/state')}
-    assert {(1, 'tool'), (2, 'nest-1')} <= shown
+    assert {(3, 'nest-2'), (4, 'nest-3')} <= shown  # the state is told twice per second
     assert early and early[0].motions and early[0].samples < result.samples
     graph.wait(lambda: volumes and not volumes[-1].provisional, 'the errors on a grid')
     volume = volumes[-1]

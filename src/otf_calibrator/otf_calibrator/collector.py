@@ -270,6 +270,18 @@ class Collector:
         self.path = path
         self._watch()
 
+    def driven_parts(self) -> tuple[NominalPath, tuple[str, ...]]:
+        """Return the path without parts that were surely not driven, and words on these."""
+        path, watcher = self.path, self.watcher
+        assert path is not None, 'asked before'
+        if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+            return path, ()
+        count = len(path.parts)
+        if watcher.in_last_part:
+            return path, ()
+        words = f'{watcher.part} of {count} parts were driven; the others are left out'
+        return path.first_parts(watcher.part), (words,)
+
     @property
     def driving(self) -> bool:
         """Whether a run is being driven."""

@@ -225,14 +225,14 @@ class Session:
     ) -> Request:
         """Return the samples so far, or some of them, and all that is known of them."""
         collector = self.collector
-        assert collector.path is not None, 'asked before'
         samples = collector.buffer.snapshot() if samples is None else samples
+        path, not_driven = collector.driven_parts()
         return Request(
             samples,
-            collector.path,
+            path,
             *self._settings(),
             collector.lost_for_sure(time.monotonic()),
-            (*collector.remarks, *self.intake.remarks(), *remarks),
+            (*collector.remarks, *self.intake.remarks(), *not_driven, *remarks),
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
             final,

@@ -70,8 +70,12 @@ class PartsWatcher(PathWatcher):
     @property
     def share(self) -> float:
         """Share of the path that has been travelled; 0 before the last part."""
-        last = self._breaks >= len(self._track.parts) - 1
-        return self.travelled / self._path.length if last else 0.0
+        return self.travelled / self._path.length if self.in_last_part else 0.0
+
+    @property
+    def in_last_part(self) -> bool:
+        """Whether the beam was broken often enough for the last part to be driven."""
+        return self._breaks >= len(self._track.parts) - 1
 
     @in_one_thread
     def look(self, samples: Samples) -> PartsDriven | None:  # type: ignore[override]
