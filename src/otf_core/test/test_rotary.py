@@ -141,11 +141,10 @@ def test_tables_predict_the_exact_error_within_second_order():
     assert np.array_equal(predict(TablesFile(tables), q).error, displacement(tables, q))
 
 
-@pytest.mark.parametrize('verb', ['diagnose', 'check'])
+@pytest.mark.parametrize('verb', ['check'])
 def test_commands_for_linear_axes_say_so(verb, tmp_path, capsys):
     yaml = str(BAG / 'machine.yaml')
     words = {
-        'diagnose': [str(BAG / 'bag'), '--machine', yaml, '--out', str(tmp_path / 'x')],
         'check': [str(BAG / 'bag'), '--machine', yaml],
     }
     assert main([verb, *words[verb]]) == 2

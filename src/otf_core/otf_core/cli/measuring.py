@@ -200,22 +200,19 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
     config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.diagnose import diagnose
-    from otf_core.effects import REGISTRY
+    from otf_core.effects import EVERY
     from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import gap_sections, write_diagnosis
     from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
-    unknown = sorted(set(arguments.exclude) - set(REGISTRY))
+    unknown = sorted(set(arguments.exclude) - set(EVERY))
     if unknown:
-        raise ConfigError(
-            f'--exclude: {unknown[0]} is not an effect; known: {", ".join(REGISTRY)}'
-        )
+        raise ConfigError(f'--exclude: {unknown[0]} is not an effect; known: {", ".join(EVERY)}')
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
-        refuse_rotary(recordings[0].machine, 'diagnose')
         causes = arguments.own_causes
         own = read_own_causes(causes, recordings[0].machine) if causes else ()
         diagnosis = diagnose(

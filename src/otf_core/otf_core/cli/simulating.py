@@ -137,17 +137,17 @@ def _answer_run(
 
 def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, machine: Any) -> int:
     """Bag of a simulated run of a machine with rotary axes, and its truth."""
+    from otf_core.effects.effects_yaml import read_effects
     from otf_core.files.output_folder import OutputFolder
     from otf_core.inputs.path_file import read_axis_paths
     from otf_core.model.tables import load_tables
     from otf_core.sim.axis_cell import simulate_parts, usual_parts
     from otf_core.sim.axis_truth import write_axis_run
 
-    if arguments.effects:
-        raise ConfigError('--effects: not available for machines with rotary axes')
     if str(arguments.out).endswith('.mcap'):
         raise ConfigError(f'--out: {arguments.out}: give a folder for machines with rotary axes')
-    given = [arguments.machine, arguments.tables, arguments.path]
+    given = [arguments.machine, arguments.tables, arguments.path, arguments.effects]
+    effects = read_effects(arguments.effects, machine) if arguments.effects else ()
     out = OutputFolder(
         arguments.out,
         overwrite=arguments.overwrite,
@@ -163,12 +163,12 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
         if arguments.corner_dwell is not None:
             options['dwell'] = arguments.corner_dwell
         try:
-            run = simulate_parts(machine, parts, config, tables, **options)
+            run = simulate_parts(machine, parts, config, tables, effects=effects, **options)
         except InputError as error:
             raise ConfigError(f'{arguments.path or arguments.machine}: {error}') from None
         progress('writing', 0.0)
         with out.filled('simulate') as folder:
-            write_axis_run(run, config, folder, Path(arguments.out).name)
+            write_axis_run(run, config, folder, Path(arguments.out).name, effects)
     words = (
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}: '
         f'{len(run.parts)} parts ({", ".join(p.target for p in run.parts)})'

@@ -49,14 +49,15 @@ from otf_core.pieces.finding import WARNING, Finding
 
 
 def measured_run(view: RunView) -> dict[str, Any]:
-    """Corner points, m, feeds of the legs, m/s, and place of the tracker, m, of one run."""
+    """Axis positions at the corners, feeds of the legs, m/s, and place of the tracker, m."""
     first = np.flatnonzero(np.diff(view.leg, prepend=view.leg[0] - 1))
     last = np.append(first[1:], len(view.leg)) - 1
     between = 0.5 * (view.q[last[:-1]] + view.q[first[1:]])
+    point = view.q if view.point is None else view.point
     path = np.vstack([view.q[first[:1]], between, view.q[last[-1:]]])
     feed = [float(np.max(view.speed[a : b + 1])) for a, b in zip(first, last, strict=True)]
     return {
-        'tracker_place': np.median(view.q - view.beam, axis=0).tolist(),
+        'tracker_place': np.median(point - view.beam, axis=0).tolist(),
         'path': np.round(path, 6).tolist(),
         'feed': feed,
     }

@@ -14,7 +14,7 @@ from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.evidence import Estimate
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
-from otf_core.effects import REGISTRY, AppliedEffect, State
+from otf_core.effects import EVERY, AppliedEffect, State
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,
@@ -380,7 +380,7 @@ def chosen_sizes(
     effect: str, parameters: dict[str, float], machine: Machine
 ) -> tuple[CauseSize, ...]:
     """Sizes of an effect without coefficients."""
-    sizes = REGISTRY[effect].sizes(Coefficients({}, {}, (), parameters, machine))
+    sizes = EVERY[effect].sizes(Coefficients({}, {}, (), parameters, machine))
     return tuple(CauseSize(s.of, s.chosen, None, s.unit, s.remark) for s in sizes)
 
 

@@ -8,9 +8,10 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -40,14 +41,24 @@ from otf_core.diagnosis.engine.search import (
 )
 from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
-from otf_core.diagnosis.weighing import Explanation, Judged, explain, judge, run_views
-from otf_core.effects import REGISTRY, Effect
+from otf_core.diagnosis.result import AxisEffects, Diagnosis, Gap, NamedCause, Shown
+from otf_core.diagnosis.rotary_rows import rows_of_axes, simulated_um
+from otf_core.diagnosis.weighing import (
+    Explanation,
+    Judged,
+    Unnamed,
+    explain,
+    judge,
+    run_views,
+)
+from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
+from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Recording, Run, reduced
+from otf_core.rotary.calibrate import calibrate_axes
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
 from otf_core.solving.unknowns import Basis
 from otf_core.threads import in_one_thread
@@ -71,6 +82,8 @@ def diagnose(
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
     own: Sequence[Effect] = (),
+    *,
+    same_station: bool = False,
 ) -> Diagnosis:
     """Diagnose runs of one machine.
 
@@ -88,6 +101,8 @@ def diagnose(
         Called as work goes on, stage 'aligning', 'solving', 'diagnosing' or 'correcting'.
     own : sequence of Effect
         Causes of one's own, tried beside the catalogue.
+    same_station : bool
+        The tracker was not moved between the recordings, of a machine with rotary axes.
 
     Raises
     ------
@@ -96,6 +111,10 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     progress = progress or silent
+    if recordings[0].machine.rotary_names:
+        return _diagnose_axes(
+            recordings, exclude, config, progress, own, same_station=same_station
+        )
     solved = solve_recordings(recordings, config, progress)
     with Ahead() as ahead:
         ahead.begin(assemble, solved.solution, config, solved.findings)
@@ -116,6 +135,44 @@ def diagnose(
         recordings, solved, searched, weighed,
         lambda sentence: with_causes(plain, corrected, causes, config, sentence),
     )  # fmt: skip
+
+
+def _diagnose_axes(
+    recordings: Sequence[Recording],
+    exclude: Sequence[str],
+    config: CalibrationConfig,
+    progress: Progress,
+    own: Sequence[Effect],
+    *,
+    same_station: bool,
+) -> Diagnosis:
+    """Diagnose runs of a machine with rotary axes.
+
+    Simulated is what the solution leaves of the noise of the standstills alone.
+    """
+    machine = recordings[0].machine
+    plain = calibrate_axes(
+        recordings, replace(config, reversal='none'), progress, same_station=same_station
+    )
+    progress('diagnosing', 0.0)
+    rows = rows_of_axes(recordings, plain)
+    offered = catalogue(machine)
+    exclude = (*exclude, *(n for n in EVERY if n not in offered))
+    of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
+    found = search_catalogue(rows, exclude, (*of_rotary, *own), ())
+    progress('diagnosing', 0.5)
+    searched = _Searched(rows, found, simulated_um(rows))
+    explained = explain(rows, found.causes, searched.simulated_um)
+    weighed = _weigh(searched, explained, config, exclude)
+    progress('diagnosing', 1.0)
+    conditions = {
+        'machine': machine.name,
+        'chain': str(machine.chain),
+        'samples': ', '.join(str(len(r.samples)) for r in recordings),
+        'path pieces': ', '.join(str(len(s.run.pieces)) for s in plain.solution.runs),
+        'tracker noise, as measured in standstills': str(rows.observed[0].noise),
+    }
+    return _stated(recordings, searched, weighed, AxisEffects(plain), (), conditions=conditions)
 
 
 @dataclass(frozen=True)
@@ -287,18 +344,48 @@ def _answer(
     beside: Callable[[str], EffectsCalibration],
 ) -> Diagnosis:
     """Put everything into words; ``beside`` makes the calibration for a sentence."""
+    calibration = beside(_sentence(weighed))
+    return _stated(
+        recordings,
+        searched,
+        weighed,
+        calibration,
+        qualify_moves(examined.findings, _said(weighed)),
+        _table_change_um(calibration),
+        _conditions(examined, calibration.plain),
+    )
+
+
+def _said(weighed: _Weighed) -> Unnamed | None:
+    """What is known of a cause without a name."""
+    nameless = weighed.judged.nameless
+    return nameless.said if nameless else None
+
+
+def _sentence(weighed: _Weighed) -> str:
+    judged = weighed.judged
+    return sentence_of(judged.verdict, weighed.gap, weighed.causes, judged.noise, _said(weighed))
+
+
+def _stated(
+    recordings: Sequence[Recording],
+    searched: _Searched,
+    weighed: _Weighed,
+    calibration: EffectsCalibration | AxisEffects,
+    contradictions: tuple[Finding, ...] = (),
+    table_change_um: float = 0.0,
+    conditions: Mapping[str, str] = MappingProxyType({}),
+) -> Diagnosis:
+    """Put everything into words."""
     rows, visible, judged = searched.rows, searched.found.visible, weighed.judged
     explained, nameless, causes = judged.explained, judged.nameless, weighed.causes
     applied = tuple(
-        tuple(part.applied(k) for part in weighed.fitted) for k in range(len(rows.runs))
+        tuple(part.applied(k) for part in weighed.fitted) for k in range(len(rows.states))
     )
-    said = nameless.said if nameless else None
-    sentence = sentence_of(judged.verdict, weighed.gap, causes, judged.noise, said)
-    calibration = beside(sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
         verdict=judged.verdict,
-        sentence=sentence,
+        sentence=_sentence(weighed),
         gap=weighed.gap,
         causes=causes,
         unexplained_um=weighed.gap.after_um,
@@ -309,15 +396,15 @@ def _answer(
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
-        contradictions=qualify_moves(examined.findings, said),
-        table_change_um=_table_change_um(calibration),
-        unnamed=said,
+        contradictions=contradictions,
+        table_change_um=table_change_um,
+        unnamed=_said(weighed),
         applied=tuple(
             (*own, *(nameless.applied[k] if nameless else ())) for k, own in enumerate(applied)
         ),
         calibration=calibration,
         origin=calibration.plain.origin,
-        shown=Shown(_shown_views(rows, explained), _conditions(examined, calibration.plain)),
+        shown=Shown(_shown_views(rows, explained), conditions),
     )
 
 
@@ -334,7 +421,7 @@ def _not_visible(
     """Effects that leave no trace in these data, and what would show them."""
     named = {c.effect for c in causes} | {n for c in causes for n in c.indistinguishable_from}
     hidden = [n for n, v in visible.items() if not v.visible and n not in named]
-    return tuple((n, REGISTRY[n].needs) for n in hidden)
+    return tuple((n, EVERY[n].needs) for n in hidden)
 
 
 def _table_change_um(calibration: EffectsCalibration) -> float:
@@ -399,6 +486,7 @@ def calibrate_with_effects(
         return calibrate_with_file(recordings, effects, config, progress)
     diagnosis = diagnose(recordings, twin, (), config, progress)
     calibration = diagnosis.calibration
+    assert isinstance(calibration, EffectsCalibration)
     if diagnosis.verdict != 'unknown':
         return calibration
     warned = (calibration.words, *calibration.result.warnings)

@@ -12,8 +12,25 @@ from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import Where
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.effects import AppliedEffect
+from otf_core.model.machine import Machine
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
+from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.solving.reversal import Reversal
+
+
+@dataclass(frozen=True)
+class AxisEffects:
+    """Calibrations of a machine with rotary axes beside its diagnosis.
+
+    Attributes
+    ----------
+    plain : AxisCalibration
+        Without reversal, which is a cause like any other.
+    """
+
+    plain: AxisCalibration
+
 
 FORMULA, FREE = 'formula', 'free'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
@@ -140,7 +157,19 @@ class Diagnosis:
     contradictions: tuple[Finding, ...]
     table_change_um: float
     applied: tuple[tuple[AppliedEffect, ...], ...]
-    calibration: EffectsCalibration
+    calibration: EffectsCalibration | AxisEffects
     origin: tuple[Origin, ...]
     shown: Shown
     unnamed: Unnamed | None = None
+
+    @property
+    def machine(self) -> Machine:
+        """The machine of the runs."""
+        return self.calibration.plain.tables.machine
+
+    @property
+    def reversal(self) -> Reversal | None:
+        """Reversal tables of the calibration; None of a machine with rotary axes."""
+        if isinstance(self.calibration, AxisEffects):
+            return None
+        return self.calibration.plain.reversal

@@ -451,7 +451,7 @@ def _said(
         shrink_interval_percent=shrink_interval(before, after, simulated),
         curves=tuple(c for own in curves for c in own),
     )
-    runs = range(len(rows.runs))
+    runs = range(len(rows.states))
     applied = tuple(tuple(part.applied(k) for part in parts) for k in runs)
     return Nameless(said, applied, simulated, tuple(structures))
 
@@ -686,9 +686,11 @@ def run_views(
             residual_after=after,
             expected=whitener.expected,
             factors=whitener.factors,
+            rotary=state.machine.rotary_names,
+            point=state.point,
         )
         for k, (run, solved, whitener, state, before, after) in enumerate(
-            zip(rows.runs, rows.done.runs, rows.whiteners, rows.states, *parts, strict=True),
+            zip(rows.observed, rows.done.runs, rows.whiteners, rows.states, *parts, strict=True),
             start=1,
         )
     )

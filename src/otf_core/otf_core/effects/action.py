@@ -39,7 +39,7 @@ def rigid_tracker(state: State, shape: Shape) -> Terms:
 
 def rigid_table(state: State, shape: Shape) -> Terms:
     """Shifts, and turns about the zero point of the machine."""
-    return _rigid(state, state.q)
+    return _rigid(state, state.point)
 
 
 def _rigid(state: State, arm: Array) -> Terms:

@@ -130,6 +130,8 @@ class Effect(ABC):
     """True if it displaces point by point, as a function of several positions."""
     belongs_to: ClassVar[BelongsTo] = BelongsTo.EFFECTS
     """The part of a calibration that takes it up."""
+    any_axes: ClassVar[bool] = False
+    """True if its formula holds for machines with rotary axes as well."""
     material_um: ClassVar[float] = 0.2
     """um; where it changes the residual by less it is not named."""
     contributions: ClassVar[tuple[Contribution, ...]] = ()

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from otf_core.effects import REGISTRY, Effect
+from otf_core.effects import REGISTRY, ROTARY, Effect
 from otf_core.effects.state import probe_state
 from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import write_text
-from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
+from otf_core.model.machine import BED, TABLE, Axis, Chain, Machine, Target, TrackerSpec
 
 LISTED = 18
 """Names that are written out; of longer lists the first and the last."""
@@ -44,6 +44,26 @@ Only displacements across the path are visible on the fly.
 Free forms and empirical effects as entries of such a file: [free-forms.md](free-forms.md).
 """
 
+OF_ROTARY_AXES = """# Rotary axes
+
+The effects below are those that only machines with rotary axes have. J_a is the displacement of
+the target per rad of the angular positioning of axis a, in the frame of the link that carries the
+tracker. These machines may also have
+{shared}:
+coefficients of a rotary axis are in rad there, and those of an axis act in the direction in which
+it moves the target.
+"""
+
+
+def _turning_machine() -> Machine:
+    chain = Chain.parse('w-C-A-b-Y-X-Z-t')
+    axes = {a: Axis(0.0, 0.6, 0.3) for a in 'XYZ'}
+    axes['A'] = Axis(-0.5, 1.5, 0.2, direction=(1.0, 0.0, 0.0))
+    axes['C'] = Axis(0.0, 6.28, 0.3, direction=(0.0, 0.0, 1.0))
+    spec = TrackerSpec(1e-6, 1e-6, link=BED)
+    own = {'nest': Target(TABLE, (0.1, 0.0, 0.1), 1e-3)}
+    return Machine('', chain, axes, np.zeros(3), spec, stated_targets=own)
+
 
 def _machine() -> Machine:
     chain = Chain.parse('w-b-X-Y-Z-t')
@@ -58,8 +78,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _parameters(effect: Effect) -> str:
-    state = probe_state(_machine())
-    first = effect.shapes(state)[0]
+    state = probe_state(_turning_machine() if effect.name in ROTARY else _machine())
+    first = next(iter(effect.shapes(state)), dict.fromkeys(effect.shape_names, 1.0))
     shape = {n: v for n, v in first.items() if n not in effect.shape_defaults}
     terms = effect.terms(state, effect.complete_shape(shape))
     parts = []
@@ -94,9 +114,12 @@ def _section(effect: Effect) -> str:
 def catalogue_markdown() -> str:
     """Return the text of docs/effects.md."""
     rows = ['| effect | cause | typical size |', '|---|---|---|']
-    rows += [f'| [{n}](#{n}) | {e.cause} | {e.typical} |' for n, e in REGISTRY.items()]
+    every = {**REGISTRY, **ROTARY}
+    rows += [f'| [{n}](#{n}) | {e.cause} | {e.typical} |' for n, e in every.items()]
     sections = [_section(effect) for effect in REGISTRY.values()]
-    return with_micro_sign('\n'.join([INTRODUCTION, *rows, '', *sections]))
+    shared = ', '.join(f'`{n}`' for n, e in REGISTRY.items() if e.any_axes)
+    own = [OF_ROTARY_AXES.format(shared=shared), *(_section(e) for e in ROTARY.values())]
+    return with_micro_sign('\n'.join([INTRODUCTION, *rows, '', *sections, *own]))
 
 
 if __name__ == '__main__':

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from otf_core.effects import REGISTRY, AppliedEffect, Effect
+from otf_core.effects import EVERY, AppliedEffect, Effect, catalogue
 from otf_core.effects.empirical import EMPIRICAL, Empirical, Kept
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
@@ -54,8 +54,9 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     name = fields.text('effect')
     if name == EMPIRICAL:
         return empirical_of(fields, machine)
-    if name not in REGISTRY:
-        known = ', '.join((*REGISTRY, EMPIRICAL))
+    offered = catalogue(machine)
+    if name not in offered:
+        known = ', '.join((*offered, EMPIRICAL))
         fields.fail('effect', f'{shown(name)} is unknown; possible: {known}')
     given = _mapping(fields.take('parameters'), f'{where}: {name}: parameters')
     effect, where = _form(name, fields, machine, list(given)), f'{where}: {name}'
@@ -79,7 +80,7 @@ def _form(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> 
     form = fields.text('form') if fields.has('form') else FORMULA
     if form not in (FORMULA, FREE):
         fields.fail('form', f'{shown(form)} is unknown; possible: {FORMULA}, {FREE}')
-    return free_form_of(name, fields, machine, given) if form == FREE else REGISTRY[name]
+    return free_form_of(name, fields, machine, given) if form == FREE else EVERY[name]
 
 
 def effects_from_data(data: Any, where: str, machine: Machine) -> tuple[AppliedEffect, ...]:
@@ -130,7 +131,7 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
                 )
             if name == EMPIRICAL:
                 raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')
-            if name in causes or name in REGISTRY:
+            if name in causes or name in EVERY:
                 raise ConfigError(f'{file}: {name}: this name is taken; choose another one')
             causes[name] = Kept(one)
     if not causes:

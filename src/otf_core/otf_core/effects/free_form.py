@@ -186,7 +186,7 @@ def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
 
 def _several_places(states: Sequence[State]) -> bool:
     """Return whether the tracker stood at several places, seen from the machine."""
-    places = np.array([np.mean(s.q - s.beam, axis=0) for s in states if len(s)])
+    places = np.array([np.mean(s.point - s.beam, axis=0) for s in states if len(s)])
     if len(places) < 2:
         return False
     longest = max(float(np.linalg.norm(s.beam, axis=1).max()) for s in states if len(s))

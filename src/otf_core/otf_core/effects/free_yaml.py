@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.effects import REGISTRY
+from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
 from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Effect
@@ -69,7 +69,7 @@ def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[st
     ConfigError
         If the effect has no free form of these inputs.
     """
-    effect, ranges = REGISTRY[name], _ranges(fields, 'inputs')
+    effect, ranges = EVERY[name], _ranges(fields, 'inputs')
     spans: dict[str, Span] = {}
     for key, own in ranges.items():
         if len(own) != 2:

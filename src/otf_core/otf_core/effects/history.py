@@ -8,6 +8,8 @@ less the way from the corner at the speed there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from otf_core.arrays import Array, Index
@@ -90,6 +92,42 @@ def path_history(
         'acceleration': _acceleration(speed, time, bounds, bounds + count - 1),
         'lap': lap_numbers(lines.corners)[leg],
         'leg': leg.astype(np.float64),
+    }
+
+
+def joint_history(
+    axes: Sequence[str], part: Index, stretch: Index, q: Array, side: Array, time: Array
+) -> dict[str, Array]:
+    """The same of points of a machine with rotary axes, as far as the points themselves tell.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Names of the axes, in the order of the columns.
+    part, stretch : ndarray of int64, shape (n,)
+        In driving order.
+    q, side : ndarray, shape (n, k)
+        Positions, m and rad, and senses of the last travel.
+    time : ndarray, shape (n,), s
+    """
+    step = np.abs(np.diff(q, axis=0, prepend=q[:1]))
+    other_part = np.diff(part, prepend=-1) != 0
+    found = {}
+    for k, axis in enumerate(axes):
+        new = other_part | (np.diff(side[:, k], prepend=0.0) != 0.0)
+        travel = np.cumsum(np.where(other_part, 0.0, step[:, k]))
+        begin = np.maximum.accumulate(np.where(new, np.arange(len(q)), 0))
+        found[f'since_reversal_{axis.lower()}'] = travel - travel[begin]
+    begin = np.maximum.accumulate(
+        np.where(np.diff(stretch, prepend=-1) != 0, np.arange(len(q)), 0)
+    )
+    nothing = np.zeros(len(q))
+    return {
+        **found,
+        'since_stop': time - time[begin],
+        'acceleration': nothing,
+        'lap': nothing,
+        'leg': stretch.astype(np.float64),
     }
 
 

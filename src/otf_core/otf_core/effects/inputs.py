@@ -26,7 +26,8 @@ from otf_core.model.path import MOVING
 SIGNAL = 'signal:'
 """Head of the names of signals recorded beside the samples."""
 CORNER_LENGTH, REVERSAL_LENGTH, STOP_TIME = 0.03, 0.03, 0.5
-"""m, m and s; s0 of distances from corners, of travel since a reversal, of time since a stop."""
+"""m, m or rad, and s; s0 of distances from corners, of travel since a reversal, of time since a
+stop."""
 UNITS = {
     'time': 's', 'feed': 'm/s', 'acceleration': 'm/s^2', 'since_stop': 's', 'lap': '', 'leg': '',
     'range': 'm', 'azimuth': 'rad', 'elevation': 'rad', 'from_corner': 'm', 'to_corner': 'm',
@@ -34,8 +35,10 @@ UNITS = {
 }  # fmt: skip
 """Units of the inputs that do not belong to an axis."""
 OF_AXIS = {'sense': '', 'since_reversal': 'm'}
-"""The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``."""
-_LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
+"""The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``, and ``a``, ``b``,
+``c`` of rotary axes, for which m stands for rad."""
+_LINEAR = tuple(a.lower() for a in XYZ)
+_LETTERS = (*_LINEAR, 'a', 'b', 'c')
 
 
 def known_input(name: str) -> bool:
@@ -48,7 +51,7 @@ def known_input(name: str) -> bool:
 def unit_of_input(name: str) -> str:
     """Unit of an input; signals have those of their topic, which are not known here."""
     if name in _LETTERS:
-        return 'm'
+        return 'm' if name in _LINEAR else 'rad'
     if kind := found_kind(name):
         return kind.unit
     return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
@@ -79,11 +82,12 @@ def input_values(state: State, name: str) -> Array:
     ConfigError
         If the name is unknown, or a signal is not in the recording.
     """
-    if name in _LETTERS:
-        return np.asarray(state.q[:, _LETTERS[name]])
+    axes = [a.lower() for a in state.machine.axis_names]
+    if name in axes:
+        return np.asarray(state.q[:, axes.index(name)])
     head, _, axis = name.rpartition('_')
-    if head == 'sense' and axis in _LETTERS:
-        own = state.direction[:, _LETTERS[axis]]
+    if head == 'sense' and axis in axes:
+        own = state.direction[:, axes.index(axis)]
         return np.where(np.abs(own) > MOVING, np.sign(own), 0.0)
     if name in state.more:
         return state.more[name]
@@ -121,8 +125,8 @@ def span_of(states: Sequence[State], name: str) -> Span:
     if compression(name):
         return 0.0, float(max(input_values(s, name).max(initial=0.0) for s in states))
     if name in _LETTERS:
-        machine, k = states[0].machine, _LETTERS[name]
-        return float(machine.lower[k]), float(machine.upper[k])
+        axis = states[0].machine.axes[name.upper()]
+        return axis.min, axis.max
     if period := cycle_period(name):
         return 0.0, period
     if name == 'time' or Switching.of(name):

@@ -105,7 +105,7 @@ KINDS = {
     ),
     PLACE: FoundKind(
         3, ('x', 'y', 'z'), 'm', 'distance from the place', 0.05, 0,
-        lambda state, n: np.asarray(np.linalg.norm(state.q - np.array(n), axis=1)),
+        lambda state, n: np.asarray(np.linalg.norm(state.point - np.array(n), axis=1)),
         _place_words,
     ),
     DIRECTION: FoundKind(

@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.effects.base import State
-from otf_core.effects.history import path_history
+from otf_core.effects.history import joint_history, path_history
+from otf_core.effects.terms import Turning
 from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
+from otf_core.model.joints import Sight
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
@@ -81,6 +84,117 @@ def state_on_path(
     )
 
 
+LEVER = 0.2
+"""m; radius on which a rotation counts as travel."""
+STANDS = 1e-9
+"""Share of the speed of the axes below which one of them stands."""
+
+
+def state_in_parts(
+    machine: Machine,
+    targets: Sequence[str],
+    places: Mapping[str, Array],
+    part: Index,
+    stretch: Index,
+    q: Array,
+    rates: Array,
+    side: Array,
+    time: Array,
+    pose: RigidTransform,
+    nodes: Mapping[str, Array],
+    tables: ErrorTables | None = None,
+    duration: float = 0.0,
+    spread: Array | None = None,
+) -> State:
+    """Describe points of a run of a machine with rotary axes.
+
+    Parameters
+    ----------
+    targets : sequence of str
+        Of every part.
+    places : mapping of target to ndarray, shape (3,), m
+    part, stretch : ndarray of int64, shape (n,)
+        Part of every point, and smooth stretch of its path, counted through the run.
+    q : ndarray, shape (n, k), m and rad
+    rates : ndarray, shape (n, k), m/s and rad/s
+    side : ndarray, shape (n, k)
+        Sense of the last travel of every axis.
+    time : ndarray, shape (n,), s
+    pose : RigidTransform
+        Tracker to the link that it stands on.
+    nodes : mapping of axis to ndarray, m and rad
+    spread : ndarray, shape (n, k), m and rad, optional
+        Standard deviation of the positions that a point stands for.
+    """
+    axes = machine.axis_names
+    turning, speed = _turning(machine, targets, places, part, q, rates, pose)
+    if spread is not None:
+        turning = replace(turning, spread=spread)
+    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in axes])
+    along = rates * scale
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.where(np.abs(along) > STANDS * size, along, 0.0)
+    direction = along / np.maximum(size, 1e-300)
+    zero = np.zeros(len(q))
+    return State(
+        machine=machine,
+        q=q,
+        direction=direction,
+        speed=speed,
+        time=time,
+        from_corner=zero,
+        to_corner=zero,
+        side=side,
+        before=direction,
+        after=direction,
+        beam=turning.point - pose.translation,
+        R_machine_tracker=pose.rotation,
+        nodes=nodes,
+        tables=tables,
+        duration=duration,
+        more=joint_history(axes, part, stretch, q, side, time),
+        turning=turning,
+    )
+
+
+def _turning(
+    machine: Machine,
+    targets: Sequence[str],
+    places: Mapping[str, Array],
+    part: Index,
+    q: Array,
+    rates: Array,
+    pose: RigidTransform,
+) -> tuple[Turning, Array]:
+    """What a machine with rotary axes adds, and speeds of the target, shape (n,), m/s."""
+    count = len(q)
+    point, velocity, facing = (np.zeros((count, 3)) for _ in range(3))
+    motions = np.zeros((count, 3, len(machine.axis_names), 6))
+    link = np.tile(np.eye(3), (count, 1, 1))
+    for number, name in enumerate(targets):
+        own = part == number
+        if not own.any():
+            continue
+        sight = Sight(machine, machine.tracker.link, machine.targets[name].link, places[name])
+        seen = sight.at(q[own])
+        point[own] = seen.position
+        velocity[own] = np.einsum('nij,nj->ni', seen.velocity, rates[own])
+        if seen.inner is not None:
+            link[own] = seen.inner
+        to_tracker = pose.translation - seen.position[0]
+        axis = link[own][0].T @ (to_tracker / np.linalg.norm(to_tracker))
+        facing[own] = link[own] @ axis
+        for letter, six in seen.motions.items():
+            motions[own, :, machine.column(letter)] = six
+    numbers = np.array([list(machine.targets).index(name) for name in targets])
+    again = np.array([list(targets[:k]).count(name) for k, name in enumerate(targets)])
+    spread = np.zeros_like(q)
+    turning = Turning(
+        point, rates, motions, link, part, numbers[part], again[part], facing, spread
+    )
+    return turning, np.linalg.norm(velocity, axis=1)
+
+
 def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
     """Points of which only place and direction of travel are known.
 
@@ -110,6 +224,8 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
 def probe_state(machine: Machine) -> State:
     """One point in the middle of the volume: for names and units of terms."""
+    if machine.rotary_names:
+        return _probe_in_parts(machine)
     corners = np.stack([machine.lower, machine.upper])
     middle = corners.mean(axis=0)
     place = middle - np.array([1.0, 0.0, 0.0])
@@ -117,3 +233,24 @@ def probe_state(machine: Machine) -> State:
     leg, ones = np.zeros(1, dtype=np.int64), np.ones(1)
     nodes = {a: axis_nodes(machine.axes[a]) for a in machine.axis_names}
     return state_on_path(machine, corners, leg, middle[None], ones, ones, pose, nodes)
+
+
+def _probe_in_parts(machine: Machine) -> State:
+    """The same of a machine with rotary axes, every axis moving."""
+    names, axes = list(machine.targets), range(len(machine.axis_names))
+    middle = np.tile(0.5 * (machine.lower + machine.upper), (len(names), 1))
+    ones = np.ones((len(names), len(axes)))
+    part = np.arange(len(names))
+    return state_in_parts(
+        machine,
+        names,
+        {n: np.array(t.place) for n, t in machine.targets.items()},
+        part,
+        part,
+        middle,
+        ones,
+        ones,
+        np.ones(len(names)),
+        RigidTransform(np.eye(3), np.array([-1.0, 0.0, 0.0])),
+        {a: axis_nodes(machine.axes[a]) for a in machine.axis_names},
+    )

@@ -4,15 +4,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 
-from otf_core.arrays import Array
+import numpy as np
+
+from otf_core.arrays import Array, Index
 from otf_core.model.courses import Part
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 
 Shape = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Turning:
+    """What the state of a machine with rotary axes has besides, one row per measured point.
+
+    All vectors are in the frame of the link that carries the tracker.
+
+    Attributes
+    ----------
+    point : ndarray, shape (n, 3), m
+        Nominal position of the target.
+    rates : ndarray, shape (n, k), m/s and rad/s
+        Speeds of the axes.
+    motions : ndarray, shape (n, 3, k, 6)
+        Displacement of the target per unit of the six motions of every axis; zero of axes that
+        do not move it in view of the tracker.
+    link : ndarray, shape (n, 3, 3)
+        Rotates coordinates of the link that carries the target.
+    part : ndarray of int, shape (n,)
+        Number of the part.
+    target : ndarray of int, shape (n,)
+        Number of the target among those of the machine.
+    again : ndarray of int, shape (n,)
+        How many parts before had the same target.
+    facing : ndarray, shape (n, 3)
+        Unit vector in which the target looks if it looked to the tracker when its part began.
+    spread : ndarray, shape (n, k), m and rad
+        Standard deviation of the positions that a point stands for; zero of samples.
+    """
+
+    point: Array
+    rates: Array
+    motions: Array
+    link: Array
+    part: Index
+    target: Index
+    again: Index
+    facing: Array
+    spread: Array
+
+    def rows(self, rows: slice) -> Turning:
+        """Return some of the points."""
+        return Turning(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+POSITIONING = {a: k for k, a in enumerate('XYZABC')}
+"""Which of its six motions is along, or about, the direction of an axis."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +99,9 @@ class State:
     more : mapping of str to ndarray, shape (n,)
         Further inputs of free forms by their names, see ``inputs``: what happened before on the
         path, signals recorded beside the samples.
+    turning : Turning, optional
+        Of a machine with rotary axes: there q, direction, side, before and after have one column
+        for every axis, and directions count a rotation as travel on a radius.
     """
 
     machine: Machine
@@ -67,6 +120,7 @@ class State:
     tables: ErrorTables | None = None
     duration: float = 0.0
     more: Mapping[str, Array] = field(default_factory=dict)
+    turning: Turning | None = None
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -81,7 +135,35 @@ class State:
         """Return some of the points of the same recording."""
         per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner', 'side')
         chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
-        return replace(self, duration=self.end, more=Part(self.more, rows), **chosen)
+        turning = self.turning and self.turning.rows(rows)
+        return replace(
+            self, duration=self.end, more=Part(self.more, rows), turning=turning, **chosen
+        )
+
+    @property
+    def point(self) -> Array:
+        """Nominal position of the target, shape (n, 3), m."""
+        return self.q if self.turning is None else self.turning.point
+
+    def by_axes(self, values: Array) -> Array:
+        """Displacements by an error of the position of each axis, shape (n, 3, k), m.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, k), m and rad
+        """
+        if self.turning is None:
+            return np.asarray(values[:, :, None] * np.eye(3))
+        names = self.machine.axis_names
+        own = [self.turning.motions[:, :, k, POSITIONING[a]] for k, a in enumerate(names)]
+        return np.stack(own, axis=2) * values[:, None, :]
+
+    @property
+    def velocity(self) -> Array:
+        """Speeds of the axes, shape (n, k), m/s and rad/s."""
+        if self.turning is None:
+            return np.asarray(self.speed[:, None] * self.direction)
+        return self.turning.rates
 
 
 @dataclass(frozen=True)
@@ -117,3 +199,9 @@ class BelongsTo(Enum):
     TABLES = 'the tables follow it more finely; nothing is removed'
     REVERSAL = 'the calibration chooses its own tables for both senses of travel'
     NOISE = 'no displacement: it changes the noise, which every calibration judges anyway'
+
+
+def rotary_columns(state: State, values: Array) -> Array:
+    """Displacements by angular errors (n, k) of the axes, those of rotary ones, (n, 3, rotary)."""
+    places = [state.machine.column(a) for a in state.machine.rotary_names]
+    return state.by_axes(values)[:, :, places]

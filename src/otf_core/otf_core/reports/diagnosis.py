@@ -11,7 +11,7 @@ from typing import Any
 
 from otf_core.aside import shared_out
 from otf_core.diagnosis.answer import measured_run
-from otf_core.diagnosis.result import Diagnosis
+from otf_core.diagnosis.result import AxisEffects, Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
@@ -95,7 +95,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'table_change_um': diagnosis.table_change_um,
         'smallest_found_um': dict(diagnosis.smallest_found_um),
         'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
-        'reversal': diagnosis.calibration.plain.reversal.model,
+        'reversal': diagnosis.reversal.model if diagnosis.reversal else 'none',
         'run_id': diagnosis.calibration.plain.run_id,
         'provenance': provenance(
             'diagnose',
@@ -133,13 +133,12 @@ def write_diagnosis(
     written: list[Path] = []
     first, calibration = diagnosis.applied[0], diagnosis.calibration
     if first:
-        machine = calibration.plain.tables.machine
         for number, applied in enumerate(diagnosis.applied):
             if not number or applied != first:
                 written.append(folder / effects_file(number))
-                write_effects(written[-1], applied, machine)
+                write_effects(written[-1], applied, diagnosis.machine)
     tables = {}
-    if first and diagnosis.causes:
+    if first and diagnosis.causes and not isinstance(calibration, AxisEffects):
         tables['calibration_plain'] = calibration.plain
         tables['calibration_with_effects'] = calibration.result
         written.append(folder / 'calibration_with_effects')

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
@@ -25,6 +26,9 @@ from otf_core.rotary.matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.unknowns import place_block
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
+
+BLOCK = 2000
+"""Pieces whose rows are dense at a time; bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,22 @@ class AxisRows:
                 total = total + np.einsum('cpk,pk->cp', six, weight @ coefficients)
         return np.asarray(total)
 
+    def pulled(self, pieces: slice, values: Array) -> Array:
+        """Transposed rows of some pieces times values (c, m, k), shape (full, k)."""
+        found = np.zeros((self.unknowns.full, values.shape[2]))
+        for name, own in self.fixed.items():
+            found[self.unknowns.blocks[name]] = np.einsum('cpk,cpn->kn', own[:, pieces], values)
+        for axis, shifts in self.motions.items():
+            blocks = [self.unknowns.blocks[f'E{d}{axis}'] for d in 'XYZABC']
+            for six, weight in shifts:
+                turned = np.einsum('cpk,cpn->pkn', six[:, pieces], values) / len(shifts)
+                pull = weight[pieces].T @ turned.reshape(len(turned), -1)
+                for block, own in zip(
+                    blocks, pull.reshape(len(pull), 6, -1).swapaxes(0, 1), strict=True
+                ):
+                    found[block] += own
+        return found
+
 
 @dataclass(frozen=True)
 class AxisSystem:
@@ -119,6 +139,18 @@ class AxisSystem:
     deviation: Array
     rows: AxisRows
     shares: Array
+
+    @property
+    def design(self) -> sparse.csr_array:
+        """Derivatives of the deviations by all unknowns, component by component, (c p, full)."""
+        count = self.rows.count
+        parts = [
+            [sparse.csr_array(own) for own in self.rows.dense(slice(low, min(low + BLOCK, count)))]
+            for low in range(0, count, BLOCK)
+        ]
+        return sparse.csr_array(
+            sparse.vstack([p[c] for c in range(len(self.axes)) for p in parts], format='csr')
+        )
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.config import SimulationConfig
+from otf_core.effects import AppliedEffect
+from otf_core.effects.state import state_in_parts
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight, exact_position
 from otf_core.model.machine import Machine
+from otf_core.model.nodes import axis_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.tables import ErrorTables
 from otf_core.sim.cell import EPOCH_NS, MOST_SAMPLES, random_tables
+from otf_core.sim.effects import changed_noise, displaced
 from otf_core.sim.tracker import measure, place_tracker, specified_noise
 
 BROKEN_BEAM = 4.0
 """s; for which the beam is broken between two parts."""
 LEVER = 0.2
 """m; a rotation counts as travel on this radius for feed and smoothness."""
+STANDS = 1e-6
+"""m/s and rad/s; a slower axis stands."""
 SMOOTH = 0.2
 """Change of the unit direction in the axes below which a corner is driven through."""
 
@@ -92,9 +99,13 @@ class JointDrive:
         self._start = dwell + np.append(0.0, np.cumsum(self._moving + dwell)[:-1])
         self.duration = float(self._start[-1] + self._moving[-1] + dwell)
 
+    def stretch_at(self, time: Array) -> Index:
+        """Number of the smooth stretch at times (n,), s."""
+        return np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
+
     def at(self, time: Array) -> Array:
         """Programmed positions (n, k) at times (n,), s."""
-        k = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
+        k = self.stretch_at(time)
         elapsed = np.clip(time - self._start[k], 0.0, self._moving[k])
         peak, remaining = self._peak[k], self._moving[k] - elapsed
         ramp = peak / self._acceleration
@@ -123,6 +134,7 @@ def simulate_parts(
     stops: bool | Sequence[bool] = False,
     lag: Mapping[str, float] | None = None,
     tracker_place: Array | None = None,
+    effects: Sequence[AppliedEffect] = (),
 ) -> SimulatedParts:
     """Simulate a run.
 
@@ -140,6 +152,7 @@ def simulate_parts(
         By which an axis is late.
     tracker_place : ndarray, shape (3,), m, optional
         Beam origin in the frame of the tracker's link; drawn from the seed if not given.
+    effects : sequence of AppliedEffect
 
     Returns
     -------
@@ -169,7 +182,9 @@ def simulate_parts(
     if sum(d.duration for d in drives) * config.rate >= MOST_SAMPLES:
         raise ConfigError(f'the run is too long to simulate, {MOST_SAMPLES} samples at most')
     stamps, points, start = [], [], 0.0
-    for part, drive in zip(own, drives, strict=True):
+    length = sum(d.duration + BROKEN_BEAM for d in drives) - BROKEN_BEAM
+    pose = RigidTransform(rotation.T, place)
+    for number, (part, drive) in enumerate(zip(own, drives, strict=True)):
         time = np.arange(int(drive.duration * config.rate) + 1) / config.rate
         q = drive.at(time)
         for axis, late in (lag or {}).items():
@@ -177,14 +192,61 @@ def simulate_parts(
             q[:, column] = drive.at(time - late)[:, column]
         target = machine.targets[part.target]
         sight = Sight(machine, machine.tracker.link, target.link, places[part.target])
-        points.append((exact_position(truth, sight, q) - place) @ rotation.T)
+        position = exact_position(truth, sight, q)
+        if effects:
+            moving = _Moving(machine, [p.target for p in own], places, pose, truth, length)
+            position += moving.displaced(effects, number, drive, start, time)
+        points.append((position - place) @ rotation.T)
         clock = (start + time) * (1 + config.clock_drift)
         stamps.append(EPOCH_NS + np.rint(clock * 1e9).astype(np.int64))
         start += drive.duration + BROKEN_BEAM
-    xyz = measure(np.concatenate(points), specified_noise(machine, config), config.rate, rngs[2])
+    noise = changed_noise(specified_noise(machine, config), effects)
+    xyz = measure(np.concatenate(points), noise, config.rate, rngs[2])
     return SimulatedParts(
         Samples(np.concatenate(stamps), xyz), truth, rotation, place, tuple(own), places
     )
+
+
+@dataclass(frozen=True)
+class _Moving:
+    """What effects need to know of a run."""
+
+    machine: Machine
+    targets: Sequence[str]
+    places: Mapping[str, Array]
+    pose: RigidTransform
+    truth: ErrorTables
+    length: float
+
+    def displaced(
+        self,
+        effects: Sequence[AppliedEffect],
+        number: int,
+        drive: JointDrive,
+        start: float,
+        time: Array,
+    ) -> Array:
+        """Displacements (n, 3), m, in one part that begins at ``start``, s."""
+        q, axes = drive.at(time), self.machine.axes
+        rates = np.gradient(q, time, axis=0)
+        sense = np.sign(np.where(np.abs(rates) > STANDS, rates, 0.0))
+        last = np.maximum.accumulate(np.where(sense != 0.0, np.arange(len(q))[:, None], 0), axis=0)
+        state = state_in_parts(
+            self.machine,
+            self.targets,
+            self.places,
+            np.full(len(q), number),
+            drive.stretch_at(time),
+            q,
+            rates,
+            np.take_along_axis(sense, last, axis=0),
+            start + time,
+            self.pose,
+            {a: axis_nodes(axes[a]) for a in axes},
+            self.truth,
+            self.length,
+        )
+        return displaced(state, effects)
 
 
 def usual_parts(machine: Machine) -> tuple[AxisPath, ...]:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import SimulationConfig
+from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import effects_to_data
 from otf_core.files.writing import write_text
 from otf_core.model.provenance import origin_of, provenance
 from otf_core.model.tables import tables_to_dict
@@ -17,7 +20,11 @@ from otf_core.sim.truth import SCHEMA, SIMULATION_FILE, TABLES_FILE
 
 
 def write_axis_run(
-    run: SimulatedParts, config: SimulationConfig, folder: Path, name: str
+    run: SimulatedParts,
+    config: SimulationConfig,
+    folder: Path,
+    name: str,
+    effects: Sequence[AppliedEffect] = (),
 ) -> list[Path]:
     """Write bag and truth into a folder that exists; see ``truth``."""
     write_bag(folder, BagContent(run.samples, None, axis_paths=run.parts), overwrite=True)
@@ -36,6 +43,7 @@ def write_axis_run(
         'alignment': pose,
         'parts': [{'target': p.target, 'corners': p.positions.tolist()} for p in run.parts],
         'options': asdict(config),
+        **({'effects': effects_to_data(effects, machine)} if effects else {}),
         'machine': machine.to_dict(),
     }
     written = []

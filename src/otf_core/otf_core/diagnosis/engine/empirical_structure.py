@@ -47,7 +47,7 @@ from otf_core.diagnosis.engine.search import (
     fit_jointly,
     noise_variance,
 )
-from otf_core.effects import REGISTRY
+from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.cause_names import name_of
 from otf_core.effects.empirical import Empirical
@@ -80,7 +80,7 @@ ALONE, IN_PAIR = 6, 3
 """Highest order of a function of one input, and of each of two."""
 LONG = 60
 """Order of a function of time alone that is tried as well: what switches every few legs."""
-ORDERS = {'time': 20, 'feed': 2, 'acceleration': 6, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
+ORDERS = {'time': 20, 'feed': 2, 'acceleration': 6}
 """Highest orders of functions of one input, where they differ."""
 SCREENED = 14
 """Pairs of inputs that are fitted exactly; single inputs all are."""
@@ -127,7 +127,7 @@ class Structure:
         if not name or name in used:
             return None
         own = replace(form, words=words, own_per_run=self.effect.own_per_run)
-        effect = FreeForm(REGISTRY[name], own, self.effect.spans)
+        effect = FreeForm(EVERY[name], own, self.effect.spans)
         return replace(self.cause, option=replace(self.cause.option, effect=effect))
 
     @property
@@ -229,7 +229,7 @@ def _inputs(rows: Rows) -> list[str]:
     """Inputs that change in the runs."""
     signals = dict.fromkeys(n for s in rows.states for n in s.more if n.startswith(SIGNAL))
     names = []
-    for name in (*INPUTS, *signals):
+    for name in (*INPUTS, *_of_rotary_axes(rows), *signals):
         known = [s for s in rows.states if name not in signals or name in s.more]
         if len(known) < len(rows.states):
             continue
@@ -237,6 +237,12 @@ def _inputs(rows: Rows) -> list[str]:
         if np.ptp(values) > 0.0:
             names.append(name)
     return names
+
+
+def _of_rotary_axes(rows: Rows) -> list[str]:
+    """Inputs of the rotary axes of the machine."""
+    axes = [a.lower() for a in rows.states[0].machine.rotary_names]
+    return [head + a for a in axes for head in ('', 'sense_', 'since_reversal_')]
 
 
 def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
@@ -251,7 +257,8 @@ def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
 def _order(name: str, most: int) -> int:
     """Highest order of a function of an input."""
     kind = found_kind(name)
-    return (kind.order or most) if kind else ORDERS.get(name, most)
+    usual = 2 if name.startswith('sense_') else most
+    return (kind.order or most) if kind else ORDERS.get(name, usual)
 
 
 def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str, Span]) -> Array:

@@ -133,7 +133,7 @@ def log_evidence(
         Of the functions of a free form.
     """
     widths = prior_widths(np.zeros(0) if orders is None else orders)
-    scores = [_evidence(normal, right, w / np.maximum(size, 1e-300), variance) for w in widths]
+    scores = [_evidence(normal, right, _per_unit(w, size), variance) for w in widths]
     return average(scores)
 
 
@@ -146,13 +146,13 @@ def joint_evidence(options: Sequence[Option], residual: Array, variance: float) 
     if not options:
         return 0.0
     own = np.concatenate([o.own for o in options], axis=1)
-    size = np.maximum(np.concatenate([o.size for o in options]), 1e-300)
+    size = np.concatenate([o.size for o in options])
     normal, right = own.T @ own, own.T @ residual
     widths = [np.concatenate([o.widths for o in options])] * len(SPREADS)
     widths = [
         np.where(np.isfinite(w), w, spread) for w, spread in zip(widths, SPREADS, strict=True)
     ]
-    return average([_evidence(normal, right, w / size, variance) for w in widths])
+    return average([_evidence(normal, right, _per_unit(w, size), variance) for w in widths])
 
 
 def likeliest_width(
@@ -160,8 +160,13 @@ def likeliest_width(
 ) -> Array:
     """The one of ``prior_widths`` that makes the data most likely, shape (k,), m."""
     widths = prior_widths(orders)
-    scores = [_evidence(normal, right, w / np.maximum(size, 1e-300), variance) for w in widths]
+    scores = [_evidence(normal, right, _per_unit(w, size), variance) for w in widths]
     return widths[int(np.argmax(scores))]
+
+
+def _per_unit(width: Array, size: Array) -> Array:
+    """Widths in units of the coefficients; 0 of those that displace nothing anywhere."""
+    return np.where(size > 1e-300, width / np.maximum(size, 1e-300), 0.0)
 
 
 def _evidence(normal: Array, right: Array, width: Array, variance: float) -> float:

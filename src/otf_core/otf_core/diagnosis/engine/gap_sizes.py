@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,12 +217,12 @@ def check_noise(
     has the colour of the run's own standstills, so slow noise makes no gap. Tails are of no
     consequence then.
     """
-    gap = gap or any(np.any(run.noise.level > _specified(run)) for run in rows.runs)
+    gap = gap or any(np.any(run.noise.level > _specified(run)) for run in _runs(rows))
     if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
         return None
     departures: dict[str, tuple[float, float]] = {}
     words: list[str] = []
-    for run in rows.runs:
+    for run in _runs(rows):
         seen = noise_departure(run.recording.samples, run.machine.tracker, speed)
         if seen is None:
             continue
@@ -257,6 +258,11 @@ def with_measured_noise(run: Run, speed: float) -> Run:
     return replace(run, noise=NoiseModel(*(own if loud else old for old, own, loud in parts)))
 
 
+def _runs(rows: Rows) -> Sequence[Run]:
+    """Runs of recordings with their standstills, of linear axes or with rotary ones."""
+    return cast(Sequence[Run], rows.observed)
+
+
 def _specified(run: Run) -> Array:
     tracker = run.machine.tracker
     return np.array([tracker.u_range, tracker.u_angle, tracker.u_angle])
@@ -264,7 +270,7 @@ def _specified(run: Run) -> Array:
 
 def _variance_ratio(rows: Rows) -> float:
     measured, specified = 0.0, 0.0
-    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+    for run, solved in zip(_runs(rows), rows.done.runs, strict=True):
         shares = solved.system.shares
         measured += float(sample_variance(run.noise, shares).sum())
         spec = as_simulated(run.noise, run.machine.tracker)

@@ -212,7 +212,7 @@ DIRECTIONS = _pairs(3)
 def _gains(matrix: Array, right: Array) -> Array:
     """Gains for information (f, k, k) and scores (f, k)."""
     diagonal = np.diagonal(matrix, axis1=1, axis2=2)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-300))
+    scale = np.where(diagonal > 1e-300, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
     whole = scale[:, :, None] * matrix * scale[:, None, :] + RIDGE * np.eye(right.shape[1])
     scaled = scale * right
     solved = np.linalg.solve(whole, scaled[:, :, None])[:, :, 0]
@@ -333,7 +333,7 @@ def strongest_moment(rows: Rows, scores: Scores) -> str:
     """Moment of the strongest step in time of one run; empty if there is no clear one."""
     time = np.concatenate([s.time for s in rows.states])
     run = np.repeat(np.arange(len(rows.states)), [len(s) for s in rows.states])
-    leg = np.concatenate([r.pieces.leg for r in rows.runs])
+    leg = np.concatenate([r.pieces.leg for r in rows.observed])
     change = np.flatnonzero(np.diff(leg) * (np.diff(run) == 0)) + 1
 
     def gains(pieces: Index) -> Array:
@@ -356,7 +356,7 @@ def strongest_moment(rows: Rows, scores: Scores) -> str:
 
 def strongest_places(rows: Rows, scores: Scores) -> list[str]:
     """Places in the volume about which something happens; none if no one is clear."""
-    places = _strongest_bells(scores, np.concatenate([s.q for s in rows.states]))
+    places = _strongest_bells(scores, np.concatenate([s.point for s in rows.states]))
     return [found_name(PLACE, *place) for place in places]
 
 

@@ -248,6 +248,8 @@ class Rows:
 
     def sample_residuals(self) -> Iterator[SampleResiduals]:
         """Residuals of the samples of every run that has some; made anew, they are large."""
+        if not self.runs:
+            return
         nodes = self.done.unknowns.knots
         for run, solved in zip(self.runs, self.done.runs, strict=True):
             if len(run.pieces.samples):

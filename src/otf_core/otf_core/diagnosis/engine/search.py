@@ -45,7 +45,7 @@ from otf_core.diagnosis.engine.time_courses import (
     add_switching,
     courses_tried,
 )
-from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
+from otf_core.effects import EVERY, REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free_form import FreeForm, free_forms
 from otf_core.solving.residuals import check_residuals
 from otf_core.solving.sensitivity import column_size
@@ -535,7 +535,7 @@ def search_catalogue(
     tried, visible = tried_effects(rows, [*effects_without(exclude), *own, *DECOYS], shapes)
     switching = courses_tried(rows, [*effects_without(exclude), *DECOYS])
     causes, considered = search(rows, {**tried, **switching})
-    sight = {name: v for name, v in visible.items() if name in REGISTRY}
+    sight = {name: v for name, v in visible.items() if name in EVERY}
     return Found(tuple(causes), tuple(considered), sight)
 
 

@@ -37,6 +37,8 @@ from otf_core.model.path import TRAVELS, leg_bounds
 from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME
 from otf_core.solving.whitener import Whitener
 
+DEGREE = float(np.degrees(1.0))
+
 
 @dataclass(frozen=True)
 class RunView:
@@ -50,10 +52,10 @@ class RunView:
         Since the start of the recording.
     leg : ndarray of int64, shape (p,)
         Number of the leg; a leg driven again has another number.
-    q : ndarray, shape (p, 3), m
+    q : ndarray, shape (p, k), m and rad
         Nominal axis positions.
-    direction : ndarray, shape (p, 3)
-        Unit direction of travel.
+    direction : ndarray, shape (p, k)
+        Unit direction of travel in the axes.
     speed : ndarray, shape (p,), m/s
     beam : ndarray, shape (p, 3), m
         From the tracker to the target, machine frame.
@@ -66,6 +68,10 @@ class RunView:
     factors : tuple of (tuple of ndarray), optional
         Lower Cholesky factor of the noise covariance, m, of every leg and component: what
         ``normal.Whitener`` uses. Without it, ``expected`` with a typical correlation time.
+    rotary : tuple of str
+        Axes of which ``q`` is in rad.
+    point : ndarray, shape (p, 3), m, optional
+        Nominal position of the target, where it is not ``q``.
     """
 
     name: str
@@ -81,6 +87,12 @@ class RunView:
     residual_after: Array
     expected: Array
     factors: tuple[tuple[Array, ...], ...] = ()
+    rotary: tuple[str, ...] = ()
+    point: Array | None = None
+
+    def scale(self, axis: int) -> tuple[float, str]:
+        """Factor and unit in which positions of an axis are stated."""
+        return (DEGREE, 'deg') if self.axis_names[axis] in self.rotary else (1e3, 'mm')
 
     @cached_property
     def bounds(self) -> list[tuple[int, int]]:
@@ -154,6 +166,8 @@ class Grouping:
         One per run.
     edges, second : ndarray, shape (n + 1,), optional
         Of ordered groups, in SI units or degrees; of a plane those of either axis.
+    units : tuple of (float, str)
+        Of positions: factor and unit in which the edges are stated.
     """
 
     kind: str
@@ -161,6 +175,7 @@ class Grouping:
     indices: list[Index]
     edges: Array | None = None
     second: Array | None = None
+    units: tuple[tuple[float, str], ...] = ()
 
 
 def _spans(edges: Array, digits: int, unit: str) -> list[str]:
@@ -204,6 +219,8 @@ def by_leg(views: Sequence[RunView]) -> Grouping:
 def by_line(views: Sequence[RunView]) -> Grouping:
     """Direction of the line: single axes with their sense, diagonals by the axes they move."""
     axes = views[0].axis_names
+    if views[0].rotary:
+        return replace(by_moving_axes(views), kind='line')
     senses = [f'{s}{a}' for a in axes for s in '+-']
     planes = [f'diagonal {"".join(p)}' for p in (*combinations(axes, 2), axes)]
     indices = []
@@ -220,12 +237,13 @@ def by_line(views: Sequence[RunView]) -> Grouping:
 def by_moving_axes(views: Sequence[RunView]) -> Grouping:
     """Axes that move: lines along one, diagonals of two or three; labels are their names."""
     axes = views[0].axis_names
-    sets = [c for size in (1, 2, 3) for c in combinations(range(3), size)]
+    count = len(axes)
+    sets = [c for size in range(1, count + 1) for c in combinations(range(count), size)]
     number = {sum(1 << k for k in own): i for i, own in enumerate(sets)}
     labels = [''.join(axes[k] for k in own) for own in sets]
-    place_of = np.array([number.get(code, -1) for code in range(8)])
+    place_of = np.array([number.get(code, -1) for code in range(1 << count)])
     indices = [
-        place_of[(np.abs(v.direction) > TRAVELS).astype(np.int64) @ np.array([1, 2, 4])]
+        place_of[(np.abs(v.direction) > TRAVELS).astype(np.int64) @ (1 << np.arange(count))]
         for v in views
     ]
     return Grouping('lines', labels, indices)
@@ -249,10 +267,10 @@ def by_position(views: Sequence[RunView], axes: Sequence[int], count: int) -> Gr
     """Equal parts of the driven range of one axis or of each of several."""
     q = np.concatenate([v.q for v in views])[:, list(axes)]
     edges = [np.linspace(a, b + 1e-9, count + 1) for a, b in zip(q.min(0), q.max(0), strict=True)]
-    names = [views[0].axis_names[k] for k in axes]
+    names, units = [views[0].axis_names[k] for k in axes], [views[0].scale(k) for k in axes]
     named = [
-        [f'{name} {1e3 * a:.0f} mm to {1e3 * b:.0f} mm' for a, b in pairwise(own)]
-        for name, own in zip(names, edges, strict=True)
+        [f'{name} {f * a:.0f} {unit} to {f * b:.0f} {unit}' for a, b in pairwise(own)]
+        for name, own, (f, unit) in zip(names, edges, units, strict=True)
     ]
     labels = [', '.join(parts) for parts in product(*named)]
     indices = []
@@ -261,7 +279,8 @@ def by_position(views: Sequence[RunView], axes: Sequence[int], count: int) -> Gr
         for k, own in zip(axes, edges, strict=True):
             index = index * count + _bins(view.q[:, k], own)
         indices.append(index)
-    return Grouping(f'position of {" and ".join(names)}', labels, indices, *edges)
+    kind, second = f'position of {" and ".join(names)}', edges[1] if len(edges) > 1 else None
+    return Grouping(kind, labels, indices, edges[0], second, tuple(units))
 
 
 def by_sense(views: Sequence[RunView], axis: int) -> Grouping:
@@ -310,8 +329,10 @@ def by_region(views: Sequence[RunView]) -> Grouping:
     labels = [', '.join(names) for names in product(*named)]
     indices = []
     for view in views:
-        part = [_bins(view.q[:, k], edges[k]) for k in range(3)]
-        indices.append((part[0] * counts[1] + part[1]) * counts[2] + part[2])
+        index = np.zeros(len(view.leg), dtype=np.int64)
+        for k, own in enumerate(edges):
+            index = index * counts[k] + _bins(view.q[:, k], own)
+        indices.append(index)
     return Grouping('region', labels, indices)
 
 

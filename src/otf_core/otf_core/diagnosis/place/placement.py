@@ -76,7 +76,7 @@ class Separation:
 
 def groupings_by_view(views: Sequence[RunView]) -> list[tuple[str, Grouping]]:
     """Every grouping that is weighed, with its view."""
-    axes = range(3)
+    axes = range(len(views[0].axis_names))
     return [
         (PATH, by.by_moving_axes(views)),
         *((PATH, by.by_sense(views, k)) for k in axes),
@@ -406,6 +406,8 @@ def _ordered_words(grouping: Grouping, much: Sequence[Part]) -> str:
     edges, stretches = grouping.edges, _stretches(much)
     name = grouping.kind.removeprefix('position of ')
     low_words, high_words, between, scale, unit = _INTERVALS.get(grouping.kind, _POSITION)
+    if grouping.units:
+        ((scale, unit),) = grouping.units
     parts = []
     for a, b in stretches:
         low, high = (f'{scale * edges[k]:.0f}' for k in (a, b + 1))
@@ -463,14 +465,15 @@ def _plane_words(placement: Placement, much: Sequence[Part]) -> str:
             f'unevenly over {listed(names)}, most in {cells_words}{_share_words(placement, most)}'
         )
     parts = []
-    for k, (name, edges) in enumerate(zip(names, (grouping.edges, grouping.second), strict=True)):
-        a, b = 1e3 * edges[low[k]], 1e3 * edges[high[k] + 1]
+    both = zip(names, (grouping.edges, grouping.second), grouping.units, strict=True)
+    for k, (name, edges, (factor, unit)) in enumerate(both):
+        a, b = factor * edges[low[k]], factor * edges[high[k] + 1]
         if low[k] == 0 and high[k] == len(edges) - 2:
             continue
         if low[k] == 0:
-            parts.append(f'{name} is below {b:.0f} mm')
+            parts.append(f'{name} is below {b:.0f} {unit}')
         elif high[k] == len(edges) - 2:
-            parts.append(f'{name} is above {a:.0f} mm')
+            parts.append(f'{name} is above {a:.0f} {unit}')
         else:
-            parts.append(f'{name} is between {a:.0f} mm and {b:.0f} mm')
+            parts.append(f'{name} is between {a:.0f} {unit} and {b:.0f} {unit}')
     return f'where {listed(parts)}{_share_words(placement, much)}'

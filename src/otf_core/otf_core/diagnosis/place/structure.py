@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -208,9 +209,9 @@ def travel_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 
         return GapShape('feed', lambda v: one(v.speed * v.direction[:, axis]), words)
 
-    yield from (flipping(axis) for axis in range(3))
+    yield from (flipping(axis) for axis in range(len(axes)))
     if two_feeds:
-        yield from (growing(axis) for axis in range(3))
+        yield from (growing(axis) for axis in range(len(axes)))
         yield GapShape(
             'feed',
             lambda v: one(v.speed - v.speed.mean()),
@@ -288,7 +289,7 @@ def product_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 
         return GapShape('product', scales, words)
 
-    pairs = ((0, 1), (0, 2), (1, 2))
+    pairs = combinations(range(len(axes)), 2)
     yield from (shape(a, b) for a, b in pairs if min(half[a], half[b]) > 1e-3)
 
 
@@ -296,7 +297,7 @@ def all_shapes(views: Sequence[RunView]) -> list[list[GapShape]]:
     """All shapes, one list a family that is scanned together."""
     families = (step_shapes, drift_shapes, travel_shapes, slow_wave_shapes, product_shapes)
     shapes = [list(family(views)) for family in families]
-    return shapes + [list(wave_shapes(views, axis)) for axis in range(3)]
+    return shapes + [list(wave_shapes(views, axis)) for axis in range(len(XYZ))]
 
 
 Projection = Callable[[Array], Array]

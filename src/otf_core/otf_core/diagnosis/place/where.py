@@ -288,7 +288,7 @@ def groupings_of(views: Sequence[RunView]) -> dict[str, list[by.Grouping]]:
         'by_path_piece': [by.by_leg(views)],
         'by_axis_and_direction': [
             by.by_line(views),
-            *(by.by_sense(views, k) for k in range(3)),
+            *(by.by_sense(views, k) for k in range(len(views[0].axis_names))),
             by.by_feed(views),
         ],
         'by_region': [by.by_region(views)],

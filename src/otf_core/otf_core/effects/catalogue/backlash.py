@@ -52,6 +52,7 @@ class Backlash(Effect):
         'every line driven forward and backward, and lines that are not space diagonals'
     )
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((Axes('B'), SOMETIMES_HELD), second_place=9)
     shape_names: ClassVar[tuple[str, ...]] = (HELD,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
@@ -80,10 +81,12 @@ class Backlash(Effect):
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Reversal value of every axis that takes part."""
-        return tuple(Size(f'of {a}', ({f'B_{a}': 1.0},), 'm') for a in fitted.axes)
+        unit = {n: a.unit for n, a in fitted.machine.axes.items()}
+        return tuple(Size(f'of {a}', ({f'B_{a}': 1.0},), unit[a]) for a in fitted.axes)
 
     def terms(self, state: State, shape: Shape) -> Terms:
-        """Return B_X, B_Y, B_Z."""
-        columns = 0.5 * travel_sign(state, shape)[:, :, None] * np.eye(3)
+        """Return B_X, B_Y, B_Z, and those of rotary axes."""
+        columns = state.by_axes(0.5 * travel_sign(state, shape))
         axes = state.machine.axis_names
-        return Terms(tuple(f'B_{a}' for a in axes), ('m',) * 3, axes, columns)
+        units = tuple(state.machine.axes[a].unit for a in axes)
+        return Terms(tuple(f'B_{a}' for a in axes), units, axes, columns)

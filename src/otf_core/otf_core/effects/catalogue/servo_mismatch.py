@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
@@ -32,6 +30,7 @@ class ServoMismatch(Effect):
         'the feed'
     )
     needs: ClassVar[str] = 'two feeds, forward and backward; at one feed it looks like backlash'
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((Axes('T', 1e-5, most=2),))
 
     free: ClassVar[tuple[Free, ...]] = (
@@ -51,8 +50,7 @@ class ServoMismatch(Effect):
         return (Size(f'of {late} behind {early}', ({f'T_{late}': 1.0, f'T_{early}': -1.0},), 's'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
-        """Return T_X, T_Y, T_Z."""
-        velocity = state.speed[:, None] * state.direction
-        columns = -velocity[:, :, None] * np.eye(3)
+        """Return T_X, T_Y, T_Z, and those of rotary axes."""
         axes = state.machine.axis_names
-        return Terms(tuple(f'T_{a}' for a in axes), ('s',) * 3, axes, columns)
+        names = tuple(f'T_{a}' for a in axes)
+        return Terms(names, ('s',) * len(axes), axes, state.by_axes(-state.velocity))

@@ -47,6 +47,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
         'lines repeated at other times; a fixed second target on the table distinguishes it '
         'from a drift of the tracker, which has exactly the same effect'
     )
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
     follows: ClassVar[tuple[Acting, ...]] = (vector,)

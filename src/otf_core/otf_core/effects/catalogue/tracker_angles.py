@@ -97,6 +97,7 @@ class TrackerAngles(Effect):
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('tracker angles', ('tracker_offset', 'tracker_angle'), size=_shared_equally),
     )
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial(
         (Some(tuple(Number(n, Share(2e-6, 0.5)) for n in DRAWN), 3),),
         hard_to_see=True,

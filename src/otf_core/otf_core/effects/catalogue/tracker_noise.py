@@ -62,6 +62,7 @@ class TrackerNoise(Effect):
         }
     )
     belongs_to: ClassVar[BelongsTo] = BelongsTo.NOISE
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((
         Either((
             (Number('level_range', Uniform(1.7, 3.0), also=('level_angle',)),),

@@ -44,6 +44,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
         'fixed nests on the table, measured repeatedly; its shift has exactly the same effect '
         'as a drift of the structure'
     )
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial(
         (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
     )

@@ -31,6 +31,7 @@ class TrackerRangeOffset(Effect):
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('tracker range offset', ('tracker_range_offset',)),
     )
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial(
         (Number('c', OneOf((-5e-6, 5e-6))),), hard_to_see=True, second_place=2
     )

@@ -48,6 +48,7 @@ class TrackerScale(Effect):
         Contribution('tracker scale', ('tracker_scale',)),
         Contribution('air', ('air_temperature', 'air_pressure'), size=_air),
     )
+    any_axes: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial(
         (Number('m', OneOf((-4e-6, 4e-6))),), hard_to_see=True, second_place=1
     )

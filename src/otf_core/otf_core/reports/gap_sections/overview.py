@@ -15,7 +15,7 @@ from otf_core.diagnosis.cause_parameters import SCALES, Curve, at_words
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.placement import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
-from otf_core.effects import REGISTRY, BelongsTo
+from otf_core.effects import EVERY, BelongsTo
 from otf_core.effects.inputs import label_of
 from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.provenance import moment
@@ -28,6 +28,7 @@ from otf_core.reports.gap_sections.residual_views import (
     volume_picture,
 )
 from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, listed
+from otf_core.rotary.calibrate import AxisCalibration
 from otf_core.version import __version__
 
 # Causes of the gap: what was found, its functions, what stays open, what to measure next.
@@ -73,10 +74,12 @@ def causes_section(diagnosis: Diagnosis) -> Section:
 
 def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
     """What the reversal tables of the calibration hold of a cause; empty of any other."""
-    known = REGISTRY.get(cause.effect)
+    known = EVERY.get(cause.effect)
     if known is None or known.belongs_to is not BelongsTo.REVERSAL:
         return ''
-    held = in_reversal_tables(diagnosis.calibration.plain.reversal, cause.axes)
+    if diagnosis.reversal is None:
+        return ''
+    held = in_reversal_tables(diagnosis.reversal, cause.axes)
     name = effect_name(cause.effect)
     return f'The reversal tables of the calibration contain {name} as well{held}.' if held else ''
 
@@ -162,13 +165,13 @@ def effect_name(effect: str) -> str:
 
 def effect_cause(effect: str) -> str:
     """What causes an effect; empty for a name that is not in the catalogue."""
-    known = REGISTRY.get(effect)
+    known = EVERY.get(effect)
     return known.cause if known else ''
 
 
 def effect_meaning(effect: str) -> tuple[str, str]:
     """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
-    known = REGISTRY.get(effect)
+    known = EVERY.get(effect)
     return (known.equation, known.coefficients) if known else ('', '')
 
 
@@ -296,7 +299,7 @@ def next_section(diagnosis: Diagnosis) -> Section:
 
 
 def _needed_for(effect: str) -> str:
-    known = REGISTRY.get(effect)
+    known = EVERY.get(effect)
     return known.needs if known else ''
 
 
@@ -563,8 +566,10 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
         dates = moment(one.first_ns), moment(one.last_ns)
         when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
-    tables, words = stated(plain.tables.machine)
-    tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
-    shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
+    tables, words = stated(diagnosis.machine)
+    shown = tuple(rows)
+    if not isinstance(plain, AxisCalibration):
+        tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
+        shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
     tables.append(Table(('', ''), shown, title='Recordings and versions'))
     return Section('conditions', 'Conditions and instrument', words, dict(rows), tuple(tables))

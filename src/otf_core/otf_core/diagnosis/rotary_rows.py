@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of a calibration of a machine with rotary axes, as the search for effects takes them.
+
+The pieces of the joint solution without reversal, whitened for the noise of the standstills alone;
+places of the tracker and of the targets, location errors and motions are projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.effects.state import state_in_parts
+from otf_core.effects.terms import State
+from otf_core.model.machine import Machine
+from otf_core.model.nodes import table_nodes
+from otf_core.model.path import leg_bounds
+from otf_core.noise.departure import noise_departure
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
+from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
+from otf_core.pieces.runs import Recording
+from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.reduction import AxisPieces
+from otf_core.rotary.rows import AxisRows
+from otf_core.rotary.solution import AxisSolution, SolvedAxisRun, tables_of
+from otf_core.solving.joint import SolvedRun
+from otf_core.solving.residuals import fold_of, leg_numbers
+from otf_core.solving.solution import free_columns, identifiable_blocks
+from otf_core.solving.whitener import Whitener
+
+
+@dataclass(frozen=True)
+class ObservedParts:
+    """Pieces of one run and how they are seen; see ``pieces.runs.Observed``."""
+
+    recording: Recording
+    pieces: AxisPieces
+    noise: NoiseModel
+
+    @property
+    def machine(self) -> Machine:
+        """As set up in this run."""
+        return self.recording.machine
+
+
+def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Rows:
+    """Set up the rows.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    result : AxisCalibration
+        Of these recordings, without reversal.
+    """
+    nodes = table_nodes(result.machine, *result.driven)
+    done, limit = result.solution, result.config.unidentifiable_above
+    speed = result.config.standstill_speed
+    observed = [
+        ObservedParts(
+            recording, solved.run.pieces, _at_most(_measured_noise(recording, speed), solved.noise)
+        )
+        for recording, solved in zip(recordings, done.runs, strict=True)
+    ]
+    whiteners = [
+        Whitener.of(cast(Any, solved.system), cast(Any, one.pieces), one.noise)
+        for solved, one in zip(done.runs, observed, strict=True)
+    ]
+    tables = tables_of(done.machine, done.unknowns, done.solution.value)
+    seen = identifiable_blocks(done.normal, done.unknowns, limit)
+    numbers = leg_numbers(cast(Any, done))
+    return Rows(
+        observed=cast(Any, tuple(observed)),
+        done=cast(Any, done),
+        whiteners=tuple(whiteners),
+        tables=tables,
+        states=tuple(_state(done, solved, nodes) for solved in done.runs),
+        plain_deviation=np.concatenate([s.system.deviation.reshape(-1) for s in done.runs]),
+        fold=np.concatenate(
+            [
+                np.tile(fold_of(n), len(s.system.axes))
+                for n, s in zip(numbers, done.runs, strict=True)
+            ]
+        ),
+        limit=limit,
+        use=free_columns(done.unknowns, seen),
+    )
+
+
+def _measured_noise(recording: Recording, speed: float) -> NoiseModel:
+    """Noise of the standstills; as specified up to what passes as that."""
+    samples, spec = recording.samples, recording.machine.tracker
+    noise = noise_model(samples, spec, speed)
+    seen = noise_departure(samples, spec, speed)
+    measured = standstill_noise(samples, find_standstills(samples, speed))
+    if seen is None or measured is None:
+        return noise
+    parts = zip(noise, measured.noise, seen.least > 1.0, strict=True)
+    return NoiseModel(*(own if loud else old for old, own, loud in parts))
+
+
+def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
+    """Noise of the standstills, where the residuals of a run do not show less.
+
+    Stops of a second tell its slow part to some ten percent only.
+    """
+    found = []
+    for own, other in zip(noise, seen, strict=True):
+        white = min(own.white, other.white)
+        slow = min(own.level**2 - own.white**2, other.level**2 - other.white**2)
+        time = min(own.correlation_time, other.correlation_time)
+        level = float(np.sqrt(white**2 + max(slow, 0.0)))
+        found.append(NoiseComponent(level, white, time, own.dof))
+    return NoiseModel(*found)
+
+
+def _state(done: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array]) -> State:
+    """State of the pieces of a run."""
+    run, pieces, q = solved.run, solved.run.pieces, solved.system.q
+    return state_in_parts(
+        done.machine,
+        [p.path.target for p in run.parts],
+        done.places,
+        pieces.part,
+        pieces.stretch,
+        q,
+        _rates(q, pieces),
+        pieces.side,
+        pieces.time,
+        done.poses[run.station],
+        nodes,
+        tables_of(done.machine, done.unknowns, done.solution.value),
+        float(pieces.time.max() + pieces.duration[-1]),
+        np.abs(pieces.step) * pieces.spread[:, None],
+    )
+
+
+def _rates(q: Array, pieces: AxisPieces) -> Array:
+    """Speeds of the axes from the neighbours of every piece, shape (p, k)."""
+    rates = np.zeros_like(q)
+    if pieces.standstill:
+        return rates
+    for low, high in leg_bounds(pieces.stretch):
+        if high - low > 1:
+            rates[low:high] = np.gradient(q[low:high], pieces.time[low:high], axis=0)
+    return rates
+
+
+def simulated_um(rows: Rows) -> float:
+    """Expected residual that the solution leaves of the noise of the standstills alone, um.
+
+    With A the rows of a run, W the weights and C the covariance of the solution, S the covariance
+    of the noise, what is left is (1 - A C A'W) n, and its variances are the diagonal of
+
+        S - 2 A C A'W S + A C (A'W S W A) C A'
+    """
+    cover, inner = rows.done.solution.covariance, []
+    for whitener, solved in zip(rows.whiteners, rows.done.runs, strict=True):
+        weighted = solved.whitener.weighted(_dense(solved))
+        inner.append(np.einsum('cpi,cpj->ij', weighted, whitener.covaried(weighted)))
+    spread = cover @ np.sum(inner, axis=0) @ cover
+    square, pieces = 0.0, 0
+    for whitener, solved in zip(rows.whiteners, rows.done.runs, strict=True):
+        own = _dense(solved)
+        noise = whitener.covaried(solved.whitener.weighted(own))
+        square += float(np.sum(whitener.expected**2))
+        square += float(np.sum(own * (own @ spread)) - 2.0 * np.sum(noise * (own @ cover)))
+        pieces += own.shape[1]
+    return float(1e6 * np.sqrt(square / pieces))
+
+
+def _dense(solved: SolvedRun) -> Array:
+    """All rows of a run, shape (c, p, full)."""
+    rows = cast(AxisRows, solved.system.rows)
+    return rows.dense(slice(None))
