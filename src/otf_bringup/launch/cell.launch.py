@@ -94,7 +94,7 @@ def nodes(context, known):
     given = context.launch_configurations
     refuse_unknown([*known, 'bag'], context.argv, FILES)
     backend = BACKENDS.get(given['backend'])
-    taken = {
+    parameters_of = {
         'path_planner': (['machine_file', 'path_file'], further(given, PLANNER_PARAMETERS)),
         'calibrator': (['machine_file', 'output_directory', 'diagnose'], {}),
         'tracker_driver': (
@@ -104,13 +104,13 @@ def nodes(context, known):
     }
     wanted = [name.strip() for name in given['nodes'].split(',')]
     for name in wanted:
-        if name not in taken:
-            raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(taken)}')
+        if name not in parameters_of:
+            raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(parameters_of)}')
     if backend and backend.brings_path and 'tracker_driver' in wanted:
-        del taken['path_planner']
+        del parameters_of['path_planner']
     viewers = VIEWERS if switched_on(given, 'view') else ()
     return [
-        *(node(name, given, *taken[name]) for name in taken if name in wanted),
+        *(node(name, given, *parameters_of[name]) for name in parameters_of if name in wanted),
         *(node(name, given, [], {}) for name in viewers),
         *aggregator(given),
     ]
@@ -176,14 +176,14 @@ def parameter(text, kind):
     return ParameterValue(TextSubstitution(text=text), value_type=str if kind is str else None)
 
 
-def node(name, given, taken, own):
+def node(name, given, names, own):
     """Return a node that takes parameters from the launch arguments of the same names."""
-    taken = [*taken, 'use_sim_time', 'machine_frame', 'tracker_frame']
+    names = [*names, 'use_sim_time', 'machine_frame', 'tracker_frame']
     parameters = {
         key: switched_on(given, key)
         if KINDS.get(key) is bool
         else parameter(given[key], KINDS.get(key, str))
-        for key in taken
+        for key in names
     }
     respawn = switched_on(given, 'respawn')
     return Node(

@@ -246,10 +246,10 @@ def frame_shown(frame: str) -> str:
     return repr(shortened(frame)) if frame else 'empty'
 
 
-def frame_text(what: str, found: str, expected: str) -> str:
+def frame_text(what: str, frame: str, expected: str) -> str:
     """Return the message for a frame_id that is not the one the interface fixes."""
     return (
-        f"{what}: frame_id is {frame_shown(found)}, expected '{expected}'; "
+        f"{what}: frame_id is {frame_shown(frame)}, expected '{expected}'; "
         f'publish in that frame, or name the topic (--topic, --path-topic) to take any'
     )
 

@@ -219,7 +219,9 @@ def noise_parts(runs: Sequence[Observed], joint: JointSolution) -> NoiseParts:
             within += sums.within
             between += sums.between
         order = range(len(solved.whitener.bounds))
-        noise, misfit = ({k: v for p in parts for k, v in found(p).items()} for found in _LINES)
+        noise, misfit = (
+            {k: v for p in parts for k, v in parts_of(p).items()} for parts_of in _LINES
+        )
         corners += _chained([noise[k] for k in order], size, _times(run.noise_and_misfit[0]))
         lasting += _chained([misfit[k] for k in order], size, np.array([MISFIT_TIME]))
     return NoiseParts(reduce(add, normals), within, between, corners, lasting)

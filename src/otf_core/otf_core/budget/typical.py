@@ -172,28 +172,28 @@ def typical_systematic(
     )
 
 
-def with_typical(budget: Budget, found: TypicalSystematic | None) -> Budget:
+def with_typical(budget: Budget, typical: TypicalSystematic | None) -> Budget:
     """The budget with typical values where nothing is declared: what is stated first."""
-    if found is None:
+    if typical is None:
         return budget
-    source = Source(TYPICAL_SOURCE, found.change @ found.change.T, np.inf)
+    source = Source(TYPICAL_SOURCE, typical.change @ typical.change.T, np.inf)
     return replace(budget, sources=(*budget.sources, source))
 
 
-def typical_warnings(found: TypicalSystematic | None) -> tuple[str, ...]:
+def typical_warnings(typical: TypicalSystematic | None) -> tuple[str, ...]:
     """What the user should read above the tables; nothing if everything is declared."""
-    return () if found is None else (found.warning,)
+    return () if typical is None else (typical.warning,)
 
 
-def typical_to_dict(found: TypicalSystematic | None) -> dict[str, Any] | None:
+def typical_to_dict(typical: TypicalSystematic | None) -> dict[str, Any] | None:
     """Entry ``typical_systematic`` of error_tables.json; None if everything is declared."""
-    if found is None:
+    if typical is None:
         return None
     return {
-        'missing': list(found.missing),
+        'missing': list(typical.missing),
         'presets': list(TYPICAL),
-        'assumed': dict(found.assumed),
-        'squareness': {n: {'u': u} for n, (_, u) in found.squareness.items()},
-        'motions': {n: {'u': u.tolist()} for n, u in found.motions.items()},
-        'grid': {'unit': 'm', 'u_stated': found.grid[0], 'u': found.grid[1]},
+        'assumed': dict(typical.assumed),
+        'squareness': {n: {'u': u} for n, (_, u) in typical.squareness.items()},
+        'motions': {n: {'u': u.tolist()} for n, u in typical.motions.items()},
+        'grid': {'unit': 'm', 'u_stated': typical.grid[0], 'u': typical.grid[1]},
     }

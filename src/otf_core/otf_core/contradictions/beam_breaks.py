@@ -205,14 +205,14 @@ def shifted(run: Run, again: FoundAgain) -> Run:
 
 def settle_offsets(model: Model, *, repair: bool) -> tuple[Model, list[Finding]]:
     """Find offsets of segments, take them off and solve anew; all runs."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     runs = list(model.runs)
     for k in range(len(runs)):
         again = find_offsets(model, k)
         if again is not None:
-            found.append(_finding(runs[k], again, repair=repair))
+            findings.append(_finding(runs[k], again, repair=repair))
             runs[k] = shifted(runs[k], again) if repair else runs[k]
-    return (Model.of(runs) if found and repair else model), found
+    return (Model.of(runs) if findings and repair else model), findings
 
 
 def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:

@@ -150,24 +150,24 @@ class LeftOut:
         )
 
 
-def left_out(run: Run, kept: Run) -> LeftOut:
+def left_out(run: Run, without_outliers: Run) -> LeftOut:
     """Where the samples lie that were left out of a run.
 
     Parameters
     ----------
     run : Run
         With all its pieces.
-    kept : Run
+    without_outliers : Run
         With those that were not far from the solution.
     """
     gone = np.zeros(len(run.samples), dtype=bool)
     gone[run.pieces.samples] = True
-    gone[kept.pieces.samples] = False
+    gone[without_outliers.pieces.samples] = False
     lost = np.concatenate([np.flatnonzero(gone), run.pieces.far]).astype(np.int64)
     if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
         return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
-    step = max(1, len(kept.pieces.samples) // MAX_USED_SAMPLES)
-    stays = kept.pieces.samples[::step].astype(np.int64)
+    step = max(1, len(without_outliers.pieces.samples) // MAX_USED_SAMPLES)
+    stays = without_outliers.pieces.samples[::step].astype(np.int64)
     index = np.concatenate([stays, lost])
     out = np.arange(len(index)) >= len(stays)
     lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
@@ -181,7 +181,7 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     return LeftOut(
         name=run.name,
         samples=len(lost),
-        of=len(kept.pieces.samples) + len(lost),
+        of=len(without_outliers.pieces.samples) + len(lost),
         legs=len(np.unique(leg[out])),
         repeated=_repeated(cell, leg, out),
         near_corners=float(near[out].mean()) if len(lost) else 0.0,

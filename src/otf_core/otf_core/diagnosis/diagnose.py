@@ -225,7 +225,7 @@ def _without_reversal(
     plain = replace(config, reversal='none', piece_length=length)
     whole = len(solved.runs) == len(recordings)
     pairs = zip(solved.runs, observed.runs, strict=True)
-    if any(left_out(run, kept).by_machine for run, kept in pairs):
+    if any(left_out(run, without_outliers).by_machine for run, without_outliers in pairs):
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
         same = length == config.piece_length
@@ -235,13 +235,13 @@ def _without_reversal(
 
 def _in_longer_pieces(observed: _WithoutReversal, config: CalibrationConfig) -> _WithoutReversal:
     """The same runs in pieces of ``config``, solved with the same functions of the motions."""
-    done, nodes = observed.solution, observed.nodes
+    joint, nodes = observed.solution, observed.nodes
     runs = [
         replace(reduced(run.recording, run.alignment, nodes, config), late=run.late)
         for run in observed.runs
     ]
-    start = Start.after(runs[0].machine, done)
-    return _WithoutReversal(*solve_robustly(runs, done.unknowns, config, silent, start), nodes)
+    start = Start.after(runs[0].machine, joint)
+    return _WithoutReversal(*solve_robustly(runs, joint.unknowns, config, silent, start), nodes)
 
 
 @dataclass(frozen=True)

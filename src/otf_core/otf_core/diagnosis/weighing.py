@@ -200,18 +200,18 @@ class Explanation:
         )
 
 
-def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
+def explain(rows: Rows, causes_found: Sequence[Cause], twin_um: float) -> Explanation:
     """Keep the effects that matter.
 
     Parameters
     ----------
-    found : sequence of Cause
+    causes_found : sequence of Cause
         What the search found, decoys among them, in its order.
     twin_um : float
         Residual of the simulation.
     """
-    simulated_um = twin_um * noise_level(rows, found)
-    causes, steps = _named(rows, found, simulated_um)
+    simulated_um = twin_um * noise_level(rows, causes_found)
+    causes, steps = _named(rows, causes_found, simulated_um)
     decoyed = _decoyed(causes, steps)
     in_catalogue = [c for c in causes if _in_catalogue(c)]
     if len(in_catalogue) < len(causes):  # what a decoy takes away is not explained
@@ -219,7 +219,7 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
         steps = [residuals_with(rows, in_catalogue[:k]) for k in range(len(in_catalogue) + 1)]
     fitted = residuals_with(rows, causes, held_out=False)
     # what is found after a decoy lives on what that left
-    first = takewhile(_in_catalogue, found)
+    first = takewhile(_in_catalogue, causes_found)
     known = [*causes, *(c for c in first if all(c is not named for named in causes))]
     known_um, rest = steps[-1].rms_um, fitted
     if len(known) > len(causes):
@@ -233,19 +233,19 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
 
 
 def _named(
-    rows: Rows, found: Sequence[Cause], simulated_um: float
+    rows: Rows, causes_found: Sequence[Cause], simulated_um: float
 ) -> tuple[list[Cause], list[Residuals]]:
     """Causes that matter, and the residuals step by step."""
     whole = plain_residuals(rows)
     gap = gap_um(whole.rms_um, simulated_um)
-    causes, steps = _material(rows, found, whole, gap, all_alike=False)
+    causes, steps = _material(rows, causes_found, whole, gap, all_alike=False)
     if not causes and matters(gap, simulated_um):
-        return _material(rows, found, whole, gap, all_alike=True)
+        return _material(rows, causes_found, whole, gap, all_alike=True)
     return causes, steps
 
 
 def _material(
-    rows: Rows, found: Sequence[Cause], whole: Residuals, gap: float, *, all_alike: bool
+    rows: Rows, causes_found: Sequence[Cause], whole: Residuals, gap: float, *, all_alike: bool
 ) -> tuple[list[Cause], list[Residuals]]:
     """Causes whose own trace matters, in itself and beside the whole gap.
 
@@ -253,7 +253,7 @@ def _material(
     """
     causes: list[Cause] = []
     steps = [whole]
-    for cause in found:
+    for cause in causes_found:
         after = residuals_with(rows, [*causes, cause])
         trace = float(np.sqrt(max(0.0, steps[-1].rms_um ** 2 - after.rms_um**2)))
         trace = max(trace, wave_um(cause, rows))
@@ -264,14 +264,14 @@ def _material(
     return causes, steps
 
 
-def noise_level(rows: Rows, found: Sequence[Cause]) -> float:
+def noise_level(rows: Rows, causes_found: Sequence[Cause]) -> float:
     """Correction of the twin's noise, from what the causes leave.
 
     How fast noise averages out over a piece is known to some ten percent from short stops. If
     what is left has no structure, its size tells better.
     """
     residual = rows.residual
-    for cause in found:
+    for cause in causes_found:
         residual = fit_out(cause.option, residual)
     structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - len(rows.use))

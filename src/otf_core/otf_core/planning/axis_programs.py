@@ -211,5 +211,5 @@ def verification_program(
 
 def _in_workpiece(machine: Machine, place: Array, turned: Array) -> Mapping[str, float]:
     """Words of a block with TCP on: place of the reflector in mm, rotary axes in degrees."""
-    found = dict(zip('XYZ', np.round(place, 3).tolist(), strict=True))
-    return found | {a: float(turned[machine.column(a)]) for a in machine.rotary_names}
+    position = dict(zip('XYZ', np.round(place, 3).tolist(), strict=True))
+    return position | {a: float(turned[machine.column(a)]) for a in machine.rotary_names}

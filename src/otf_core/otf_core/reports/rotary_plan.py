@@ -156,7 +156,7 @@ def programs_of(plan: RotaryPlan, dialect: Dialect, feed: float) -> dict[str, st
         If the dialect cannot express the plan.
     """
     machine, header = plan.machine, [f'otf plan: machine {plan.machine.name}']
-    found = {
+    programs = {
         dialect.file_of(k): part_program(dialect, machine, part, k, feed, header)
         for k, part in enumerate(plan.parts, start=1)
     }
@@ -164,8 +164,8 @@ def programs_of(plan: RotaryPlan, dialect: Dialect, feed: float) -> dict[str, st
     if last is not None:
         number = len(plan.parts) + 1
         text = verification_program(dialect, machine, last, number, header)
-        found |= {dialect.file_of(number): text, 'verify.csv': path_csv(machine, [last])}
-    return found
+        programs |= {dialect.file_of(number): text, 'verify.csv': path_csv(machine, [last])}
+    return programs
 
 
 def write_plan(

@@ -83,17 +83,17 @@ class AxisRows:
 
     def transposed(self, rows: Array) -> Array:
         """Transposed rows times values (c, p), shape (full,)."""
-        found = np.zeros(self.unknowns.full)
+        product = np.zeros(self.unknowns.full)
         for name, own in self.fixed.items():
-            found[self.unknowns.blocks[name]] += np.einsum('cpk,cp->k', own, rows)
+            product[self.unknowns.blocks[name]] += np.einsum('cpk,cp->k', own, rows)
         for axis, shifts in self.motions.items():
             pull = sum(
                 weight.T @ np.einsum('cpk,cp->pk', six, rows) / len(shifts)
                 for six, weight in shifts
             )
             for k, d in enumerate('XYZABC'):
-                found[self.unknowns.blocks[f'E{d}{axis}']] += np.asarray(pull)[:, k]
-        return found
+                product[self.unknowns.blocks[f'E{d}{axis}']] += np.asarray(pull)[:, k]
+        return product
 
     def times(self, value: Array) -> Array:
         """Deviations (c, p) for values of the unknowns (full,)."""

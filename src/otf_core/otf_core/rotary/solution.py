@@ -327,8 +327,8 @@ def _without_steps(
     value: Array, unknowns: Unknowns, stations: Iterable[int], places: Iterable[str]
 ) -> Array:
     """Values of the unknowns once poses and places have been moved by theirs."""
-    found = value.copy()
+    remainder = value.copy()
     for name in (*map(pose_block, stations), *map(place_block, places)):
         if name in unknowns.blocks:
-            found[unknowns.blocks[name]] = 0.0
-    return found
+            remainder[unknowns.blocks[name]] = 0.0
+    return remainder

@@ -530,15 +530,16 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
     """Every n-th piece of every leg, others from leg to leg: about ``MAX_JUDGED_PIECES`` of all."""
-    step, found = -(-sum(len(run.pieces) for run in runs) // MAX_JUDGED_PIECES), []
+    step = -(-sum(len(run.pieces) for run in runs) // MAX_JUDGED_PIECES)
+    thinned = []
     for run in runs:
         low, high = np.array(leg_bounds(run.pieces.leg)).T
         # multiples of the golden section keep no step with the order of a path
         part = np.arange(len(low)) * GOLDEN % 1.0
         first = low + (np.minimum(step, high - low) * part).astype(np.int64)
         drop = (np.arange(len(run.pieces)) - np.repeat(first, high - low)) % step != 0
-        found.append(replace(run, pieces=run.pieces.without(drop)))
-    return found
+        thinned.append(replace(run, pieces=run.pieces.without(drop)))
+    return thinned
 
 
 def find_identifiable_blocks(

@@ -107,7 +107,7 @@ class Stamper:
         device_ns: NDArray[np.int64],
         xyz: NDArray[np.float64],
         arrival_ns: int,
-        kept: NDArray[np.bool_] | None = None,
+        valid: NDArray[np.bool_] | None = None,
     ) -> list[Samples]:
         """Take the samples of one packet.
 
@@ -118,7 +118,7 @@ class Stamper:
         xyz : ndarray, shape (n, 3), m
         arrival_ns : int
             On the host's clock.
-        kept : ndarray of bool, shape (n,), optional
+        valid : ndarray of bool, shape (n,), optional
             Which samples are wanted; the others tell the clock only. All if not given.
 
         Returns
@@ -128,7 +128,7 @@ class Stamper:
         """
         if not len(device_ns):
             return []
-        packet = Packet(device_ns, xyz, np.ones(len(xyz), bool) if kept is None else kept)
+        packet = Packet(device_ns, xyz, np.ones(len(xyz), bool) if valid is None else valid)
         return self._taken(packet, arrival_ns)
 
     def _taken(self, packet: Packet, arrival_ns: int) -> list[Samples]:

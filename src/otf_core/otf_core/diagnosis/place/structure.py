@@ -496,9 +496,9 @@ def _refined(
     return candidate
 
 
-def _basis(taken: Array) -> Array:
+def _basis(columns: Array) -> Array:
     """Orthonormal basis of the columns of a shape that was found."""
-    basis, size, _ = np.linalg.svd(taken, full_matrices=False)
+    basis, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(basis[:, size > 1e-3 * size.max(initial=1e-300)])
 
 
