@@ -529,7 +529,7 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
 
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
-    """Every n-th piece of every leg, others from leg to leg: about ``MAX_JUDGED_PIECES`` of all."""
+    """Every n-th piece of every leg, others in each leg: about ``MAX_JUDGED_PIECES`` of all."""
     step = -(-sum(len(run.pieces) for run in runs) // MAX_JUDGED_PIECES)
     thinned = []
     for run in runs:
