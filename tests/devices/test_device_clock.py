@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps from a device's clock: near the truth, increasing, whatever clock and network do."""
 
+import time
+
 import numpy as np
 import pytest
 from device_times import EPOCH, Delays, packets
@@ -262,6 +264,6 @@ def test_heavy_jitter_costs_a_few_milliseconds_at_first():
 
 def test_host_clock_agrees_with_the_time_of_day():
     clock = HostClock()
-    assert abs(clock.departed) < 0.1
     first = clock.now_ns()
+    assert abs(first - time.time_ns()) < 10**8
     assert first <= clock.now_ns()

@@ -109,7 +109,7 @@ def test_text_of_a_tracker_becomes_one_printable_line():
 
 @pytest.mark.parametrize('number', [5, 13, 20, 99, 701, 424242, -1])
 def test_every_code_has_a_text_with_its_number(number):
-    for text in (codes.status_text, codes.event_text, codes.command_text):
+    for text in (codes.status_text, codes.command_text):
         assert str(number) in text(number)
 
 

@@ -191,13 +191,6 @@ def turn_together(
     return np.concatenate(chains)
 
 
-def spiral(machine: Machine, axis: str, linear: str, low: float, high: float) -> Array:
-    """A linear axis from one position to another while a rotary axis turns, and back."""
-    own = machine.axes[axis]
-    ends = {axis: np.array([own.min, own.max]), linear: np.array([low, high])}
-    return there_and_back(positions_of(machine, **ends))
-
-
 def creep(machine: Machine, axis: str, start: Array, drift: Array, target: str = TOOL) -> Array:
     """Turn a rotary axis while the linear axes hold the reflector but for a slow drift, and back.
 

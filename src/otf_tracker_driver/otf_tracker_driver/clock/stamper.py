@@ -33,11 +33,6 @@ class HostClock:
         """Time now, ns since 1970."""
         return time.monotonic_ns() + self._ahead
 
-    @property
-    def departed(self) -> float:
-        """How far the time of day has been set ahead since the start, s."""
-        return (time.time_ns() - self.now_ns()) * 1e-9
-
 
 @dataclass(frozen=True)
 class Packet:

@@ -130,34 +130,6 @@ STATUS_TEXT = {
     10014: 'tracker not ready',
     10015: 'sensor communication failed',
 }
-EVENT_TEXT = {
-    0: 'distance set',
-    1: 'laser warmed up',
-    2: 'environment changed',
-    3: 'refraction changed',
-    6: 'units changed',
-    7: 'reflector changed',
-    8: 'settings changed',
-    12: 'coordinate system changed',
-    17: 'measurement mode changed',
-    19: 'continuous measurement changed',
-    24: 'statistic mode changed',
-    25: 'not ready to measure',
-    26: 'busy',
-    27: 'ready to measure',
-    28: 'number of points reached',
-    30: 'face 1',
-    31: 'face 2',
-    99: '6D invalid',
-    145: 'laser near its limit',
-    146: 'laser unstable',
-    151: 'initialisation changed',
-    850: 'sensor detected',
-    851: 'sensor disconnected',
-    997: 'tracker processor closes the connection',
-    998: 'server closing',
-    999: 'server started',
-}
 SAMPLE_TEXT = {
     1: 'target fast',
     2: 'target too fast',
@@ -173,11 +145,6 @@ def status_text(status: int) -> str:
     if 11 <= status <= 22:
         return f'parameter out of range (status {status})'
     return f'{STATUS_TEXT.get(status, "unknown to this driver")} (status {status})'
-
-
-def event_text(event: int) -> str:
-    """State what a system status change means."""
-    return f'{EVENT_TEXT.get(event, "unknown to this driver")} (event {event})'
 
 
 def command_text(command: int) -> str:

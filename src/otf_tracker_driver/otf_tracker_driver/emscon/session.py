@@ -323,7 +323,6 @@ class Session:
                 kind = Flow.BEAM_BROKEN if lost else Flow.SILENT
                 self._interrupt(kind, codes.status_text(packet.status))
         elif isinstance(packet, StatusChange):
-            self.state.last_event = codes.event_text(packet.event)
             self._closing |= packet.event == Event.SERVER_CLOSING
             self._doubt |= packet.event not in HARMLESS
             self._wake.set()

@@ -63,7 +63,6 @@ class SessionState:
     connections: int = 0
     interruptions: int = 0
     gaps: tuple[Gap, ...] = ()
-    last_event: str = ''
 
     @property
     def trouble(self) -> str:
