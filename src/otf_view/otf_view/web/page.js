@@ -149,7 +149,7 @@ function draw() {
   drawSpace(scene, now);
   const count = drawPlot(scene, now);
   const solved = scene && scene.solved && scene.solved.mae_after_um !== null;
-  text('plotted', !count ? 'Shown once the place of the tracker is known.'
+  text('plotted', !count ? 'Shown once the tracker position is known.'
     : 'Dots: measured along the run.' + (solved ? ' Line: mean that compensation leaves.' : ''));
 }
 
