@@ -18,6 +18,8 @@ from otf_core.model.axis_path import AxisPath
 from otf_core.model.joints import Sight
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.planning import rotary_paths as paths
+from otf_core.planning.clearance import near_misses
+from otf_core.planning.part_choice import choose_parts, hand_moves
 
 FEED = PlannerConfig(feed=0.1, levels=2)
 PLACES = {'a': [0.2, 0.03, 0.1], 'b': [-0.09, 0.16, 0.06], 'c': [-0.07, -0.17, 0.13]}
@@ -140,9 +142,43 @@ def test_every_leg_of_several_axes_is_driven_in_both_senses(link):
         mixed = step[:, rotary].any(axis=1) & (step.sum(axis=1) > 1)
         legs = {(tuple(a), tuple(b)) for a, b in zip(q[:-1].round(9), q[1:].round(9), strict=True)}
         own = [(tuple(q[k].round(9)), tuple(q[k + 1].round(9))) for k in np.flatnonzero(mixed)]
-        single = sum((b, a) not in legs for a, b in own)
-        chains = 1 if link == 'b' else 20  # links between chains are driven once
-        assert single <= chains
+        assert all((b, a) in legs for a, b in own)
+
+
+def test_lines_of_two_reflectors_are_driven_in_opposite_senses():
+    machine = trunnion()
+    tool, long = (p for p in paths.plan_parts(machine, FEED) if p.words == paths.LINES)
+    np.testing.assert_allclose(long.path.positions, tool.path.positions[::-1], atol=1e-12)
+
+
+def test_a_budget_is_kept_and_spent_on_all_errors_that_can_be_seen():
+    machine = trunnion()
+    place, judge = paths.beside(machine), ForecastConfig()
+    for budget in (1600.0, 1100.0):
+        parts = choose_parts(machine, place, FEED, judge, time_budget=budget)
+        driving = sum(paths.duration_of(machine, p, FEED) for p in parts)
+        assert driving + paths.HAND_MOVE * hand_moves(parts) <= budget
+        found = paths.forecast_parts(machine, parts, place, FEED, judge)
+        assert set(found.hidden) <= {'ECX', 'ECZ', 'EAZ', 'EBZ', 'EXZ', 'EYZ', 'A0Z', 'B0Z'}
+        assert budget < 1600.0 or set(found.hidden) == {'ECX', 'ECZ'}
+    with pytest.raises(ConfigError, match='the shortest chain alone takes'):
+        choose_parts(machine, place, FEED, judge, time_budget=5.0)
+
+
+def test_a_spindle_that_passes_a_nest_or_the_tracker_is_named():
+    machine = trunnion()
+    box = [part(machine, 'tool', paths.box_lines(machine, 2))]
+    assert near_misses(machine, box, np.array([2.0, 2.0, 1.0])) == []
+    data = machine.to_dict()
+    data['targets']['a']['place'] = [0.0, 0.0, 0.1]
+    data['target_offset'] = [0.0, 0.0, 0.0]
+    low = machine_from_dict(data)
+    box = [part(low, 'tool', paths.box_lines(low, 3))]
+    sentences = near_misses(low, box, np.array([2.0, 2.0, 1.0]))
+    assert any('mm of a:' in words for words in sentences)
+    assert not any('the tracker' in words for words in sentences)
+    at = paths.box_lines(low, 3)[0, :3]
+    assert any('the tracker' in w for w in near_misses(low, box, at))
 
 
 def test_tracker_stands_where_the_table_tilts_to():

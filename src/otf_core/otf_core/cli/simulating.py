@@ -235,19 +235,20 @@ def _plan_rotary(
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
     from otf_core.planning.axis_programs import on_axis_increment
+    from otf_core.planning.clearance import near_misses
     from otf_core.planning.nc import DIALECTS
+    from otf_core.planning.part_choice import choose_parts
     from otf_core.planning.plan_report import read_place
     from otf_core.planning.rotary_paths import (
         beside,
         check_side,
         duration_of,
         forecast_parts,
-        plan_parts,
         sights,
     )
     from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
 
-    for option in ('path', 'after', 'time_budget', 'wanted_uncertainty'):
+    for option in ('path', 'after', 'wanted_uncertainty'):
         if getattr(arguments, option) is not None:
             raise ConfigError(
                 f'--{option.replace("_", "-")}: not available for machines with rotary axes'
@@ -258,11 +259,13 @@ def _plan_rotary(
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
     with progress_of(arguments, 'choosing lines', PLAN) as progress:
-        parts = [on_axis_increment(machine, part) for part in plan_parts(machine, config)]
+        chosen = choose_parts(machine, place, config, judged, noise, arguments.time_budget)
+        parts = [on_axis_increment(machine, part) for part in chosen]
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
         durations = [duration_of(machine, part, config) for part in parts]
-        plan = RotaryPlan(machine, parts, durations, place, forecast, sights(machine, place))
+        seen, near = sights(machine, place), near_misses(machine, parts, place)
+        plan = RotaryPlan(machine, parts, durations, place, forecast, seen, near)
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]

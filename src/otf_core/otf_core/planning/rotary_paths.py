@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -39,6 +40,7 @@ from otf_core.rotary.reduction import TOGETHER, AxisPieces
 from otf_core.rotary.rows import AxisRun, build_rows
 from otf_core.rotary.solution import AxisSolution, place_equations
 from otf_core.rotary.tabulation import (
+    PLACES,
     determined,
     evenly_spread,
     field_rows,
@@ -46,7 +48,7 @@ from otf_core.rotary.tabulation import (
     raw_rows,
 )
 from otf_core.rotary.unknowns import bases_of, layout
-from otf_core.solving.normal import normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.solution import solve
 from otf_core.solving.whitener import Whitener
@@ -81,6 +83,8 @@ ACCELERATION_TIME = 0.4
 """s lost at every corner that is not driven through."""
 HAND_MOVE = 60.0
 """s for taking the reflector to its next place by hand."""
+LINES = 'lines'
+"""Words of chains of the linear axes alone."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,36 @@ class PlannedPart:
     path: AxisPath
     dwell: float
     words: str
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Corners that are driven one after the other with one reflector in view, in both senses.
+
+    Attributes
+    ----------
+    target : str
+    corners : ndarray, shape (n, k), m and rad
+    words : str
+        What it is.
+    dwell : float
+        s at every corner; 0 drives through smooth ones.
+    """
+
+    target: str
+    corners: Array
+    words: str
+    dwell: float = 0.0
+
+    @property
+    def is_lines(self) -> bool:
+        """Moves linear axes alone."""
+        return self.words == LINES
+
+    @property
+    def part(self) -> tuple[str, bool, float]:
+        """Chains that agree in it may be driven as one part."""
+        return self.target, self.is_lines, self.dwell
 
 
 @dataclass(frozen=True)
@@ -268,68 +302,117 @@ def _middle(machine: Machine) -> Array:
 
 
 def plan_parts(machine: Machine, config: PlannerConfig) -> list[PlannedPart]:
-    """Parts that show what the set-up can show.
+    """Parts that show what the set-up can show, see ``candidate_chains``."""
+    return parts_of(machine, candidate_chains(machine, config))
 
-    Spindle targets: lines, and TCP creep of every rotary axis between them and the tracker.
-    Targets on the table: circles and arcs of every rotary axis, two rotary axes together, else a
-    linear axis on the table with the rotary one, else stops.
+
+def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
+    """Chains that show what the set-up can show.
+
+    Spindle targets: lines, in the opposite sense with every second one; TCP creep and a spiral of
+    every rotary axis between them and the tracker. Targets on the table: circles and arcs of every
+    rotary axis, two rotary axes together, else a linear axis on the table with the rotary one,
+    else stops.
 
     Raises
     ------
     ConfigError
         If no target moves relative to the tracker.
     """
-    parts: list[PlannedPart] = []
-    number = 0
+    chains: list[Chain] = []
+    tools, nests = 0, 0
     for name, target in machine.targets.items():
         seen = [j.name for j in Sight.of_target(machine, name).joints]
         turning = [a for a in seen if a in machine.rotary_names]
-        if target.link == SPINDLE and parts:  # a second place tells more of the tool side alone
-            turning = [a for a in turning if a in machine.chain.target_side]
-        if target.link == SPINDLE and all(a in seen for a in AXES):
-            parts.append(_part(machine, name, [box_lines(machine, config.levels)], 'lines'))
         if target.link == SPINDLE:
-            chains = [c for a in turning for c in creeps(machine, a, name)]
-            if chains:
-                words = f'linear axes follow {" and ".join(turning)}, TCP creep'
-                parts.append(_part(machine, name, chains, words))
+            if tools:  # a second place tells more of the tool side alone
+                turning = [a for a in turning if a in machine.chain.target_side]
+            if all(a in seen for a in AXES):
+                chains.append(Chain(name, _lines(machine, config.levels, tools), LINES))
+            for axis in turning:
+                words = f'linear axes follow {axis}, TCP creep'
+                chains += [Chain(name, own, words) for own in creeps(machine, axis, name)]
+                outward = _spiral_outward(machine, axis)
+                chains.append(Chain(name, outward, f'{axis} with X, spiral'))
+            tools += 1
         elif turning:
-            linear = [a for a in seen if a in AXES]
-            parts += _table_parts(machine, name, turning, linear, number)
-            number += 1
-    if not parts:
+            chains += _table_chains(machine, name, turning, [a for a in seen if a in AXES], nests)
+            nests += 1
+    if not chains:
         raise ConfigError(
             f'targets: none moves relative to the tracker (link {machine.tracker.link})'
         )
-    return parts
+    return chains
 
 
-def _table_parts(
+def _lines(machine: Machine, levels: int, number: int) -> Array:
+    """Lines with the target of a number: both senses of every line over the targets.
+
+    With one target alone, and with a third one, there and back.
+    """
+    spindle = sum(t.link == SPINDLE for t in machine.targets.values())
+    if spindle == 1:
+        return there_and_back(box_lines(machine, levels))
+    if number > 1:
+        return there_and_back(box_lines(machine, 2))
+    return box_lines(machine, levels)[:: -1 if number else 1]
+
+
+def _spiral_outward(machine: Machine, axis: str) -> Array:
+    """X from its middle to its end while a rotary axis turns, Y and Z in their middles."""
+    middle = _middle(machine)
+    x, y, z = (machine.column(a) for a in AXES)
+    others = {'Y': float(middle[y]), 'Z': float(middle[z])}
+    own = machine.axes[axis]
+    ends = {axis: np.array([own.min, own.max]), 'X': np.array([middle[x], machine.axes['X'].max])}
+    return there_and_back(positions_of(machine, **ends, **others))
+
+
+def _table_chains(
     machine: Machine, name: str, turning: Sequence[str], linear: Sequence[str], number: int
-) -> list[PlannedPart]:
-    """Parts with a reflector on the table."""
+) -> list[Chain]:
+    """Chains with a reflector on the table."""
     wait = {a: v for a, v in clear_of_table(machine, name).items() if a not in linear}
-    chains = [turn(machine, a, **wait) for a in (*turning, *linear)]
-    words = f'{" and ".join((*turning, *linear))} alone'
+    chains = [Chain(name, turn(machine, a, **wait), f'{a} alone') for a in (*turning, *linear)]
     sweeps = SWEEPS[number % len(SWEEPS)]
     pairs = [(a, b) for k, a in enumerate(turning) for b in (*turning[k + 1 :], *linear)]
     for first, second in pairs:
         wide = max((first, second), key=lambda a: machine.axes[a].max - machine.axes[a].min)
         other = second if wide == first else first
-        chains.append(turn_together(machine, wide, other, sweeps, **wait))
-        words += f', {first} with {second}'
-    parts = [_part(machine, name, chains, words)]
+        own = turn_together(machine, wide, other, sweeps, **wait)
+        chains.append(Chain(name, own, f'{first} with {second}'))
     if not pairs:
-        halts = _part(
-            machine, name, [stops(machine, turning[0], **wait)], f'stops of {turning[0]}'
-        )
-        parts.append(PlannedPart(halts.path, STOP_TIME, halts.words))
+        halts = stops(machine, turning[0], **wait)
+        chains.append(Chain(name, halts, f'stops of {turning[0]}', STOP_TIME))
+    return chains
+
+
+def parts_of(machine: Machine, chains: Sequence[Chain]) -> list[PlannedPart]:
+    """Chains as parts: those of one target after the other, with links between."""
+    parts = []
+    for _, group in groupby(chains, key=lambda c: c.part):
+        own = list(group)
+        q = np.concatenate([own[0].corners, *(_link(machine, a, b) for a, b in pairwise(own))])
+        words = ', '.join(dict.fromkeys(c.words for c in own))
+        path = AxisPath(machine.axis_names, q, own[0].target).of(machine)
+        parts.append(PlannedPart(path, own[0].dwell, words))
     return parts
 
 
-def _part(machine: Machine, name: str, chains: Sequence[Array], words: str) -> PlannedPart:
-    path = AxisPath(machine.axis_names, np.concatenate(chains), name)
-    return PlannedPart(path.of(machine), 0.0, words)
+def _link(machine: Machine, first: Chain, second: Chain) -> Array:
+    """Corners of the second chain after a link: linear axes, then one rotary axis after the other.
+
+    A link is driven in one sense alone, so it mixes no rotary axis with another one.
+    """
+    at, rows = first.corners[-1].copy(), []
+    groups = [
+        [machine.column(a) for a in AXES],
+        *([machine.column(a)] for a in machine.rotary_names),
+    ]
+    for columns in groups:
+        at[columns] = second.corners[0][columns]
+        rows.append(at.copy())
+    return np.concatenate([rows, second.corners[1:]])
 
 
 def beside(machine: Machine) -> Array:
@@ -463,6 +546,68 @@ def duration_of(machine: Machine, part: PlannedPart, config: PlannerConfig) -> f
     return float(cut.duration.sum() + ends)
 
 
+class Judge:
+    """What samples on chains and parts say of the errors of a machine.
+
+    Parameters
+    ----------
+    parts : sequence of PlannedPart
+        All that may be driven: their ranges are those of the tables.
+    place : ndarray, shape (3,), m
+        Beam origin of the tracker in the frame of its link.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        parts: Sequence[PlannedPart],
+        place: Array,
+        config: PlannerConfig,
+        judged: ForecastConfig,
+        noise: NoiseModel | None = None,
+    ) -> None:
+        self.machine, self.config, self.judged = machine, config, judged
+        self.limit = CalibrationConfig().unidentifiable_above
+        self.noise = noise or NoiseModel.from_spec(machine.tracker)
+        self.driven = _driven(machine, parts)
+        self.nodes = table_nodes(machine, *self.driven)
+        self.free = tuple(n for n, t in machine.targets.items()
+                          if t.u > 0.0 and n in {p.path.target for p in parts})  # fmt: skip
+        self.unknowns = layout(machine, bases_of(machine, self.nodes), 1, self.free)
+        self.places = nominal_places(machine)
+        self.pose = RigidTransform(np.eye(3), np.asarray(place, dtype=float))
+        self.prior = expected_precision(self.unknowns, self.limit, judged.error_size)
+        self.known = place_equations(machine, self.unknowns, self.places)
+
+    def equations(self, part: PlannedPart) -> NormalEquations:
+        """Normal equations of the samples of a part."""
+        pieces = _pieces(self.machine, part, 0, self.pose.translation, self.config, self.judged)
+        measured = (Part(part.path, 0, 0),)
+        run = AxisRun(
+            self.machine, measured, pieces, self.pose, self.places, self.places, 0, '', self.free
+        )
+        rows = cast(Any, build_rows(run, self.unknowns, None))
+        whitener = Whitener.of(rows, cast(Any, pieces), self.noise)
+        return normal_equations(rows, self.unknowns, whitener)
+
+    def solved(self, normal: NormalEquations) -> AxisSolution:
+        """Solution whose covariance is that of the forecast."""
+        accepted = tuple(n for n, s in self.unknowns.free_blocks.items() if s.stop > s.start)
+        solution = solve(normal, self.unknowns, self.limit, accepted, self.prior)
+        return AxisSolution(
+            self.machine, self.unknowns, solution, cast(Any, None), normal, (), (self.pose,),
+            self.places, 0,
+        )  # fmt: skip
+
+    def values(self, solved: AxisSolution) -> Array:
+        """Scalars and nodes in the gauge of the tables from the full vector, (m, full)."""
+        return np.asarray(gauge_matrix(self.machine, self.nodes) @ raw_rows(solved, self.nodes))
+
+    def field(self, count: int) -> Array:
+        """Error vectors (3 count, m) over the driven ranges from scalars and nodes."""
+        return field_rows(self.machine, self.nodes, evenly_spread(*self.driven, count))
+
+
 def forecast_parts(
     machine: Machine,
     parts: Sequence[PlannedPart],
@@ -478,34 +623,13 @@ def forecast_parts(
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the frame of its link.
     """
-    limit = CalibrationConfig().unidentifiable_above
-    model = noise or NoiseModel.from_spec(machine.tracker)
-    low, high = _driven(machine, parts)
-    nodes = table_nodes(machine, low, high)
-    free = tuple(n for n, t in machine.targets.items()
-                 if t.u > 0.0 and n in {p.path.target for p in parts})  # fmt: skip
-    unknowns = layout(machine, bases_of(machine, nodes), 1, free)
-    places = nominal_places(machine)
-    pose = RigidTransform(np.eye(3), np.asarray(place, dtype=float))
-    measured = tuple(Part(p.path, 0, 0) for p in parts)
-    normal = place_equations(machine, unknowns, places)
-    for k, part in enumerate(parts):
-        pieces = _pieces(machine, part, k, pose.translation, config, judged)
-        run = AxisRun(machine, measured, pieces, pose, places, places, 0, '', free)
-        rows = cast(Any, build_rows(run, unknowns, None))
-        whitener = Whitener.of(rows, cast(Any, pieces), model)
-        normal = normal + normal_equations(rows, unknowns, whitener)
-    accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
-    prior = expected_precision(unknowns, limit, judged.error_size)
-    solution = solve(normal, unknowns, limit, accepted, prior)
-    solved = AxisSolution(
-        machine, unknowns, solution, cast(Any, None), normal, (), (pose,), places, 0
-    )
-    values = gauge_matrix(machine, nodes) @ raw_rows(solved, nodes)
-    cover = values @ solution.covariance @ values.T
-    seen = determined(solved, values, limit)
-    u, hidden = _by_name(machine, nodes, np.sqrt(np.maximum(np.diag(cover), 0.0)), seen)
-    field = field_rows(machine, nodes, evenly_spread(low, high))
+    judge = Judge(machine, parts, place, config, judged, noise)
+    solved = judge.solved(sum((judge.equations(p) for p in parts), judge.known))
+    values = judge.values(solved)
+    cover = values @ solved.solution.covariance @ values.T
+    seen = determined(solved, values, judge.limit)
+    u, hidden = _by_name(machine, judge.nodes, np.sqrt(np.maximum(np.diag(cover), 0.0)), seen)
+    field = judge.field(PLACES)
     variance = np.einsum('ij,ij->i', field @ cover, field).reshape(-1, 3).sum(axis=1)
     return RotaryForecast(
         u,

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from otf_core.planning.axis_programs import (
     verification_program,
 )
 from otf_core.planning.nc.dialect import Dialect
+from otf_core.planning.part_choice import hand_moves
 from otf_core.planning.rotary_paths import (
     HAND_MOVE,
     SMR_ANGLE,
@@ -40,6 +40,8 @@ from otf_core.planning.rotary_paths import (
 SCHEMA = 'otf-rotary-plan/1'
 ENOUGH = 0.9
 """Share of the positions that facings are counted up to."""
+HAND_TURN = 20.0
+"""s for turning a reflector in its nest to the next facing."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class RotaryPlan:
         Beam origin of the tracker in the frame of its link.
     sight : mapping of target to SightShare
         Of targets on the table, seen from a tracker on the bed.
+    near : sequence of str
+        Where a reflector comes near to something.
     """
 
     machine: Machine
@@ -62,6 +66,24 @@ class RotaryPlan:
     place: Array
     forecast: RotaryForecast
     sight: Mapping[str, SightShare]
+    near: Sequence[str] = ()
+
+    @property
+    def turns(self) -> int:
+        """How often a reflector on the table is turned by hand to its next facing."""
+        driven = {part.path.target for part in self.parts}
+        return sum(facings_needed(s) - 1 for name, s in self.sight.items() if name in driven)
+
+    @property
+    def by_hand(self) -> float:
+        """Time for moves and turns of the reflector by hand, s."""
+        return HAND_MOVE * hand_moves(self.parts) + HAND_TURN * self.turns
+
+
+def facings_needed(sight: SightShare) -> int:
+    """Facings after which a reflector is seen in ``ENOUGH`` of the positions; else all tried."""
+    found = (k for k, share in enumerate(sight.facings, 1) if share >= ENOUGH)
+    return next(found, len(sight.facings))
 
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,6 +108,7 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
             name: {'half_angle': SMR_ANGLE, 'open': own.open, 'facings': list(own.facings)}
             for name, own in plan.sight.items()
         },
+        'near': list(plan.near),
         'forecast': {
             'duration': forecast.duration,
             'grid_u': forecast.grid_u,
@@ -101,8 +124,7 @@ def plan_words(plan: RotaryPlan) -> str:
     machine, forecast = plan.machine, plan.forecast
     link = 'bed' if machine.tracker.link == BED else 'table'
     at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
-    order = [part.path.target for part in plan.parts]
-    moves = sum(a != b for a, b in pairwise(order))
+    moves = hand_moves(plan.parts)
     lines = [
         f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
         f'{forecast.duration / 60:.1f} min of driving, {moves} moves of the reflector by hand '
@@ -112,13 +134,14 @@ def plan_words(plan: RotaryPlan) -> str:
     for part, duration in zip(plan.parts, plan.durations, strict=True):
         lines.append(f'  {part.path.target:10s} {duration / 60:5.1f} min  {part.words}')
     for name, own in plan.sight.items():
-        count = next((k for k, share in enumerate(own.facings, 1) if share >= ENOUGH), None)
-        facings = f'{count or len(own.facings)} facings of the reflector'
-        share = 100 * own.facings[(count or len(own.facings)) - 1]
+        count = facings_needed(own)
+        facings = f'{count} facings of the reflector'
+        share = 100 * own.facings[count - 1]
         lines.append(
             f'  {name}: seen in {share:.0f} % of the positions of the rotary axes with {facings} '
             f'({np.degrees(SMR_ANGLE):.0f} degrees to each side)'
         )
+    lines += [f'  {sentence}' for sentence in plan.near]
     lines += [
         '',
         f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * forecast.grid_u:.2f} '

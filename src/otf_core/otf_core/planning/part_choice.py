@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The chains of a machine with rotary axes that show its errors within a time.
+
+From all chains those are taken out, some at a time, whose loss costs least per second,
+
+    cost = (S without it - S) / seconds,    S = sum over all errors of log(mean variance) + h,
+
+until the time is kept; then those that still fit are put back. h is ``UNSEEN`` where the variance
+is hardly less than before any measurement, so a chain that alone shows an error goes last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import accumulate, groupby
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
+from otf_core.model.machine import Machine
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.planning.rotary_paths import (
+    HAND_MOVE,
+    Chain,
+    Judge,
+    PlannedPart,
+    candidate_chains,
+    duration_of,
+    parts_of,
+)
+from otf_core.solving.normal import NormalEquations
+from otf_core.solving.solution import Positive
+
+ROTARY_TIME = 600.0
+"""s of driving beside the lines that a plan takes where no time is given."""
+FEWEST_LEVELS = 2
+"""Levels of the shorter lines that a budget may choose."""
+UNSEEN, HARDLY = 6.0, 0.15
+"""What an error that is not seen costs, and the share of its variance from which it is not."""
+AT_ONCE = 0.1
+"""Share of the chains that goes at once while the time is far exceeded."""
+
+
+def choose_parts(
+    machine: Machine,
+    place: Array,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+    noise: NoiseModel | None = None,
+    time_budget: float | None = None,
+) -> list[PlannedPart]:
+    """Choose the parts of a plan.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,), m
+        Beam origin of the tracker in the frame of its link.
+    time_budget : float, optional
+        s for all driving and all moves by hand; without it all lines, and ``ROTARY_TIME`` for the
+        rest.
+
+    Raises
+    ------
+    ConfigError
+        If the time is too short for any chain.
+    """
+    chains = candidate_chains(machine, config)
+    if time_budget is not None and config.levels > FEWEST_LEVELS:
+        few = replace(config, levels=FEWEST_LEVELS)
+        chains += [c for c in candidate_chains(machine, few) if c.is_lines]
+    chains = sorted(chains, key=lambda c: (list(machine.targets).index(c.target), not c.is_lines))
+    choice = _Choice(machine, chains, place, config, judged, noise, time_budget)
+    kept = list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.made()
+    return parts_of(machine, [chains[k] for k in kept])
+
+
+class _Choice:
+    """Chains, what they say and how long they take."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        chains: Sequence[Chain],
+        place: Array,
+        config: PlannerConfig,
+        judged: ForecastConfig,
+        noise: NoiseModel | None,
+        time_budget: float | None,
+    ) -> None:
+        self.machine, self.chains, self.config = machine, chains, config
+        self.whole = time_budget is not None
+        self.limit = ROTARY_TIME if time_budget is None else time_budget
+        each = [parts_of(machine, [c])[0] for c in chains]
+        self.seconds = [duration_of(machine, p, config) for p in each]
+        self.judge = Judge(machine, each, place, config, judged, noise)
+        self.each = each
+
+    @cached_property
+    def equations(self) -> list[NormalEquations]:
+        """What the samples of every chain say."""
+        return [self.judge.equations(p) for p in self.each]
+
+    @cached_property
+    def rows(self) -> Array:
+        """All errors at their nodes from the free unknowns, (m, free)."""
+        solved = self.judge.solved(self.judge.known)
+        return np.asarray(self.judge.values(solved) @ self.judge.unknowns.gauge)
+
+    @cached_property
+    def starts(self) -> list[int]:
+        """First row of every error."""
+        sizes = [1] * len(self.machine.scalars)
+        sizes += [len(self.judge.nodes[m.axis]) for m in self.machine.motions]
+        return [0, *accumulate(sizes[:-1])]
+
+    def made(self) -> list[int]:
+        """Choose: take out until the time is kept, then put back what still fits.
+
+        Raises
+        ------
+        ConfigError
+            If no chain fits.
+        """
+        kept = list(range(len(self.chains)))
+        while self._spent(kept) > self.limit:
+            free = [k for k in kept if self.whole or not self.chains[k].is_lines]
+            if len(kept) == 1 or not free:
+                raise ConfigError(
+                    f'--time-budget: {self.limit:g} s: the shortest chain alone takes '
+                    f'{min(self.seconds):.0f} s'
+                )
+            kept = self._fewer(kept, free)
+        while True:
+            more = self._with_one_more(kept)
+            if more is None:
+                return kept
+            kept = more
+
+    def _fewer(self, kept: list[int], free: list[int]) -> list[int]:
+        total = sum((self.equations[k] for k in kept), self.judge.known)
+        now = self._sum_of_logs(total)
+        saved = {k: self.seconds[k] + self._hand(kept, k) for k in free}
+        cost = {k: (self._sum_of_logs(total.less(self.equations[k])) - now) / saved[k]
+                for k in free}  # fmt: skip
+        drop = sorted(free, key=lambda k: cost[k])[: max(1, int(AT_ONCE * len(free)))]
+        over = self._spent(kept) - self.limit
+        while len(drop) > 1 and sum(saved[k] for k in drop[:-1]) > over:
+            drop = drop[:-1]
+        return [k for k in kept if k not in drop]
+
+    def _with_one_more(self, kept: list[int]) -> list[int] | None:
+        """The best chain that still fits beside the others; None if none does."""
+        out = [k for k in range(len(self.chains)) if k not in kept]
+        fits = [k for k in out if self._spent(sorted([*kept, k])) <= self.limit]
+        if not fits:
+            return None
+        total = sum((self.equations[k] for k in kept), self.judge.known)
+        gain = {k: -self._sum_of_logs(total + self.equations[k]) for k in fits}
+        return sorted([*kept, max(fits, key=lambda k: gain[k])])
+
+    def _spent(self, kept: Sequence[int]) -> float:
+        return self.spent([self.chains[k] for k in kept])
+
+    def spent(self, chains: Sequence[Chain]) -> float:
+        """Time that counts: all of it, or without a budget the driving beside the lines, s."""
+        parts = parts_of(self.machine, chains)
+        took = [duration_of(self.machine, p, self.config) for p in parts]
+        if self.whole:
+            return sum(took) + HAND_MOVE * hand_moves(parts)
+        kinds = [kind for kind, _ in groupby(chains, key=lambda c: c.part)]
+        return sum(t for t, kind in zip(took, kinds, strict=True) if not kind[1])
+
+    def _hand(self, kept: Sequence[int], k: int) -> float:
+        """Time by hand, s, that goes with a chain: of the only one of its target."""
+        alone = sum(self.chains[i].target == self.chains[k].target for i in kept) == 1
+        return HAND_MOVE if alone and self.whole else 0.0
+
+    def _variances(self, normal: NormalEquations) -> Array:
+        """Mean variance of every error over its nodes."""
+        scale = self.judge.limit**2
+        cover = Positive((normal.matrix + self.judge.prior) * scale)
+        variance = np.einsum('ij,ji->i', self.rows, cover.solve(self.rows.T))
+        sizes = np.diff([*self.starts, len(variance)])
+        return np.asarray(np.maximum(np.add.reduceat(variance, self.starts) / sizes, 1e-30))
+
+    @cached_property
+    def before(self) -> Array:
+        """Variances before any measurement."""
+        return self._variances(self.judge.known)
+
+    def _sum_of_logs(self, normal: NormalEquations) -> float:
+        """S."""
+        variance = self._variances(normal)
+        unseen = int(np.sum(variance > HARDLY * self.before))
+        return float(np.log(variance).sum()) + UNSEEN * unseen
+
+
+def hand_moves(parts: Sequence[PlannedPart]) -> int:
+    """How often the reflector is taken to another place."""
+    order = [target for target, _ in groupby(parts, key=lambda p: p.path.target)]
+    return len(order) - 1
