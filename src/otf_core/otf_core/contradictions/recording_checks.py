@@ -8,6 +8,7 @@ different machines.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 
@@ -184,10 +185,10 @@ def _traced(xyz: Array) -> bool:
     if np.mean(jump > 0.5 * large) < 0.1 or large < 1e-3:
         return False
     start = int(np.argmax(jump > 0.5 * large))
-    tips = [xyz[start], xyz[start + 1]]
+    tips = xyz[start : start + 2].tolist()
     steps: list[list[float]] = [[], []]
-    for point in xyz[start + 2 :]:
-        far = [float(np.linalg.norm(point - tip)) for tip in tips]
+    for point in xyz[start + 2 :].tolist():
+        far = [math.dist(point, tip) for tip in tips]
         near = int(far[1] < far[0])
         steps[near].append(far[near])
         tips[near] = point

@@ -124,8 +124,9 @@ def projection(motion: ErrorMotion, basis: Basis, nodes: Array) -> Array:
 
 def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
     """C0Y, B0Z, A0Z and node values of EXX ... ECZ from the full vector, shape (m, full)."""
-    blocks = [np.eye(1)] * len(SQUARENESS)
-    blocks += [projection(m, unknowns.bases[m.axis], nodes[m.axis]) for m in MOTIONS]
+    alike = {(m.axis, m.is_straightness): m for m in MOTIONS}  # of one gauge
+    best = {k: projection(m, unknowns.bases[m.axis], nodes[m.axis]) for k, m in alike.items()}
+    blocks = [np.eye(1)] * len(SQUARENESS) + [best[m.axis, m.is_straightness] for m in MOTIONS]
     order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
     rows = np.zeros((sum(len(b) for b in blocks), unknowns.full))
     rows[:, np.concatenate([np.arange(b.start, b.stop) for b in order])] = block_diag(*blocks)
