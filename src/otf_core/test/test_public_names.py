@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from source_trees import package
 
 import otf_core
 
@@ -80,8 +81,8 @@ def test_all_names_come_with_a_star():
 
 
 def test_no_package_uses_the_public_names():
-    for file in Path(otf_core.__file__).parent.rglob('*.py'):
-        for node in ast.walk(ast.parse(file.read_text())):
+    for file, tree in package().items():
+        for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and node.module == 'otf_core':
                 assert {alias.name for alias in node.names} == {'__version__'}, file
 
