@@ -125,9 +125,13 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     tracks = graph.listen(PathMessage, 'calibrator/track', qos.PATH)
     scenes = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
     graph.start('path_planner', **machine, path_file=path)
-    graph.start('calibrator', **machine, report=False, save_bag=False)
+    asked = {'finish_at_stream_end': False, 'finish_at_standstill': False, 'idle_timeout': 0.0}
+    graph.start('calibrator', **machine, **asked, report=False, save_bag=False)
     simulated = {'simulated.rate': 100.0, 'time_scale': 50.0}
     driver = graph.start('tracker_driver', **machine, **simulated)
+    graph.wait_for_status('FINISHED')
+    graph.wait(lambda: early, 'a provisional result')
+    assert graph.trigger('calibrator/calibrate').success
     result, state = graph.wait_for_result()
     assert result.run_id and result.samples_lost == 0, state.message
     assert result.status == result.OK and 'C0C' not in result.location
@@ -137,7 +141,7 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     assert gaps[0].reason == "the reflector is moved by hand to the target 'nest-1'"
     shown = {(s.part, s.target) for s in graph.listen(None, 'calibrator/state')}
     assert {(3, 'nest-2'), (4, 'nest-3')} <= shown  # the state is told twice per second
-    assert early and early[0].motions and early[0].samples < result.samples
+    assert early[0].motions and early[0].samples < result.samples
     graph.wait(lambda: volumes and not volumes[-1].provisional, 'the errors on a grid')
     volume = volumes[-1]
     assert len(volume.positions) == 5 * len(volume.points) > 500 and 'C' in volume.axes
