@@ -143,9 +143,6 @@ def _prepare(out: Path, options: argparse.Namespace) -> ErrorTables:
     machine = load_machine(machine_file)
     if seed < 0:
         raise ConfigError(f'--seed: {seed} is negative')
-    if machine.rotary_names and (options.effects or options.diagnose):
-        option = '--effects' if options.effects else '--diagnose'
-        raise ConfigError(f'{option}: not available for machines with rotary axes')
     if options.effects:
         read_effects(options.effects, machine)
     truth = random_tables(machine, ERROR_SIZE, np.random.default_rng(seed))

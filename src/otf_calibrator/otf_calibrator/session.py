@@ -308,8 +308,6 @@ class Session:
             return False, 'no run is calibrated yet: drive the path, or call calibrator/calibrate'
         if self._last.folder is None:
             return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
-        if self._last.recording.machine.rotary_names:
-            return False, 'diagnosis: not available for machines with rotary axes'
         try:
             self.diagnosis = Diagnosis(
                 self._last.recording, self._last.request.config, self._last.folder

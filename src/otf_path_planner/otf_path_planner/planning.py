@@ -10,9 +10,9 @@ from otf_core.model.axis_path import PartsTrack, nominal_track
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import AxisPlan, Plan, check_inside, plan_for_path
-from otf_core.planning.axis_plan import axis_plan
+from otf_core.planning.axis_plan import axis_plan, planned_parts
 from otf_core.planning.path_creation import plan_path
-from otf_core.planning.rotary_paths import PlannedPart, plan_parts
+from otf_core.planning.rotary_paths import PlannedPart
 from otf_path_planner.params import PlannerFiles
 
 
@@ -66,7 +66,7 @@ def make_axis_plan(
             own = read_axis_paths(files.path_file, machine.axis_names)
             parts = [PlannedPart(path.of(machine), 0.0, '') for path in own]
         else:
-            parts = plan_parts(machine, config)
+            parts = planned_parts(machine, config)
         track = nominal_track(machine, [part.path for part in parts])
     except InputError as error:
         raise ConfigError(f'{files.path_file or files.machine_file}: {error}') from None

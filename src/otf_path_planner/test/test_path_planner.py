@@ -15,7 +15,7 @@ from otf_core.config import PlannerConfig
 from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import ConfigError
 from otf_core.model.machine import load_machine
-from otf_core.planning.rotary_paths import plan_parts
+from otf_core.planning.axis_plan import planned_parts
 from otf_msgs.msg import Plan
 from otf_path_planner.node import PathPlanner
 from otf_ros import convert, qos
@@ -55,7 +55,7 @@ def test_parts_of_a_machine_with_rotary_axes_are_published_one_by_one_with_one_s
         bench.wait(lambda: plans and len(parts) >= 3, 'the parts')
     machine = load_machine(file)
     paths = [convert.axes_from_message(part).of(machine) for part in parts]
-    planned = plan_parts(machine, PlannerConfig(levels=2))
+    planned = planned_parts(machine, PlannerConfig(levels=2))
     assert [path.target for path in paths] == [part.path.target for part in planned]
     for path, part in zip(paths, planned, strict=True):
         assert np.array_equal(path.positions, part.path.positions)

@@ -234,10 +234,9 @@ def _plan_rotary(
 
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
-    from otf_core.planning.axis_programs import on_axis_increment
+    from otf_core.planning.axis_plan import planned_parts
     from otf_core.planning.clearance import near_misses
     from otf_core.planning.nc import DIALECTS
-    from otf_core.planning.part_choice import choose_parts
     from otf_core.planning.plan_report import read_place
     from otf_core.planning.rotary_paths import (
         beside,
@@ -259,8 +258,7 @@ def _plan_rotary(
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
     with progress_of(arguments, 'choosing lines', PLAN) as progress:
-        chosen = choose_parts(machine, place, config, judged, noise, arguments.time_budget)
-        parts = [on_axis_increment(machine, part) for part in chosen]
+        parts = planned_parts(machine, config, place, judged, noise, arguments.time_budget)
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
         durations = [duration_of(machine, part, config) for part in parts]

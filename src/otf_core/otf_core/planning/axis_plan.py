@@ -1,15 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of a machine with rotary axes with the feeds and dwells at which they are driven."""
+"""Parts of a machine with rotary axes: which are driven, and at what feeds and dwells."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.config import PlannerConfig
+from otf_core.arrays import Array
+from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import Machine
 from otf_core.model.plan import AxisPlan
-from otf_core.planning.rotary_paths import LEVER, TURN_RATE, PlannedPart, duration_of
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.planning.axis_programs import on_axis_increment
+from otf_core.planning.part_choice import choose_parts
+from otf_core.planning.rotary_paths import (
+    LEVER,
+    TURN_RATE,
+    PlannedPart,
+    beside,
+    duration_of,
+)
+
+
+def planned_parts(
+    machine: Machine,
+    config: PlannerConfig,
+    place: Array | None = None,
+    judged: ForecastConfig | None = None,
+    noise: NoiseModel | None = None,
+    time_budget: float | None = None,
+) -> list[PlannedPart]:
+    """Parts to drive, at positions that a program can state; see ``part_choice.choose_parts``.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,), m, optional
+        Beam origin in the frame of the tracker's link; ``beside`` the machine if not given.
+    """
+    at = beside(machine) if place is None else place
+    judged = judged or ForecastConfig()
+    chosen = choose_parts(machine, at, config, judged, noise, time_budget)
+    return [on_axis_increment(machine, part) for part in chosen]
 
 
 def axis_plan(machine: Machine, parts: Sequence[PlannedPart], config: PlannerConfig) -> AxisPlan:

@@ -67,10 +67,6 @@ class SimulatedTracker(PacedBackend):
         if self.own.truth_tables:
             tables = load_tables(self.own.truth_tables).tables
             self._truth = tables.on(self._machine)
-        if self.own.effects and self._machine.rotary_names:
-            raise ConfigError(
-                'parameter simulated.effects: not available for machines with rotary axes'
-            )
         if self.own.effects:
             self._effects = read_effects(self.own.effects, self._machine)
         errors = self.own.truth_tables or f'seed {self.own.seed}'
@@ -97,6 +93,7 @@ class SimulatedTracker(PacedBackend):
                 feed=plan.feed,
                 dwell=plan.dwell,
                 stops=plan.stops,
+                effects=self._effects,
             )
             return
         check_inside(plan.path, self._machine)

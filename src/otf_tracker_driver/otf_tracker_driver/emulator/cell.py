@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
-from otf_core.planning.axis_plan import axis_plan
+from otf_core.planning.axis_plan import axis_plan, planned_parts
 from otf_core.planning.path_creation import plan_path
-from otf_core.planning.rotary_paths import PlannedPart, plan_parts
+from otf_core.planning.rotary_paths import PlannedPart
 from otf_core.sim.axis_cell import simulate_parts
 from otf_core.sim.cell import simulate
 
@@ -64,7 +64,7 @@ class Cell:
             truth = truth.on(machine)
         if machine.rotary_names:
             self._drive_parts(
-                machine, parts or plan_parts(machine, planning), planning, config, truth
+                machine, parts or planned_parts(machine, planning), planning, config, truth
             )
             return
         run = simulate(machine, plan_path(machine, planning), config, truth)
