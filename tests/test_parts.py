@@ -18,6 +18,7 @@ from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import load_machine
 
 CELL = Path(__file__).parents[1] / 'bags' / 'trunnion'
+TARGETS = ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
 LATER = 10 * TOGETHER
 SETTINGS = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
 
@@ -101,9 +102,10 @@ def life(folder, samples):
         for one in read_bag(CELL / 'bag').axis_paths
     ]
     session.take(Batch({'tracker': (samples.stamp_ns, samples.xyz)}))
-    found = session.collector.watcher.part, len(session.collector.buffer)
+    request = session.request()
+    targets = [one.target for one in request.path.parts]
     session.close()
-    return said, heard, found
+    return said, heard, (len(request.samples), targets, request.remarks)
 
 
 def test_run_of_several_parts_goes_on_after_a_kill_and_its_journal_is_the_bag(tmp_path):
@@ -111,13 +113,15 @@ def test_run_of_several_parts_goes_on_after_a_kill_and_its_journal_is_the_bag(tm
     count = len(whole.samples)
     half = count // 2
     said, heard, found = life(tmp_path, whole.samples.part(0, half))
-    assert not said and heard == ['NEW', *['ADDED'] * 4] and found == (3, half)
+    assert not said and heard == ['NEW', *['ADDED'] * 4]
+    words = '3 of 5 parts were driven; the others are left out'
+    assert found == (half, TARGETS[:3], (words,))
     said, heard, found = life(tmp_path, whole.samples.part(half, count))
     assert f'continues with {half} samples' in said and heard == ['KNOWN'] * 5
-    assert found == (5, count)
+    assert found == (count, TARGETS, ())
     (folder,) = (p for p in tmp_path.iterdir() if p.is_dir())
     again = read_bag(folder)
     assert again.samples.xyz.tobytes() == whole.samples.xyz.tobytes()
-    assert [one.target for one in again.axis_paths] == [one.target for one in whole.axis_paths]
+    assert [one.target for one in again.axis_paths] == TARGETS
     for one, other in zip(again.axis_paths, whole.axis_paths, strict=True):
         assert np.array_equal(one.positions, other.positions)

@@ -88,12 +88,12 @@ class Cell:
         ends = np.flatnonzero(np.diff(run.samples.stamp_ns) > 1e9) + 1
         points, lit = [], []
         for k, own in enumerate(np.split(run.samples.xyz, ends)):
+            still = max(1, round(0.5 * plan.dwell[k] / TICK))
             if k:
-                at_rest = own[: max(1, round(0.5 * plan.dwell[k] / TICK))]
-                points += [np.zeros((BY_HAND, 3)), np.resize(at_rest, (BACK, 3))]
+                points += [np.zeros((BY_HAND, 3)), np.resize(own[:still], (BACK, 3))]
                 lit += [np.zeros(BY_HAND, dtype=bool), np.ones(BACK, dtype=bool)]
-            points.append(own)
-            lit.append(np.ones(len(own), dtype=bool))
+            points += [own, np.resize(own[-still:], (STANDING, 3))]
+            lit.append(np.ones(len(own) + STANDING, dtype=bool))
         self._xyz, self._lit = np.concatenate(points), np.concatenate(lit)
 
     @property
