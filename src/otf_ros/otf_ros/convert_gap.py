@@ -102,5 +102,7 @@ def _places(where: Mapping[str, Any]) -> Iterator[GapPlace]:
 def _add_leg(place: GapPlace, row: Mapping[str, Any]) -> None:
     place.time = row['time']
     for point, name in ((place.start, 'from'), (place.end, 'to')):
-        point.x, point.y, point.z = row[name]
+        point.x, point.y, point.z = row[name][
+            :3
+        ]  # of a machine with rotary axes their angles follow
     place.mean.x, place.mean.y, place.mean.z = (UM * part for part in row['mean_um'])

@@ -13,6 +13,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from otf_core.config import Parameters, parameter
 from otf_core.model.path import NominalPath
 from otf_ros import convert
+from otf_ros.convert_gap import gap_to_message
 from otf_ros.params import NodeParameters
 from otf_ros.testing import node_on_bench
 from otf_ros.topic_watch import name_of
@@ -60,3 +61,18 @@ def test_publisher_whose_node_is_not_discovered_has_no_name_of_the_middleware():
     unknown = {'node_name': '_NODE_NAME_UNKNOWN_', 'node_namespace': '_NODE_NAMESPACE_UNKNOWN_'}
     assert name_of(TopicEndpointInfo(**unknown)) == 'an unknown node'
     assert name_of(TopicEndpointInfo(node_name='planner', node_namespace='/')) == 'planner'
+
+
+def test_place_of_a_gap_on_a_machine_with_rotary_axes_has_the_positions_of_its_linear_axes():
+    row = {'kind': 'path piece', 'label': 'leg 0', 'rms_um': 8.0, 'expected_um': 0.5, 'legs': 1}
+    row |= {'significance': 67.0, 'pieces': 52, 'leg': 0, 'time': [0.3, 1.75]}
+    row |= {'from': [0.1, 0.2, 0.3, 0.4, 0.5], 'to': [0.2] * 5, 'mean_um': [-4.7, 5.9, 0.0]}
+    data = dict.fromkeys(('sentence', 'verdict'), 'none')
+    data |= {name: [] for name in ('runs', 'causes', 'not_visible', 'considered')}
+    data['gap'] = dict.fromkeys(
+        ('measured_um', 'simulated_um', 'before_um', 'after_um', 'shrink_percent'), 0.0
+    ) | {'shrink_interval_percent': [0.0, 0.0]}
+    data |= {'unexplained': {'rms_um': 0.0, 'where': ''}, 'smallest_found_um': {}}
+    data |= {'table_change_um': 0.0, 'where': {'summary': '', 'by_path_piece': [row]}}
+    (place,) = gap_to_message(data, Time()).places
+    assert (place.start.x, place.start.y, place.start.z) == (0.1, 0.2, 0.3)
