@@ -106,7 +106,7 @@ def test_named_commands_exist(page):
 
 
 def test_commands_of_tutorial_and_commands_are_command_lines():
-    for name in ('tutorial', 'commands'):
+    for name in ('tutorial', 'tutorial-five-axes', 'commands'):
         text = (ROOT / f'docs/{name}.md').read_text(encoding='utf-8')
         blocks = ''.join(re.findall(r'```\n(.*?)```', text, re.DOTALL))
         lines = re.findall(r'^\./otf (.*?)(?: >.*)?$', blocks, re.MULTILINE)

@@ -111,6 +111,7 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
         'near': list(plan.near),
         'forecast': {
             'duration': forecast.duration,
+            'by_hand': plan.by_hand,
             'grid_u': forecast.grid_u,
             'u': {n: {'u': u, 'unit': unit_of(n)} for n, u in forecast.u.items()},
             'hidden': dict(forecast.hidden),
@@ -127,8 +128,9 @@ def plan_words(plan: RotaryPlan) -> str:
     moves = hand_moves(plan.parts)
     lines = [
         f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
-        f'{forecast.duration / 60:.1f} min of driving, {moves} moves of the reflector by hand '
-        f'(about {moves * HAND_MOVE / 60:.0f} min); the tracker stays where it is throughout',
+        f'{forecast.duration / 60:.1f} min of driving; {moves} moves of the reflector by hand and '
+        f'{plan.turns} turns to another facing (about {plan.by_hand / 60:.0f} min); the tracker '
+        f'stays where it is throughout',
         '',
     ]
     for part, duration in zip(plan.parts, plan.durations, strict=True):
