@@ -343,9 +343,9 @@ def say_nothing(connection):
 @pytest.mark.parametrize(
     ('answer', 'said'),
     [
-        (greet, 'no emScon packet'),
+        (greet, 'not an emScon packet'),
         (close_at_once, 'closed the connection|connection lost'),
-        (noise, 'no emScon packet'),
+        (noise, 'not an emScon packet'),
         (say_nothing, 'no answer|is it an emScon server'),
     ],
 )

@@ -243,8 +243,8 @@ def _report_end(result: CalibrationResult, folder: Path) -> None:
         share = 100 * result.samples_lost / (result.samples + result.samples_lost)
         print(
             f'{result.samples_lost} samples ({share:.1f} %) were lost on the way to the '
-            f'calibrator: this computer is too slow for so many times the speed of the machine. '
-            f'The remaining samples were used.'
+            f'calibrator: this computer is too slow for this multiple of the speed of the '
+            f'machine. The remaining samples were used.'
         )
     print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
 

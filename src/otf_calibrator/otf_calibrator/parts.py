@@ -27,8 +27,11 @@ class Heard(Enum):
 
     KNOWN = 'it is known already'
     ADDED = 'it is the next part of the plan'
-    NEW = 'it begins a plan, which is used from now on'
-    NEXT = 'it is of another plan, which is used after this run; calibrator/reset takes it at once'
+    NEW = 'it begins another plan, which is used from now on'
+    NEXT = (
+        'it belongs to another plan, which is used after this run; calibrator/reset switches to '
+        'it at once'
+    )
 
 
 @dataclass

@@ -137,8 +137,14 @@ def test_wrong_types_are_refused_and_never_read_as_something_else(data, key, val
         ({'alignment': {'translation': [0, 0]}}, 'alignment: translation: has length 2'),
         ({'alignment': {'rotation': [1, 0, 0]}}, 'alignment: rotation: entry 0: expected a list'),
         ({'alignment': {'rotation': [[1, 0, 0], [0, 1, 0]]}}, 'alignment: rotation: has length 2'),
-        ({'alignment': {'rotation': np.diag([1, 1, -1]).tolist()}}, 'alignment: rotation: no rot'),
-        ({'alignment': {'rotation': np.diag([1, 1, 1.1]).tolist()}}, 'alignment: rotation: no ro'),
+        (
+            {'alignment': {'rotation': np.diag([1, 1, -1]).tolist()}},
+            'alignment: rotation: not a rot',
+        ),
+        (
+            {'alignment': {'rotation': np.diag([1, 1, 1.1]).tolist()}},
+            'alignment: rotation: not a ro',
+        ),
         ({'fit': 3}, 'fit: expected a mapping'),
         ({'fit': {'samples': 1.5}}, 'fit: samples: expected a count'),
         ({'fit': {'rank': -1}}, 'fit: rank: expected a count'),

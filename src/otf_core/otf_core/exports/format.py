@@ -221,8 +221,8 @@ LINE_WORDS = (
 POINT_WORDS = 'error vector of the target at the point, rotations with their lever arms in it'
 TABLE_WORDS = 'nodes of the error tables themselves'
 WORKPIECE_WORDS = (
-    'a rigid displacement of the workpiece is in no table: set the workpiece zero anew with the '
-    'compensation switched on; an error of the target offset is one of the centres too'
+    'no table contains a rigid displacement of the workpiece: set the workpiece zero anew with '
+    'the compensation switched on; an error of the target offset is also an error of the centres'
 )
 """What the user of a machine with rotary axes has to set."""
 

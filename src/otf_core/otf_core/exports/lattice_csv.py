@@ -72,7 +72,7 @@ def read_lattice_csv(path: str | Path) -> Lattice:
             x, y, z = (axes[k][missing[0][k]] for k in range(3))
             what = f'no point at ({x:g}, {y:g}, {z:g})'
         raise ConfigError(
-            f'{path}: no regular lattice: {len(q)} points, '
+            f'{path}: not a regular lattice: {len(q)} points, '
             f'{" x ".join(map(str, shape))} planes, {what}'
         )
     if min(shape) < 2:

@@ -219,7 +219,7 @@ def _read_entry(path: Path) -> dict[str, Any]:
         )
     entry = read_json(path)
     if not isinstance(entry, dict) or entry.get('schema') != SCHEMA:
-        raise InputError(f'{path}: no entry of a store (schema {SCHEMA})')
+        raise InputError(f'{path}: not an entry of a store (schema {SCHEMA})')
     return entry
 
 

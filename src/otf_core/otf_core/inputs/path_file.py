@@ -84,7 +84,7 @@ def read_plan(path: str | Path) -> PlanFile:
     data = read_json(path)
     where = str(path)
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
-        raise ConfigError(f"{where}: no plan; expected the schema '{SCHEMA}' of otf plan")
+        raise ConfigError(f"{where}: not a plan; expected the schema '{SCHEMA}' of otf plan")
     points = _numbers(data, 'path', (-1, 3), where)
     feed = _numbers(data, 'feed', (len(points) - 1,), where)
     dwell = _numbers(data, 'dwell', (len(points),), where)

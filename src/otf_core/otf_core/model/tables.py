@@ -333,7 +333,7 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
     """
     schemas = (SCHEMA, ROTARY_SCHEMA)
     if not isinstance(data, Mapping) or data.get('schema') not in schemas:
-        raise ConfigError(f"{where}: no error tables; expected schema '{SCHEMA}'")
+        raise ConfigError(f"{where}: not error tables; expected schema '{SCHEMA}'")
     if data['schema'] == SCHEMA:
         _complete(_named(data, 'motions', MOTIONS, where), MOTIONS, where)
     machine = machine_from_dict(data.get('machine'), f'{where}: machine')
@@ -377,7 +377,7 @@ def _check_alignment(entry: Mapping[str, Any], where: str) -> None:
         rotation = _array(entry, 'rotation', where, _row, 3)
         turned = np.abs(rotation @ rotation.T - np.eye(3)).max()
         if turned > ORTHONORMAL or np.linalg.det(rotation) < 0:
-            raise ConfigError(f'{where}: rotation: no rotation matrix')
+            raise ConfigError(f'{where}: rotation: not a rotation matrix')
 
 
 def _check_fit(entry: Mapping[str, Any], where: str) -> None:

@@ -96,7 +96,7 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
 @pytest.mark.parametrize(
     ('content', 'options', 'words'),
     [
-        ('{"a": 1}', (), "plan: no plan; expected the schema 'otf-plan/1'"),
+        ('{"a": 1}', (), "plan: not a plan; expected the schema 'otf-plan/1'"),
         ('{"schema": "otf-plan/1"}', (), 'plan: path: expected n x 3 numbers'),
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]]}', (), 'plan: feed: expected 1'),
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [0], "dwell": [1, 1]}',

@@ -80,7 +80,7 @@ class SimulatedTracker(PacedBackend):
 
         assert self._machine is not None and plan is not None, 'connected, and given a plan'
         if isinstance(plan, AxisPlan) != bool(self._machine.rotary_names):
-            raise InputError(f'it is not for {self._machine.name}: other axes')
+            raise InputError(f'it is for a machine with other axes than {self._machine.name}')
         if isinstance(plan, AxisPlan):
             parts = [part.of(self._machine) for part in plan.parts]
             self._targets = tuple(part.target for part in parts)

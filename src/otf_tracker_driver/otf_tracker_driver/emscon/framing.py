@@ -57,7 +57,7 @@ class Framer:
             while len(self._held) - start >= HEADER.size:
                 size, kind = HEADER.unpack_from(self._held, start)
                 if not (HEADER.size <= size <= LARGEST and 0 <= kind <= HIGHEST_TYPE):
-                    raise ProtocolError(f'no emScon packet: size {size}, type {kind}')
+                    raise ProtocolError(f'not an emScon packet: size {size}, type {kind}')
                 if len(self._held) - start < size:
                     return
                 start += size

@@ -83,7 +83,7 @@ def read_point(line: str, how: Description) -> tuple[int | None, tuple[float, fl
         )
     x, y, z = (how.length * value for value in (first, second, third))
     if not 0.0 < math.sqrt(x * x + y * y + z * z) < FURTHEST:
-        raise Unreadable(f'point ({x:g}, {y:g}, {z:g}) m is none; check length')
+        raise Unreadable(f'point ({x:g}, {y:g}, {z:g}) m is implausible; check length')
     if how.stamp is None:
         return None, (x, y, z)
     return _stamp(_at(values, how.stamp), how), (x, y, z)

@@ -33,10 +33,10 @@ class AxisClamping(Effect):
     coefficients: ClassVar[str] = 'K_m: change of motion m, EXA to ECC, when the axis is clamped'
     typical: ClassVar[str] = '1 um to 10 um, 5 urad to 20 urad'
     source: ClassVar[str] = 'rotary tables with a brake: position clamped less position free'
-    signature: ClassVar[str] = 'where an axis stands it lies elsewhere than where it passes'
-    needs: ClassVar[str] = (
-        'the same position of the axis passed while it moves and while it stands'
+    signature: ClassVar[str] = (
+        'at rest the axis lies elsewhere than in motion at the same position'
     )
+    needs: ClassVar[str] = 'the same position of the axis, passed in motion and at rest'
     trial: ClassVar[Trial] = Trial((OfMachine(_drawn),))
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:

@@ -33,7 +33,7 @@ class BearingTilt(Effect):
     """Tilt motion of one rotary axis that depends on the position of the other."""
 
     name: ClassVar[str] = 'bearing_tilt'
-    cause: ClassVar[str] = 'a bearing gives way to a side load that the other rotary axis brings'
+    cause: ClassVar[str] = 'a bearing yields to a side load caused by the other rotary axis'
     equation: ClassVar[str] = 'sin(q_b) (S_m sin(q_a) + C_m cos(q_a)) J_m, m = tilts of a'
     coefficients: ClassVar[str] = 'S_m, C_m: amplitudes of the tilt motion m of a at q_b = 90 deg'
     typical: ClassVar[str] = '5 urad to 20 urad'

@@ -36,15 +36,16 @@ class LoadTilt(Effect):
     """Tilting axis that gives way under an eccentric load."""
 
     name: ClassVar[str] = 'load_tilt'
-    cause: ClassVar[str] = 'weight of table and workpiece off the axis twists drive and trunnion'
+    cause: ClassVar[str] = 'the eccentric weight of table and workpiece twists drive and trunnion'
     equation: ClassVar[str] = 'L_k (n_a . (e_k x g)) J_a, k = X, Y, Z of the table'
     coefficients: ClassVar[str] = (
-        'L_k_a: twist of axis a while its load, off along k of the table, is level with it'
+        'L_k_a: twist of axis a while its load, eccentric along k of the table, is at the height '
+        'of the axis'
     )
     typical: ClassVar[str] = '5 urad to 50 urad with a heavy workpiece; 2 um to 20 um at 200 mm'
-    source: ClassVar[str] = 'torque of a weight off the axis over the stiffness of its drive'
+    source: ClassVar[str] = 'torque of an eccentric weight divided by the stiffness of the drive'
     signature: ClassVar[str] = (
-        'the tilting axis stands off by an angle that changes with the angle of the table on it'
+        'the tilting axis deviates by an angle that changes with the angle of the table on it'
     )
     needs: ClassVar[str] = (
         'the tracker on the bed, targets on the table, and both axes moving together; for a load '

@@ -24,7 +24,7 @@ class ReseatedTarget(Effect):
     """Place of a target that differs from part to part."""
 
     name: ClassVar[str] = 'reseated_target'
-    cause: ClassVar[str] = 'ball or nest was not clean, or the ball was turned to another facing'
+    cause: ClassVar[str] = 'ball or nest not clean, or the ball turned to another facing'
     equation: ClassVar[str] = 'R (P_X, P_Y, P_Z) in one part'
     coefficients: ClassVar[str] = (
         'P_k: shift along k of what carries the target; shape: part, its number from 1 on'
