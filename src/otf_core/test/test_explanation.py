@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from otf_core.diagnosis.engine.gap_sizes import plain_residuals, residuals_with
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.time_courses import Jump
-from otf_core.diagnosis.weighing import explain, matters
+from otf_core.diagnosis.weighing import _without_small, explain, matters
 from otf_core.effects import REGISTRY
 from otf_core.solving.residuals import FOLDS
 
@@ -204,6 +204,18 @@ def test_what_is_too_small_to_be_named_is_known_all_the_same():
     assert found.known_um == pytest.approx(0.0, abs=1e-6)
     assert found.known_rest.rms_um == pytest.approx(0.0, abs=1e-6)
     assert found.fitted.rms_um > 0.1
+
+
+def test_something_else_is_weighed_without_what_is_too_small_to_be_named():
+    named, small = single(BACKLASH, 'X'), single(LAG, 'Y')
+    large = leaving(named, 3.0)
+    found = explain(holding(large + leaving(small, 0.15)), [named, small], 0.0)
+    assert found.small == (small,)
+    rest = _without_small(holding(large + leaving(small, 0.15)), found)
+    np.testing.assert_allclose(rest.residual, holding(large).residual, atol=1e-3)
+    alone = explain(holding(large), [named], 0.0)
+    rows = holding(large)
+    assert _without_small(rows, alone) is rows
 
 
 def test_what_is_found_after_a_shape_outside_the_catalogue_is_not_known():

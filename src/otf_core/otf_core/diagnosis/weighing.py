@@ -36,7 +36,13 @@ from otf_core.diagnosis.engine.gap_sizes import (
     wave_um,
 )
 from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.diagnosis.engine.search import (
+    Cause,
+    fit_jointly,
+    fit_out,
+    noise_variance,
+    places_of,
+)
 from otf_core.diagnosis.engine.time_courses import DECOY_NAMES
 from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import EVERYWHERE, NO_STRUCTURE, describe_structure
@@ -159,6 +165,8 @@ class Explanation:
         True if shapes outside the catalogue explain more than the causes.
     besides : Residuals, optional
         With all causes and an empirical effect beside them (held out).
+    small : tuple of Cause
+        Effects that the data speak for and that are too small to be named.
     """
 
     causes: tuple[Cause, ...]
@@ -171,6 +179,7 @@ class Explanation:
     structured: bool
     decoyed: bool
     besides: Residuals | None = None
+    small: tuple[Cause, ...] = ()
 
     @property
     def last(self) -> Residuals:
@@ -228,7 +237,15 @@ def explain(rows: Rows, causes_found: Sequence[Cause], twin_um: float) -> Explan
     structured = _structure(rows, rows.residual) > FREE_OF_STRUCTURE
     levels = twin_um, simulated_um
     return Explanation(
-        tuple(causes), *levels, tuple(steps), fitted, known_um, rest, structured, decoyed
+        tuple(causes),
+        *levels,
+        tuple(steps),
+        fitted,
+        known_um,
+        rest,
+        structured,
+        decoyed,
+        small=tuple(known[len(causes) :]),
     )
 
 
@@ -548,7 +565,8 @@ def _or_something_else(
 ) -> _Weighed:
     """Doubt the names for what else may explain the gap; keep those that stand beside that."""
     if explained.causes:
-        tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
+        count = AS_RIVALS if verdict == 'explained' else SCREENED
+        tried = try_structures(_without_small(rows, explained), count)
         rival = rival_of(explained.causes, tried)
     elif verdict == 'unknown':
         tried, rival = try_structures(rows, SCREENED), Rival()
@@ -564,6 +582,17 @@ def _or_something_else(
     if alone or _leaves_most(explained, explained.last):
         return _Weighed('unknown', doubted, alone)
     return _Weighed(verdict, doubted)
+
+
+def _without_small(rows: Rows, explained: Explanation) -> Rows:
+    """Rows less effects too small to be named: what explains these as well is no better for it."""
+    if not explained.causes or not explained.small:
+        return rows
+    every = [*explained.causes, *explained.small]
+    value, places = fit_jointly(every, rows).value, places_of(every)
+    small = list(zip(every, places, strict=True))[len(explained.causes) :]
+    moved = sum((c.option.plain @ value[place] for c, place in small), np.zeros(len(rows.fold)))
+    return rows.without(moved)
 
 
 def _standing(
