@@ -212,7 +212,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
 def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
     """Print verdict and headline of a machine with rotary axes, and what is left of the errors."""
     folder, machine = Path(result.output_directory), truth.machine
-    found = load_tables(folder / 'error_tables.json').tables
+    tables = load_tables(folder / 'error_tables.json').tables
     q = evenly_spread(machine.lower, machine.upper, PLACES)
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
     before = exact_position_of(truth, sight, q) - sight.nominal(q)
@@ -220,7 +220,7 @@ def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
     print(f'\nAgainst the true errors of this simulation, at {len(q)} positions of all axes:')
     for when, field in (
         ('as it stands', before),
-        ('compensated', before - displacement(found, q)),
+        ('compensated', before - displacement(tables, q)),
     ):
         free = without_rigid(machine, q, field.reshape(-1, 1)).reshape(-1, 3)
         length = np.linalg.norm(free, axis=1)

@@ -474,11 +474,11 @@ class Collector:
 
     def _parts_so_far(self, path: PartsTrack) -> tuple[Samples, NominalPath] | None:
         assert isinstance(self.watcher, PartsWatcher), 'of such a path'
-        done = len(self.watcher.starts)
-        if done <= self._parts_taken:
+        finished = len(self.watcher.starts)
+        if finished <= self._parts_taken:
             return None
-        self._parts_taken = done
-        return self.buffer.snapshot(stop=self.watcher.starts[-1]), path.first_parts(done)
+        self._parts_taken = finished
+        return self.buffer.snapshot(stop=self.watcher.starts[-1]), path.first_parts(finished)
 
     def end_to_judge(self) -> Samples | None:
         """Return the samples of a run that may be over if they should be looked at; once."""

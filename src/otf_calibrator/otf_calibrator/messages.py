@@ -37,8 +37,8 @@ def places_of(job: Future[Any]) -> Mapping[str, Array] | None:
     """Where a calibration found the reflectors; None if it tells nothing of them."""
     if job.exception():
         return None
-    found = job.result()
-    result = found.result if isinstance(found, Calibrated) else found
+    outcome = job.result()
+    result = outcome.result if isinstance(outcome, Calibrated) else outcome
     if not isinstance(result, AxisCalibration):
         return None
     return {name: place for name, (place, _) in result.targets.items()}

@@ -159,10 +159,10 @@ def _diagnose_axes(
     offered = catalogue(machine)
     exclude = (*exclude, *(n for n in EVERY if n not in offered))
     of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
-    found = search_catalogue(rows, exclude, (*of_rotary, *own), ())
+    search = search_catalogue(rows, exclude, (*of_rotary, *own), ())
     progress('diagnosing', 0.5)
-    searched = _Searched(rows, found, simulated_um(rows))
-    explained = explain(rows, found.causes, searched.simulated_um)
+    searched = _Searched(rows, search, simulated_um(rows))
+    explained = explain(rows, search.causes, searched.simulated_um)
     weighed = _weigh(searched, explained, config, exclude)
     progress('diagnosing', 1.0)
     conditions = {

@@ -58,36 +58,36 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
         Of these recordings, without reversal.
     """
     nodes = table_nodes(result.machine, *result.driven)
-    done, limit = result.solution, result.config.unidentifiable_above
+    joint, limit = result.solution, result.config.unidentifiable_above
     speed = result.config.standstill_speed
     observed = [
         ObservedParts(
             recording, solved.run.pieces, _at_most(_measured_noise(recording, speed), solved.noise)
         )
-        for recording, solved in zip(recordings, done.runs, strict=True)
+        for recording, solved in zip(recordings, joint.runs, strict=True)
     ]
     whiteners = [
         Whitener.of(cast(Any, solved.system), cast(Any, one.pieces), one.noise)
-        for solved, one in zip(done.runs, observed, strict=True)
+        for solved, one in zip(joint.runs, observed, strict=True)
     ]
-    tables = tables_of(done.machine, done.unknowns, done.solution.value)
-    seen = identifiable_blocks(done.normal, done.unknowns, limit)
-    numbers = leg_numbers(cast(Any, done))
+    tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
+    seen = identifiable_blocks(joint.normal, joint.unknowns, limit)
+    numbers = leg_numbers(cast(Any, joint))
     return Rows(
         observed=cast(Any, tuple(observed)),
-        done=cast(Any, done),
+        done=cast(Any, joint),
         whiteners=tuple(whiteners),
         tables=tables,
-        states=tuple(_state(done, solved, nodes) for solved in done.runs),
-        plain_deviation=np.concatenate([s.system.deviation.reshape(-1) for s in done.runs]),
+        states=tuple(_state(joint, solved, nodes) for solved in joint.runs),
+        plain_deviation=np.concatenate([s.system.deviation.reshape(-1) for s in joint.runs]),
         fold=np.concatenate(
             [
                 np.tile(fold_of(n), len(s.system.axes))
-                for n, s in zip(numbers, done.runs, strict=True)
+                for n, s in zip(numbers, joint.runs, strict=True)
             ]
         ),
         limit=limit,
-        use=free_columns(done.unknowns, seen),
+        use=free_columns(joint.unknowns, seen),
     )
 
 
@@ -108,32 +108,32 @@ def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
 
     Stops of a second tell its slow part to some ten percent only.
     """
-    found = []
+    components = []
     for own, other in zip(noise, seen, strict=True):
         white = min(own.white, other.white)
         slow = min(own.level**2 - own.white**2, other.level**2 - other.white**2)
         time = min(own.correlation_time, other.correlation_time)
         level = float(np.sqrt(white**2 + max(slow, 0.0)))
-        found.append(NoiseComponent(level, white, time, own.dof))
-    return NoiseModel(*found)
+        components.append(NoiseComponent(level, white, time, own.dof))
+    return NoiseModel(*components)
 
 
-def _state(done: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array]) -> State:
+def _state(joint: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array]) -> State:
     """State of the pieces of a run."""
     run, pieces, q = solved.run, solved.run.pieces, solved.system.q
     return state_in_parts(
-        done.machine,
+        joint.machine,
         [p.path.target for p in run.parts],
-        done.places,
+        joint.places,
         pieces.part,
         pieces.stretch,
         q,
         _rates(q, pieces),
         pieces.side,
         pieces.time,
-        done.poses[run.station],
+        joint.poses[run.station],
         nodes,
-        tables_of(done.machine, done.unknowns, done.solution.value),
+        tables_of(joint.machine, joint.unknowns, joint.solution.value),
         float(pieces.time.max() + pieces.duration[-1]),
         np.abs(pieces.step) * pieces.spread[:, None],
     )

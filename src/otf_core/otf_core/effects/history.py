@@ -112,18 +112,18 @@ def joint_history(
     """
     step = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     other_part = np.diff(part, prepend=-1) != 0
-    found = {}
+    since_reversal = {}
     for k, axis in enumerate(axes):
         new = other_part | (np.diff(side[:, k], prepend=0.0) != 0.0)
         travel = np.cumsum(np.where(other_part, 0.0, step[:, k]))
         begin = np.maximum.accumulate(np.where(new, np.arange(len(q)), 0))
-        found[f'since_reversal_{axis.lower()}'] = travel - travel[begin]
+        since_reversal[f'since_reversal_{axis.lower()}'] = travel - travel[begin]
     begin = np.maximum.accumulate(
         np.where(np.diff(stretch, prepend=-1) != 0, np.arange(len(q)), 0)
     )
     nothing = np.zeros(len(q))
     return {
-        **found,
+        **since_reversal,
         'since_stop': time - time[begin],
         'acceleration': nothing,
         'lap': nothing,

@@ -74,8 +74,8 @@ def choose_parts(
         chains += [c for c in candidate_chains(machine, few) if c.is_lines]
     chains = sorted(chains, key=lambda c: (list(machine.targets).index(c.target), not c.is_lines))
     choice = _Choice(machine, chains, place, config, judged, noise, time_budget)
-    kept = list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.made()
-    return parts_of(machine, [chains[k] for k in kept])
+    selected = list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.made()
+    return parts_of(machine, [chains[k] for k in selected])
 
 
 class _Choice:
@@ -125,45 +125,45 @@ class _Choice:
         ConfigError
             If no chain fits.
         """
-        kept = list(range(len(self.chains)))
-        while self._spent(kept) > self.limit:
-            free = [k for k in kept if self.whole or not self.chains[k].is_lines]
-            if len(kept) == 1 or not free:
+        selected = list(range(len(self.chains)))
+        while self._spent(selected) > self.limit:
+            free = [k for k in selected if self.whole or not self.chains[k].is_lines]
+            if len(selected) == 1 or not free:
                 raise ConfigError(
                     f'--time-budget: {self.limit:g} s: the shortest chain alone takes '
                     f'{min(self.seconds):.0f} s'
                 )
-            kept = self._fewer(kept, free)
+            selected = self._fewer(selected, free)
         while True:
-            more = self._with_one_more(kept)
+            more = self._with_one_more(selected)
             if more is None:
-                return kept
-            kept = more
+                return selected
+            selected = more
 
-    def _fewer(self, kept: list[int], free: list[int]) -> list[int]:
-        total = sum((self.equations[k] for k in kept), self.judge.known)
+    def _fewer(self, selected: list[int], free: list[int]) -> list[int]:
+        total = sum((self.equations[k] for k in selected), self.judge.known)
         now = self._sum_of_logs(total)
-        saved = {k: self.seconds[k] + self._hand(kept, k) for k in free}
+        saved = {k: self.seconds[k] + self._hand(selected, k) for k in free}
         cost = {k: (self._sum_of_logs(total.less(self.equations[k])) - now) / saved[k]
                 for k in free}  # fmt: skip
         drop = sorted(free, key=lambda k: cost[k])[: max(1, int(AT_ONCE * len(free)))]
-        over = self._spent(kept) - self.limit
+        over = self._spent(selected) - self.limit
         while len(drop) > 1 and sum(saved[k] for k in drop[:-1]) > over:
             drop = drop[:-1]
-        return [k for k in kept if k not in drop]
+        return [k for k in selected if k not in drop]
 
-    def _with_one_more(self, kept: list[int]) -> list[int] | None:
+    def _with_one_more(self, selected: list[int]) -> list[int] | None:
         """The best chain that still fits beside the others; None if none does."""
-        out = [k for k in range(len(self.chains)) if k not in kept]
-        fits = [k for k in out if self._spent(sorted([*kept, k])) <= self.limit]
+        out = [k for k in range(len(self.chains)) if k not in selected]
+        fits = [k for k in out if self._spent(sorted([*selected, k])) <= self.limit]
         if not fits:
             return None
-        total = sum((self.equations[k] for k in kept), self.judge.known)
+        total = sum((self.equations[k] for k in selected), self.judge.known)
         gain = {k: -self._sum_of_logs(total + self.equations[k]) for k in fits}
-        return sorted([*kept, max(fits, key=lambda k: gain[k])])
+        return sorted([*selected, max(fits, key=lambda k: gain[k])])
 
-    def _spent(self, kept: Sequence[int]) -> float:
-        return self.spent([self.chains[k] for k in kept])
+    def _spent(self, selected: Sequence[int]) -> float:
+        return self.spent([self.chains[k] for k in selected])
 
     def spent(self, chains: Sequence[Chain]) -> float:
         """Time that counts: all of it, or without a budget the driving beside the lines, s."""
@@ -174,9 +174,9 @@ class _Choice:
         kinds = [kind for kind, _ in groupby(chains, key=lambda c: c.part)]
         return sum(t for t, kind in zip(took, kinds, strict=True) if not kind[1])
 
-    def _hand(self, kept: Sequence[int], k: int) -> float:
+    def _hand(self, selected: Sequence[int], k: int) -> float:
         """Time by hand, s, that goes with a chain: of the only one of its target."""
-        alone = sum(self.chains[i].target == self.chains[k].target for i in kept) == 1
+        alone = sum(self.chains[i].target == self.chains[k].target for i in selected) == 1
         return HAND_MOVE if alone and self.whole else 0.0
 
     def _variances(self, normal: NormalEquations) -> Array:

@@ -82,8 +82,8 @@ class RotaryPlan:
 
 def facings_needed(sight: SightShare) -> int:
     """Facings after which a reflector is seen in ``ENOUGH`` of the positions; else all tried."""
-    found = (k for k, share in enumerate(sight.facings, 1) if share >= ENOUGH)
-    return next(found, len(sight.facings))
+    enough = (k for k, share in enumerate(sight.facings, 1) if share >= ENOUGH)
+    return next(enough, len(sight.facings))
 
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:

@@ -107,9 +107,9 @@ class AxisRows:
 
     def pulled(self, pieces: slice, values: Array) -> Array:
         """Transposed rows of some pieces times values (c, m, k), shape (full, k)."""
-        found = np.zeros((self.unknowns.full, values.shape[2]))
+        product = np.zeros((self.unknowns.full, values.shape[2]))
         for name, own in self.fixed.items():
-            found[self.unknowns.blocks[name]] = np.einsum('cpk,cpn->kn', own[:, pieces], values)
+            product[self.unknowns.blocks[name]] = np.einsum('cpk,cpn->kn', own[:, pieces], values)
         for axis, shifts in self.motions.items():
             blocks = [self.unknowns.blocks[f'E{d}{axis}'] for d in 'XYZABC']
             for six, weight in shifts:
@@ -118,8 +118,8 @@ class AxisRows:
                 for block, own in zip(
                     blocks, pull.reshape(len(pull), 6, -1).swapaxes(0, 1), strict=True
                 ):
-                    found[block] += own
-        return found
+                    product[block] += own
+        return product
 
 
 @dataclass(frozen=True)

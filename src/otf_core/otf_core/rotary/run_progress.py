@@ -85,15 +85,15 @@ class PartsWatcher(PathWatcher):
         """
         samples, track = samples.in_order(), self._track
         try:
-            found = match(samples, track.machine, track.parts, quick=True)
+            matched = match(samples, track.machine, track.parts, quick=True)
         except InputError:
             return None
-        last = found.parts[-1]
-        actual = with_lines(track.machine, found.location)
-        sight = sight_at(actual, last.path.target, found.places)
+        last = matched.parts[-1]
+        actual = with_lines(track.machine, matched.location)
+        sight = sight_at(actual, last.path.target, matched.places)
         curve = Curve.of(sight, last.path.positions)
         driven = Track.of(samples, last.first, last.last).length
-        off = found.pose.apply(samples.xyz[last.last - 1 : last.last])[0] - curve.points[-1]
+        off = matched.pose.apply(samples.xyz[last.last - 1 : last.last])[0] - curve.points[-1]
         near = float(np.linalg.norm(off)) < self._tolerance
         return PartsDriven(near and driven >= LAST_DRIVEN * curve.length)
 
