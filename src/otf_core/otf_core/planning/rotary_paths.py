@@ -515,7 +515,7 @@ def _pieces(
         return AxisPieces(
             q=q, step=zero, spread=np.zeros(count), xyz=points - place, nominal=points,
             direction=np.zeros((count, 3)), part=np.full(count, number), leg=corner,
-            stretch=corner, side=zero, count=np.full(count, int(took * judged.rate)),
+            stretch=corner, side=zero, rate=zero, count=np.full(count, int(took * judged.rate)),
             time=2.0 * took * corner.astype(float), duration=whole, standstill=True,
         )  # fmt: skip
     cut = _cut(machine, part, config, CalibrationConfig().piece_length)
@@ -535,7 +535,8 @@ def _pieces(
         q=middle[own], step=step, spread=np.full(len(own), 1.0 / np.sqrt(12.0)),
         xyz=points - place, nominal=points, direction=along[own] / size[own, None],
         part=np.full(len(own), number), leg=leg, stretch=cut.stretch[own],
-        side=np.sign(step), count=samples[own], time=cut.time[own], duration=cut.duration[own],
+        side=np.sign(step), rate=step / cut.duration[own, None], count=samples[own],
+        time=cut.time[own], duration=cut.duration[own],
     )  # fmt: skip
 
 

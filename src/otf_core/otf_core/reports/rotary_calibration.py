@@ -80,6 +80,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
                 }
                 for r in result.reversal
             },
+            'lags': {r.axis: {'unit': 's', 'value': r.value, 'u': r.u} for r in result.lags},
         },
         'run_id': result.run_id,
         'gauge': GAUGE,
@@ -380,19 +381,23 @@ def _lines(result: AxisCalibration) -> Section:
 
 def _reversal(result: AxisCalibration) -> list[Section]:
     """Differences between both senses of travel, where there are any."""
-    if not result.reversal:
+    if not result.reversal and not result.lags:
         return []
     lines = [
         f'{r.motion}: forward less backward travel of {r.motion.axis} '
         f'{micro_with_expanded(r.value, COVERAGE_FACTOR * r.u, r.motion.unit)}'
         for r in result.reversal
     ]
-    words = (
-        'Tables hold the mean of both senses. At one feed a lag of an axis behind the others '
-        'looks like backlash.',
-        *lines,
-    )
-    data = {str(r.motion): {'value': r.value, 'u': r.u} for r in result.reversal}
+    lines += [
+        f'{r.axis} is {"late" if r.value > 0.0 else "early"} against the axes that it is driven '
+        f'with: ({1e6 * abs(r.value):.0f} +/- {1e6 * COVERAGE_FACTOR * r.u:.0f}) us'
+        for r in result.lags
+    ]
+    words = ('Tables hold the mean of both senses, without lag.', *lines)
+    data = {
+        **{str(r.motion): {'value': r.value, 'u': r.u} for r in result.reversal},
+        **{f'lag {r.axis}': {'value': r.value, 'u': r.u} for r in result.lags},
+    }
     return [Section('reversal', 'Reversal', words, data, text=('', *lines))]
 
 

@@ -25,7 +25,15 @@ from otf_core.rotary.matching import Matched, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.reseated import reseated
-from otf_core.rotary.reversal import NONE, AxisReversal, reversals, significant
+from otf_core.rotary.reversal import (
+    NONE,
+    AxisLag,
+    AxisReversal,
+    lags,
+    reversals,
+    significant,
+    trial_of_reversal,
+)
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
 from otf_core.rotary.tabulation import AxisTables, tabulate
@@ -69,6 +77,8 @@ class AxisCalibration:
         Linear axes where pieces lie, for the hull of what was driven.
     reversal : tuple of AxisReversal
         Motions that differ between both senses of travel; the tables hold the mean.
+    lags : tuple of AxisLag
+        Axes that are late behind the others.
     advice : mapping of name to str
         What would show an error that the data do not show.
     """
@@ -85,6 +95,7 @@ class AxisCalibration:
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     reversal: tuple[AxisReversal, ...]
+    lags: tuple[AxisLag, ...]
     advice: Mapping[str, str]
     method: str
     config: CalibrationConfig
@@ -206,7 +217,7 @@ class _Job:
 
         joint, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
         if self.config.reversal != NONE:
-            unknowns = self._with_reversal(joint, noises, fitted)
+            unknowns = self._with_reversal(joint)
         tables = tables_of(machine, joint.unknowns, joint.solution.value)
         matched = self._moved(matched, joint)
         runs = self._runs(matched, joint.places, tables)
@@ -215,30 +226,15 @@ class _Job:
         )
         return joint, self._moved(matched, joint), before
 
-    def _layout(self, reversal: Sequence[str] = ()) -> Unknowns:
+    def _layout(self, reversal: Sequence[str] = (), lags: Sequence[str] = ()) -> Unknowns:
         machine = self.recordings[0].machine
         bases = bases_of(machine, self.nodes)
-        return layout(machine, bases, max(self.stations) + 1, self.free, reversal)
+        return layout(machine, bases, max(self.stations) + 1, self.free, reversal, lags)
 
-    def _with_reversal(
-        self,
-        joint: AxisSolution,
-        noises: Sequence[NoiseModel],
-        fitted: Sequence[Array | None],
-    ) -> Unknowns:
-        """Unknowns with the constants of reversal that the data show."""
-        trial, _ = solve_robustly(
-            [s.run for s in joint.runs],
-            noises,
-            self._layout(joint.machine.motions),
-            self.config,
-            self.progress,
-            tables_of(joint.machine, joint.unknowns, joint.solution.value),
-            joint.roughness.logs,
-            fitted,
-            repetitions=1,
-        )
-        return self._layout(significant(trial, self.config))
+    def _with_reversal(self, joint: AxisSolution) -> Unknowns:
+        """Unknowns with the constants of reversal and the lags that the data show."""
+        whole = self._layout(joint.machine.motions, joint.machine.axis_names)
+        return self._layout(*significant(trial_of_reversal(joint, whole), self.config))
 
     def _noise(self, recording: Recording) -> NoiseModel:
         samples, spec = recording.samples, self.recordings[0].machine.tracker
@@ -408,6 +404,7 @@ def _assembled(
             ),
         ),
         reversal=tuple(reversals(joint, inflation)),
+        lags=tuple(lags(joint, inflation)),
         advice=advice,
         method=method,
         config=config,

@@ -73,6 +73,8 @@ class AxisPieces:
         Smooth stretch of the path between two corners.
     side : ndarray, shape (p, k)
         Sense of the last travel of every axis.
+    rate : ndarray, shape (p, k), m/s and rad/s
+        Speeds of the axes.
     count : ndarray of int64, shape (p,)
     time, duration : ndarray, shape (p,), s
     samples, used, outliers : int
@@ -91,6 +93,7 @@ class AxisPieces:
     leg: Index
     stretch: Index
     side: Array
+    rate: Array
     count: Index
     time: Array
     duration: Array
@@ -115,7 +118,7 @@ class AxisPieces:
             return self
         names = (
             'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'leg', 'stretch',
-            'side', 'count', 'time', 'duration',
+            'side', 'rate', 'count', 'time', 'duration',
         )  # fmt: skip
         fields = {name: getattr(self, name)[~drop] for name in names}
         lost = int(self.count[drop].sum())
@@ -187,8 +190,8 @@ def joined(samples: Samples, parts: Sequence[AxisPieces]) -> AxisPieces:
     legs = np.cumsum([0, *(f.leg.max() + 1 for f in parts)])
     stretches = np.cumsum([0, *(f.stretch.max() + 1 for f in parts)])
     names = (
-        'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'side', 'count', 'time',
-        'duration',
+        'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'side', 'rate', 'count',
+        'time', 'duration',
     )  # fmt: skip
     arrays = {n: np.concatenate([getattr(f, n) for f in parts]) for n in names}
     return AxisPieces(
@@ -311,12 +314,23 @@ def _averaged(
         leg=_shared(stretch[first], time),
         stretch=stretch[first],
         side=sides_of_travel(unit)[leg[first]],
+        rate=_rates(mean(q), time, stretch[first]),
         count=count,
         time=time,
         duration=np.asarray(count * samples.step, dtype=np.float64),
         used=len(line.own),
     )
     return pieces.without((count < FEW) | (size < 0.5))
+
+
+def _rates(q: Array, time: Array, stretch: Index) -> Array:
+    """Speeds of the axes (p, k) from the neighbours of every piece on its stretch."""
+    place = np.arange(len(q))
+    same = stretch[1:] == stretch[:-1]
+    before, after = place - np.append(False, same), place + np.append(same, False)
+    return np.asarray(
+        (q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]
+    )
 
 
 def _pieces_of(
@@ -416,6 +430,7 @@ def _stops_of_part(
         leg=_shared(np.zeros(total, dtype=np.int64), time),
         stretch=np.arange(total),
         side=sides_of_travel(unit)[at],
+        rate=np.zeros_like(positions[at]),
         count=count,
         time=time,
         duration=samples.time[last - 1] - samples.time[first],

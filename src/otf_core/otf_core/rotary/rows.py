@@ -24,7 +24,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.rotary.matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
-from otf_core.rotary.unknowns import place_block
+from otf_core.rotary.unknowns import lag_block, place_block
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
 
 BLOCK = 2000
@@ -40,7 +40,7 @@ class AxisRows:
     count : int
         Pieces.
     fixed : mapping of block to ndarray, shape (c, p, k)
-        Poses, places, squareness and location errors.
+        Poses, places, squareness and location errors, reversal and lags.
     motions : mapping of axis to list of (ndarray (c, p, 6), ndarray (p, size))
         Influence of its six motions along the rows, and its functions, at every shift.
     splines : ndarray, shape (p, k)
@@ -235,6 +235,13 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
             before = fixed.get(scalar, 0.0)
             fixed[scalar] = before + _filled(count, own, column)
         _add_motions(motions, sight, pieces, own, axes, unknowns, q)
+        for axis in seen.axes:
+            if lag_block(axis) in unknowns.blocks:
+                late = -seen.velocity[:, :, machine.column(axis)]
+                late = late * pieces.rate[own, machine.column(axis), None]
+                column = np.einsum('cni,ni->cn', axes[:, own], late)[:, :, None]
+                before = fixed.get(lag_block(axis), 0.0)
+                fixed[lag_block(axis)] = before + _filled(count, own, column)
         for axis, six in seen.motions.items():
             half = 0.5 * pieces.side[own, machine.column(axis)]
             for k, d in enumerate('XYZABC'):

@@ -22,6 +22,7 @@ from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
+from otf_core.model.motions import is_motion
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
@@ -41,9 +42,9 @@ MOST_BEYOND = 0.05
 """Share of the pieces that may be left out for their distance alone."""
 REPETITIONS = 4
 NOISE_SETTLED = 0.1
-DAMPED = 1e-5
-"""m and rad; a pose moves by little more in one step along what the data do not show: there it
-would follow the squares of errors without end."""
+DAMPED = 1e-4
+"""m and rad; what the data do not show, a pose follows in steps of little more than this, or of a
+tenth where the steps do not become smaller."""
 FINE = 8
 """Parts of an interval between knots in tables for use inside."""
 
@@ -199,13 +200,13 @@ def place_equations(
     return NormalEquations(matrix, right, square, rows)
 
 
-def _pose_equations(unknowns: Unknowns, stations: Iterable[int]) -> NormalEquations:
-    """Small steps of the poses, as normal equations; nothing remains of them at the solution."""
+def _pose_equations(unknowns: Unknowns, stations: Iterable[int], size: float) -> NormalEquations:
+    """Steps of the poses of some size, m and rad, as normal equations."""
     matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
     for station in stations:
         block = unknowns.free_blocks[pose_block(station)]
         own = np.arange(block.start, block.stop)
-        matrix[own, own] = 1.0 / DAMPED**2
+        matrix[own, own] = 1.0 / size**2
     return NormalEquations(matrix, right, 0.0, 0)
 
 
@@ -231,7 +232,7 @@ def _settle(
     rough: Roughness | None = None
     solution: Solution | None = None
     residuals: list[Array] = []
-    change, stuck = np.inf, False
+    change, stuck, damping = np.inf, False, DAMPED
     for iteration in range(1, config.max_iterations + 1):
         own = [run.placed(poses[run.station], places) for run in runs]
         systems = [build_rows(run, unknowns, tables) for run in own]
@@ -249,12 +250,15 @@ def _settle(
             ]
             normal = reduce(add, [*parts, known])
             if rough is None or first:
-                rough = Search(normal, unknowns, accepted, limit).run(
-                    rough.logs if rough else logs
-                )
-            damped = normal + _pose_equations(unknowns, poses)
-            solution = solve(damped, unknowns, limit, accepted, rough.precision)
+                search = Search(normal, unknowns, accepted, limit)
+                rough = search.run(rough.logs if rough else logs)
+            damping *= 0.1 if stuck else 1.0
+            damped = normal + _pose_equations(unknowns, poses, damping)
+            newton = solve(damped, unknowns, limit, accepted, rough.precision)
+        if solution is None:
+            solution = newton
         else:
+            solution = replace(newton, value=solution.value)
             solution = _improved(solution, unknowns, rough, systems, whiteners, known)
         before, last = residuals, change
         residuals = _left_by(systems, solution)
@@ -293,13 +297,20 @@ def _improved(
     whiteners: Sequence[Whitener],
     known: NormalEquations,
 ) -> Solution:
-    """One Newton step with the normal matrix of an earlier iteration; see ``solving.joint``."""
+    """One Newton step with the normal matrix of an earlier iteration; see ``solving.joint``.
+
+    Only what is known of the motions pulls: the little that is assumed of the size of all others
+    would move what the data do not show, step by step, without an end.
+    """
     pull = np.zeros(unknowns.full)
     for system, whitener, rest in zip(
         systems, whiteners, _left_by(systems, solution), strict=True
     ):
         pull += system.rows.transposed(whitener.weighted(rest))
     free = free_values(unknowns, solution.value)
+    for name, block in unknowns.free_blocks.items():
+        if not is_motion(name):
+            free[block] = 0.0
     step = unknowns.gauge.T @ pull + known.right - rough.precision @ free
     lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
     return replace(solution, value=solution.value + lifted @ step)

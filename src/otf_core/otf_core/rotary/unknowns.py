@@ -38,6 +38,11 @@ def place_block(target: str) -> str:
     return f'place {target}'
 
 
+def lag_block(axis: str) -> str:
+    """Name of the block of the time, s, by which an axis is late."""
+    return f'lag {axis}'
+
+
 def bases_of(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> dict[str, Basis]:
     """Functions that the motions of every axis are made of."""
     bases: dict[str, Basis] = {}
@@ -54,6 +59,7 @@ def layout(
     stations: int,
     targets: Sequence[str],
     reversal: Sequence[str] = (),
+    lags: Sequence[str] = (),
 ) -> Unknowns:
     """Lay out the unknowns.
 
@@ -66,6 +72,8 @@ def layout(
         Those whose places are not known.
     reversal : sequence of str
         Motions that differ between both senses of travel by a constant.
+    lags : sequence of str
+        Axes that are late by a constant time.
     """
     order = sorted(machine.motions, key=lambda m: unit_of(m) != 'm')
     parts: list[tuple[str, Array]] = [(pose_block(k), np.eye(POSE)) for k in range(stations)]
@@ -73,4 +81,5 @@ def layout(
     parts += [(name, np.eye(1)) for name in machine.scalars]
     parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
     parts += [(reversal_block(name, 0), np.eye(1)) for name in reversal]
+    parts += [(lag_block(axis), np.eye(1)) for axis in lags]
     return Unknowns(dict(bases), *lay_out_blocks(parts))
