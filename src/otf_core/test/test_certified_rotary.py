@@ -48,6 +48,7 @@ def stops(machine, name):
     pieces = AxisPieces(
         q=q, step=np.zeros_like(q), spread=np.zeros(count), xyz=xyz, nominal=zero, direction=zero,
         part=number, leg=np.arange(count), stretch=np.arange(count), side=np.zeros_like(q),
+        rate=np.zeros_like(q),
         count=np.full(count, dense.SAMPLES), time=np.arange(count) * 2.0,
         duration=np.ones(count), standstill=True,
     )  # fmt: skip
