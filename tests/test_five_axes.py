@@ -49,7 +49,7 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
     graph, tmp_path
 ):
     whole = read_bag(CELL / 'bag')
-    samples, half = stood(whole.samples, 80), len(whole.samples) // 2
+    samples, half = stood(whole.samples, 80), 2000
     ear = graph.ear()
     axes = ear.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)
     for part in whole.axis_paths:  # each with a stamp of its own, as other planners may
@@ -65,9 +65,11 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
     node = graph.start('calibrator', **given)
     graph.wait(lambda: graph.state() and graph.state().parts == 5, 'the parts')
     publish(samples.part(0, half), 1)
-    graph.wait(lambda: graph.state().samples == half, 'half of the samples')
-    assert (graph.state().part, graph.state().target) == (3, 'nest-1')
-    (journal,) = (p for p in (tmp_path / 'out' / 'journal').iterdir() if p.is_dir())
+    graph.wait(lambda: graph.state().samples == half, 'its samples')
+    assert (graph.state().part, graph.state().target) == (1, 'tool')
+    place = tmp_path / 'out' / 'journal'
+    graph.wait(lambda: any(place.glob('*/metadata.yaml')), 'the journal')
+    (journal,) = (file.parent for file in place.glob('*/metadata.yaml'))
     graph.wait(lambda: len(read_bag(journal).samples) == half, 'the journal')
     node.interrupt(signal.SIGKILL)
     node.wait()
@@ -114,7 +116,7 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     path = tmp_path / 'path.csv'
     lines = ['target,x,y,z,a,c']
     for part in read_bag(CELL / 'bag').axis_paths:
-        if part.target != 'long':
+        if part.target in ('tool', 'nest-1'):
             lines += [','.join([part.target, *map(str, q)]) for q in part.positions.tolist()]
     path.write_text('\n'.join(lines))
     graph.start('viewer')
@@ -126,26 +128,22 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     scenes = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
     graph.start('path_planner', **machine, path_file=path)
     asked = {'finish_at_stream_end': False, 'finish_at_standstill': False, 'idle_timeout': 0.0}
-    graph.start('calibrator', **machine, **asked, report=False, save_bag=False)
+    graph.start('calibrator', **machine, **asked)
     simulated = {'simulated.rate': 100.0, 'time_scale': 50.0}
     driver = graph.start('tracker_driver', **machine, **simulated)
     graph.wait_for_status('FINISHED')
-    graph.wait(lambda: early, 'a provisional result')
-    assert graph.trigger('calibrator/calibrate').success
-    result, state = graph.wait_for_result()
-    assert result.run_id and result.samples_lost == 0, state.message
-    assert result.status == result.OK and 'C0C' not in result.location
     said = driver.log.read_text(encoding='utf-8')
     assert "BEAM_BROKEN: the reflector is moved by hand to the target 'nest-1'" in said
     graph.wait(lambda: gaps, 'the gap')
     assert gaps[0].reason == "the reflector is moved by hand to the target 'nest-1'"
-    shown = {(s.part, s.target) for s in graph.listen(None, 'calibrator/state')}
-    assert {(3, 'nest-2'), (4, 'nest-3')} <= shown  # the state is told twice per second
-    assert early[0].motions and early[0].samples < result.samples
-    graph.wait(lambda: volumes and not volumes[-1].provisional, 'the errors on a grid')
-    volume = volumes[-1]
-    assert len(volume.positions) == 5 * len(volume.points) > 500 and 'C' in volume.axes
-    found = graph.listen(None, 'calibrator/track')[-1]
-    assert len(tracks) >= 2 and len(found.poses) == len(tracks[0].poses) > 600
+    graph.wait(lambda: (graph.state().part, graph.state().target) == (2, 'nest-1'), 'its state')
+    graph.wait(lambda: early and volumes, 'a provisional result')
+    (told,), volume = early, volumes[-1]
+    assert told.status == told.OK and told.samples < graph.state().samples
+    assert {'X0C', 'A0C'} <= set(told.not_identifiable)  # C has not moved the tool
+    assert volume.provisional and list(volume.axes) == ['X', 'Y', 'Z', 'A', 'C']
+    assert len(volume.positions) == 5 * len(volume.points) == 5 * 27
+    graph.wait(lambda: len(tracks) >= 2, 'the track with the places that were found')
+    assert len(tracks[-1].poses) == len(tracks[0].poses) > 600
     graph.wait(lambda: scenes and any(m.ns == 'errors' for m in scenes[-1].markers), 'the picture')
     assert 'live view at' in page.last_lines()
