@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of machines with rotary axes: bags, matching, gauge, tables, contradictions."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -141,11 +142,10 @@ def test_tables_predict_the_exact_error_within_second_order():
     assert np.array_equal(predict(TablesFile(tables), q).error, displacement(tables, q))
 
 
-@pytest.mark.parametrize('verb', ['check'])
-def test_commands_for_linear_axes_say_so(verb, tmp_path, capsys):
-    yaml = str(BAG / 'machine.yaml')
-    words = {
-        'check': [str(BAG / 'bag'), '--machine', yaml],
-    }
-    assert main([verb, *words[verb]]) == 2
-    assert 'not available for machines with rotary axes' in capsys.readouterr().err
+def test_check_says_what_a_recording_will_show(capsys):
+    arguments = ['check', str(BAG / 'bag'), '--machine', str(BAG / 'machine.yaml'), '--json']
+    assert main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report['usable'] and not report['gaps'] and report['coverage'] > 0.99
+    assert report['forecast']['not_identifiable'] == ['ECX', 'ECZ']
+    assert 0.0 < report['forecast']['mean_u']['ECC'] < 1e-5

@@ -11,15 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.bags.bag_reading import Received, advice_of, path_of, received_of
+from otf_core.bags.rosbag2_metadata import AXES
 from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
 from otf_core.errors import InputError
 from otf_core.files.text_table import LeftOut
-from otf_core.inputs.recordings import AS_IT_IS, Given, open_reading
+from otf_core.inputs.recordings import AS_IT_IS, Given, driven_path, open_reading
+from otf_core.live.stages import silent
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
@@ -33,6 +36,8 @@ from otf_core.planning.forecast import (
     planned_systematic,
     solution_of_pieces,
 )
+from otf_core.rotary.calibrate import AxisCalibration, calibrate_axes
+from otf_core.rotary.matching import BREAK
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.driving_order import OFF_PATH
@@ -52,7 +57,12 @@ class Seen:
     samples : Samples, optional
         In the order of time, unusable ones dropped.
     run : Run, optional
-        Reduced to pieces; needs a machine.
+        Reduced to pieces; needs a machine of linear axes.
+    parts : tuple of AxisPath
+        Published axis positions of a machine with rotary axes.
+    result : AxisCalibration, optional
+        Of a machine with rotary axes: what shows whether a recording can be used is its
+        calibration, which takes seconds.
     findings : tuple of Finding
         Contradictions in it.
     nodes : mapping of axis to ndarray, m, optional
@@ -76,6 +86,8 @@ class Seen:
     machine: Machine | None = None
     alignment: Alignment | None = None
     run: Run | None = None
+    parts: tuple[AxisPath, ...] = ()
+    result: AxisCalibration | None = None
     findings: tuple[Finding, ...] = ()
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
@@ -130,13 +142,15 @@ def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusa
         remarks += reading.remarks
         seen = replace(seen, topics=reading.topics, said=tuple(reading.said))
         with refused.of('path', source):
-            if reading.path is not None:
-                reading.require(reading.path)
-            seen = replace(seen, path=path_of(source, [reading]))
+            if AXES.name not in reading.topics:
+                if reading.path is not None:
+                    reading.require(reading.path)
+                seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
             reading.require(reading.point)
             received = received_of(reading, source, remarks)
             seen = replace(seen, received=received, left_out=tuple(reading.left_out))
+            seen = replace(seen, parts=tuple(reading.axis_paths))
             screening = Screening()
             screening.foreign(reading.foreign)
             raw = received.stamp_ns, received.xyz
@@ -154,6 +168,11 @@ def _followed(seen: Seen, refused: _Refusals) -> Seen:
     name, samples, path, machine = seen.name, seen.samples, seen.path, seen.machine
     config = seen.config
     assert samples is not None
+    if machine is not None and machine.rotary_names:
+        return _calibrated(seen, machine, refused)
+    if machine is not None and seen.parts:
+        with refused.of('path', name):
+            path = driven_path(seen.parts, path, machine)[0]
     if path is None:
         with refused.of('stamps', name):
             check_samples(samples, None)
@@ -171,6 +190,17 @@ def _followed(seen: Seen, refused: _Refusals) -> Seen:
         seen = replace(seen, alignment=alignment)
         pose = alignment.T_machine_tracker
         check_partial(samples, path, pose, alignment.coverage, config.match_tolerance)
+    return seen
+
+
+def _calibrated(seen: Seen, machine: Machine, refused: _Refusals) -> Seen:
+    """Calibrate what was read of a machine with rotary axes."""
+    assert seen.samples is not None
+    with refused.of('run', seen.name):
+        check_samples(seen.samples, None)
+        path, parts = driven_path(seen.parts, seen.path, machine)
+        recording = Recording(seen.samples, path, machine, seen.name, axis_paths=parts)
+        return replace(seen, result=calibrate_axes([recording], seen.config, silent))
     return seen
 
 
@@ -243,6 +273,9 @@ def _check_content(seen: Seen) -> Checked:
     parts = list(seen.said)
     if seen.received is not None and not parts:
         parts.append(f'{len(seen.received.stamp_ns)} points')
+    if seen.parts:
+        targets = ', '.join(p.target for p in seen.parts)
+        parts.append(f'axis positions of {len(seen.parts)} parts ({targets})')
     if seen.path is not None:
         parts.append(f'path of {len(seen.path.points)} corner points, {seen.path.length:.2f} m')
     facts = {
@@ -294,14 +327,28 @@ LOST_SHARE = 0.01
 GAPS_LISTED = 3
 
 
+def _breaks(samples: Samples, parts: int) -> tuple[Index, Index]:
+    """Samples before the gaps of a recording, and before those in which a reflector was moved.
+
+    A run of several parts has a break of ``BREAK`` or more between any two of them.
+    """
+    at = np.flatnonzero(broken(samples))
+    length = samples.time[at + 1] - samples.time[at]
+    longest = np.argsort(-length)[: max(parts - 1, 0)]
+    between = np.zeros(len(at), dtype=bool)
+    between[longest[length[longest] >= BREAK]] = True
+    return at[~between], at[between]
+
+
 def _check_gaps(seen: Seen) -> Checked:
     samples = seen.samples
     if samples is None or len(samples) < 3:
         return Checked(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
     lost, time = lost_samples(samples), samples.time
-    at = np.flatnonzero(broken(samples))
+    at, between = _breaks(samples, len(seen.parts))
     length = time[at + 1] - time[at]
-    share = lost.samples / (lost.samples + len(samples))
+    missing = lost.samples - round(float(np.sum(time[between + 1] - time[between])) / samples.step)
+    share = max(0, missing) / (lost.samples + len(samples))
     longest = float(length.max()) if len(at) else 0.0
     facts = {'gaps': len(at), 'lost_share': share, 'longest_gap_s': longest}
     if not len(at):
@@ -383,7 +430,7 @@ def _check_beam(seen: Seen) -> Checked:
         return Checked()
     lost = int(np.count_nonzero(~seen.received.xyz.any(axis=1)))
     samples = seen.samples
-    at = np.flatnonzero(broken(samples))
+    at = _breaks(samples, len(seen.parts))[0]
     moved = np.linalg.norm(samples.xyz[at + 1] - samples.xyz[at], axis=1) > HOP
     breaks = int(np.count_nonzero(moved))
     reach = np.linalg.norm(samples.xyz, axis=1)
@@ -412,6 +459,8 @@ LEGS_LISTED = 3
 
 
 def _check_path(seen: Seen) -> Checked:
+    if seen.result is not None:
+        return _check_parts(seen.result)
     alignment = seen.alignment
     coverage = 0.0 if alignment is None else alignment.coverage
     facts = {'coverage': coverage, 'legs_missing': 0}
@@ -435,6 +484,20 @@ def _check_path(seen: Seen) -> Checked:
         problems += errors(text) if coverage < MIN_COVERAGE else warnings(text)
     end = '' if alignment.last_leg_driven or coverage < COMPLETE_PATH else ', but not its end'
     return Checked(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
+
+
+def _check_parts(result: AxisCalibration) -> Checked:
+    """Parts of a machine with rotary axes, as far as they were driven."""
+    shares = [share for one in result.matched for share in one.driven]
+    missing = [k + 1 for k, share in enumerate(shares) if share < COMPLETE_PATH]
+    text = ''
+    if missing:
+        which = ', '.join(f'part {k} ({100 * shares[k - 1]:.1f} %)' for k in missing)
+        text = f'not driven to the end: {which}; drive these parts again'
+    coverage = result.fit.coverage
+    facts = {'coverage': coverage, 'legs_missing': len(missing)}
+    words = f'{100 * coverage:.1f} % of the path of {len(shares)} parts driven'
+    return Checked(words, facts, warnings(text) if coverage >= MIN_COVERAGE else ())
 
 
 def _place(point: NDArray[np.float64]) -> str:
@@ -491,6 +554,11 @@ STANDSTILL = Check('standstill', _check_standstills)
 
 
 def _check_contradictions(seen: Seen) -> Checked:
+    if seen.result is not None:
+        result, machine = seen.result, seen.result.machine
+        words = ', '.join(result.failed_gates) or 'no contradictions'
+        problems = errors(*result.failed_gates) + warnings(*result.warnings)
+        return Checked(f'{machine.name}, chain {machine.chain}: {words}', {}, problems)
     if seen.machine is None or seen.run is None:
         return Checked()
     findings = seen.findings
@@ -503,6 +571,8 @@ CONTRADICTION = Check('machine', _check_contradictions)
 
 
 def _check_forecast(seen: Seen) -> Checked:
+    if seen.result is not None:
+        return _known_of_axes(seen.result)
     run = seen.run
     if run is None or run.pieces.standstill or seen.nodes is None:
         return Checked()
@@ -529,6 +599,36 @@ def _check_forecast(seen: Seen) -> Checked:
     loose = ', '.join(map(str, outlook.loose_nodes))
     doubt = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
     return Checked(words, {'forecast': facts}, warnings(doubt))
+
+
+def _known_of_axes(result: AxisCalibration) -> Checked:
+    """How well a calibration of this recording knows the errors, and what it does not see."""
+    tables = result.tables
+    unseen = [n for n, t in tables.motions.items() if not t.identifiable]
+    unseen += [n for n, v in tables.location.items() if not v.identifiable]
+    mean_u = {
+        name: float(np.sqrt(np.mean(table.u**2)))
+        for name, table in tables.motions.items()
+        if table.identifiable
+    }
+    words = [f'u of the motions, k = 1, rms over the nodes: {_sizes(mean_u)}']
+    if unseen:
+        words.append(f'not shown by these parts: {", ".join(unseen)}')
+        words += [f'{name} is shown by {result.advice[name]}' for name in unseen
+                  if name in result.advice]  # fmt: skip
+    facts = {'not_identifiable': unseen, 'mean_u': mean_u}
+    return Checked('\n'.join(words), {'forecast': facts})
+
+
+def _sizes(mean_u: Mapping[str, float]) -> str:
+    """Largest standard uncertainties of translations and rotations."""
+    found = []
+    for kinds, unit in (('XYZ', 'um'), ('ABC', 'urad')):
+        own = {n: u for n, u in mean_u.items() if n[1] in kinds}
+        if own:
+            worst = max(own, key=own.__getitem__)
+            found.append(f'{1e6 * own[worst]:.2f} {unit} at most ({worst})')
+    return ', '.join(found) or 'none is seen'
 
 
 FORECAST = Check('forecast', _check_forecast)

@@ -355,8 +355,6 @@ def run_check(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
 
     machine = load_machine(arguments.machine) if arguments.machine else None
-    if machine is not None:
-        refuse_rotary(machine, 'check')
     path = arguments.path[-1] if arguments.path else None
     with progress_of(arguments, 'checking'):
         report = check(arguments.bag, machine, config, given_of(arguments, path))

@@ -127,7 +127,7 @@ def read_recording(
     signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
     with errors_of(name):
-        path, parts = _driven(content, used)
+        path, parts = driven_path(content.axis_paths, content.path, used)
     return Recording(
         content.samples,
         path,
@@ -140,9 +140,17 @@ def read_recording(
     )
 
 
-def _driven(content: BagContent, machine: Machine) -> tuple[NominalPath, tuple[AxisPath, ...]]:
-    """Path, and the parts of a machine with rotary axes, whose track it is then."""
-    parts = tuple(part.of(machine) for part in content.axis_paths)
+def driven_path(
+    axis_paths: Sequence[AxisPath], path: NominalPath | None, machine: Machine
+) -> tuple[NominalPath, tuple[AxisPath, ...]]:
+    """Path, and the parts of a machine with rotary axes, whose track it is then.
+
+    Raises
+    ------
+    InputError
+        If what was published is not that of such a machine.
+    """
+    parts = tuple(part.of(machine) for part in axis_paths)
     if machine.rotary_names:
         if not parts:
             raise InputError(
@@ -150,8 +158,8 @@ def _driven(content: BagContent, machine: Machine) -> tuple[NominalPath, tuple[A
                 f'{", ".join(machine.rotary_names)} a bag holds axis positions ({AXES.type})'
             )
         return nominal_track(machine, parts), parts
-    if content.path is not None:
-        return content.path, ()
+    if path is not None:
+        return path, ()
     if len(parts) != 1 or parts[0].target != TOOL:
         raise InputError(
             f'{AXES.name} has {len(parts)} parts; of a machine without rotary axes one part with '

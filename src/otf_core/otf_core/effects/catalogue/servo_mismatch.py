@@ -44,7 +44,10 @@ class ServoMismatch(Effect):
     )
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
-        """Largest difference of the delays of two axes."""
+        """Largest difference of the delays of two axes, or the one that takes part."""
+        if fitted.machine.rotary_names and len(fitted.axes) == 1:
+            (axis,) = fitted.axes
+            return (Size(f'of {axis} against what moves with it', ({f'T_{axis}': 1.0},), 's'),)
         delays = {a: fitted.of({f'T_{a}': 1.0}) for a in fitted.machine.axis_names}
         late, early = max(delays, key=delays.__getitem__), min(delays, key=delays.__getitem__)
         return (Size(f'of {late} behind {early}', ({f'T_{late}': 1.0, f'T_{early}': -1.0},), 's'),)
