@@ -4,6 +4,7 @@
 import json
 import re
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -19,9 +20,18 @@ from otf_core.history.interim_check import interim_check, interim_path
 from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
-from otf_core.model.machine import AXES
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES, load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import load_tables, tables_from_dict
+from otf_core.model.tables import (
+    ErrorTables,
+    LocationError,
+    MotionTable,
+    Squareness,
+    load_tables,
+    tables_from_dict,
+    tables_to_dict,
+)
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.history_report import format_history, history_page, history_to_dict
@@ -365,8 +375,6 @@ def test_the_command_judges_a_bag_with_the_latest_tables(
 
 
 def _plain(tables):
-    from otf_core.model.tables import tables_to_dict
-
     return tables_to_dict(tables)
 
 
@@ -393,3 +401,33 @@ def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
     assert header == 'x,y,z' and len(rows) > 5
     assert run('history', 'store', '--name', 'nobody') == 2
     assert run('history', 'store', '--limit', '0') == 2
+
+
+def rotary_tables(machine, growth):
+    """Tables of a machine with rotary axes: EXC grows over its range, X0C by a shift, m."""
+    motions = {}
+    for motion in machine.motions:
+        axis = machine.axes[motion.axis]
+        at = np.linspace(axis.min, axis.max, 5)
+        value = growth * np.linspace(0.0, 1.0, 5) if motion == 'EXC' else np.zeros(5)
+        motions[motion] = MotionTable(at, value, np.full(5, 1e-7))
+    square = {n: Squareness(0.0, 1e-7) for n in machine.squareness}
+    location = {n: LocationError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
+    return ErrorTables(machine, motions, square, location)
+
+
+def test_history_of_a_machine_with_rotary_axes_shows_what_drifts(tmp_path):
+    machine = load_machine(Path(__file__).parents[3] / 'bags/trunnion/machine.yaml')
+    for day, growth in enumerate((0.0, 5e-6, 1e-5), start=1):
+        data = tables_to_dict(rotary_tables(machine, growth)) | {'gauge': 'ours'}
+        (tmp_path / 'tables.json').write_text(json.dumps(data), encoding='utf-8')
+        add_run(tmp_path / 'store', tmp_path / 'tables.json', f'2026-11-0{day}')
+    found = history_of(read_store(tmp_path / 'store'), machine.name)
+    changed = {n for n, c in found.chart[-1].items() if c.significant}
+    assert changed == {'EXC', 'X0C'}
+    rate = found.drift.rate[found.series.parts['X0C']]
+    assert rate == pytest.approx(5e-6, rel=1e-6)
+    rows = found.series.rows(found.series.grid) @ found.series.values[-1]
+    exact = displacement(rotary_tables(machine, 1e-5), found.series.grid)
+    assert np.allclose(rows, exact, atol=1e-15)
+    assert 'X0C' in format_history(found)

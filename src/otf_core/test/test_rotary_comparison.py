@@ -93,11 +93,17 @@ def test_compare_refuses_other_nominal_lines_and_direct_measurements(tables, tmp
         compare_rotary(a, tmp_path / 'x.csv')
 
 
-def test_history_refuses_machines_with_rotary_axes(tables, tmp_path, capsys):
-    a = written(tmp_path, 'a', tables)
-    assert run('history', tmp_path / 'store', '--add', a, '--at', '2026-01-01') == 2
-    assert 'three linear axes only, this one has A, C' in message(capsys)
-    assert not (tmp_path / 'store').exists()
+def test_history_takes_machines_with_rotary_axes_but_no_interim_check(tables, tmp_path, capsys):
+    a, store = written(tmp_path, 'a', tables), tmp_path / 'store'
+    for day in ('01', '02'):
+        assert run('history', store, '--add', a, '--at', f'2026-01-{day}') == 0
+    assert run('history', store, '--out', tmp_path / 'page') == 0
+    assert sorted(f.name for f in (tmp_path / 'page').iterdir()) == [
+        'history.html',
+        'history.json',
+    ]
+    assert run('history', store, '--interim', 'bag') == 2
+    assert '--interim: not available for machines with rotary axes' in message(capsys)
 
 
 def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):

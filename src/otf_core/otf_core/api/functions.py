@@ -16,7 +16,7 @@ from otf_core.bags import bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import EVERY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
 from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
@@ -345,11 +345,9 @@ def diagnose(
     True
     """
     runs = _several(recordings)
-    unknown = [name for name in exclude if name not in REGISTRY]
+    unknown = [name for name in exclude if name not in EVERY]
     if unknown:
-        raise ConfigError(
-            f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(REGISTRY)}'
-        )
+        raise ConfigError(f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(EVERY)}')
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.sim.twin import twin_recording
 

@@ -18,6 +18,7 @@ from otf_core.exports import HOMES
 if TYPE_CHECKING:
     from otf_core.history.control_chart import History
     from otf_core.history.interim_check import InterimCheck
+    from otf_core.model.machine import Machine
     from otf_core.model.tables import TablesFile
 
 
@@ -214,7 +215,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     if out is not None:
         with out.filled('history') as folder:
             names = [f.name for f in write_history(histories, folder)]
-            if len(histories) == 1:
+            if len(histories) == 1 and not _machine_of(histories[0]).rotary_names:
                 names.append(_interim_path(histories[0], folder))
         words += listed([out.path / n for n in names], arguments.out)
     data = store_to_dict(histories)
@@ -246,5 +247,11 @@ def _interim_check(history: History, bag: str) -> InterimCheck:
     from otf_core.history.interim_check import interim_check
     from otf_core.inputs.recordings import read_recording
 
-    machine = history.series.runs[-1].content.tables.machine
+    machine = _machine_of(history)
+    refuse_rotary(machine, '--interim')
     return interim_check(read_recording([bag], machine), history.series)
+
+
+def _machine_of(history: History) -> Machine:
+    """The machine as it was in the latest run."""
+    return history.series.runs[-1].content.tables.machine

@@ -79,14 +79,12 @@ def compare_rotary(first: str | Path, second: str | Path) -> RotaryComparison:
     names = (_name(first), _name(second))
     a, b = load_tables(first), load_tables(second)
     machine = a.tables.machine
-    _check_one_machine(names, machine, b.tables.machine)
-    not_compared = _reasons(names, a, b)
-    motions = {
-        str(m): _motion(a, b, str(m)) for m in machine.motions if str(m) not in not_compared
-    }
-    scalars = {n: _scalar(a, b, n) for n in machine.scalars if n not in not_compared}
+    check_one_machine(names, machine, b.tables.machine)
+    left_out = not_compared(names, a, b)
+    motions = {str(m): _motion(a, b, str(m)) for m in machine.motions if str(m) not in left_out}
+    scalars = {n: _scalar(a, b, n) for n in machine.scalars if n not in left_out}
     sizes, points = _volume(a.tables, b.tables)
-    return RotaryComparison(names, machine, motions, scalars, not_compared, sizes, points)
+    return RotaryComparison(names, machine, motions, scalars, left_out, sizes, points)
 
 
 def _name(path: str | Path) -> str:
@@ -94,7 +92,13 @@ def _name(path: str | Path) -> str:
     return path.parent.name or str(path) if path.stem == 'error_tables' else path.stem
 
 
-def _check_one_machine(names: tuple[str, str], a: Machine, b: Machine) -> None:
+def check_one_machine(names: tuple[str, str], a: Machine, b: Machine) -> None:
+    """Refuse tables of another machine, or of other nominal lines.
+
+    Raises
+    ------
+    ConfigError
+    """
     if str(a.chain) != str(b.chain):
         raise ConfigError(
             f'{names[1]}: chain {b.chain}, but {names[0]} has {a.chain}; these are different '
@@ -115,7 +119,7 @@ def _same_line(a: Axis, b: Axis) -> bool:
     )
 
 
-def _reasons(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, str]:
+def not_compared(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, str]:
     """What cannot be compared, and why."""
     machine = a.tables.machine
     reasons: dict[str, str] = {}
@@ -141,6 +145,23 @@ def _reasons(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[str, 
             if error in hidden:
                 reasons[error] = f'{name} does not determine it'
     return reasons
+
+
+def whole_vector(source: TablesFile) -> tuple[Array, Array]:
+    """Scalars and nodes of all motions in the order of a file, (m,), and their covariance."""
+    tables = source.tables
+    machine = tables.machine
+    own = [tables.squareness[n] for n in machine.squareness]
+    lines = [tables.location[n] for n in machine.location]
+    motions = [tables.motions[m] for m in machine.motions]
+    scalar = [s.value for s in own] + [s.value for s in lines]
+    value = np.concatenate([scalar, *(m.value for m in motions)])
+    covariance = unpack_covariance(source.extra.get('covariance'), len(value))
+    if covariance is None:
+        u_scalar = [s.u for s in own] + [s.u for s in lines]
+        u = np.concatenate([u_scalar, *(m.u for m in motions)])
+        covariance = np.diag(u**2)
+    return value, covariance
 
 
 def _motion(a: TablesFile, b: TablesFile, name: str) -> MotionComparison:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
@@ -24,11 +24,15 @@ from otf_core.comparison.compare import (
     source_of_tables,
     vector_rows,
 )
+from otf_core.comparison.rotary_axes import check_one_machine, not_compared, whole_vector
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.evaluation import free_rows
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.evaluation import free_rows, lattice
+from otf_core.model.joints import Sight
+from otf_core.model.kinematics import nominal_position
+from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS
+from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import TablesFile, load_tables, tables_from_dict
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.uncertainty import prediction_rows
@@ -145,12 +149,6 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
         If the tables cannot be read or nobody says when they were measured.
     """
     content = load_tables(tables)
-    rotary = content.tables.machine.rotary_names
-    if rotary:
-        raise ConfigError(
-            f'{tables}: the history holds machines of three linear axes only, this one has '
-            f'{", ".join(rotary)}; otf compare compares two of its calibrations'
-        )
     moment = at or measured_at(content)
     if moment is None:
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
@@ -360,6 +358,8 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
     ConfigError
         If they are of different machines or share nothing.
     """
+    if any(run.content.tables.machine.rotary_names for run in runs):
+        return _axis_series(runs)
     packed = []
     for run in runs:
         tables = run.content.tables
@@ -382,3 +382,111 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
         values.append(full @ vector)
         covariances.append(full @ known @ full.T)
     return Series(tuple(runs), common, np.array(values), np.array(covariances))
+
+
+# Machines with rotary axes: motions and scalars as they stand, in the gauge of our tables.
+
+AXIS_GRID_POINTS = 4
+"""Points per axis of the volume over which errors of a machine with rotary axes are judged."""
+
+
+@dataclass(frozen=True)
+class AxisSeries(Series):
+    """Runs of one machine with rotary axes.
+
+    A vector holds the motions that all runs know at the nodes of the latest, then squareness and
+    location errors that all know.
+
+    Attributes
+    ----------
+    scalars : tuple of str
+    """
+
+    scalars: tuple[str, ...] = ()
+
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Place of every motion, squareness and location error in the vectors."""
+        ends = [len(self.common.position[m.axis]) for m in self.common.motions]
+        names = [*map(str, self.common.motions), *self.scalars]
+        bounds = np.cumsum([0, *ends, *(1 for _ in self.scalars)]).tolist()
+        return {n: slice(a, b) for n, a, b in zip(names, bounds[:-1], bounds[1:], strict=True)}
+
+    @cached_property
+    def grid(self) -> Array:
+        """Lattice over the common range, shape (n, k), m and rad."""
+        machine = self.common.machine
+        low, high = (np.array([self.common.position[a][k] for a in machine.axis_names])
+                     for k in (0, -1))  # fmt: skip
+        share = (lattice(machine, AXIS_GRID_POINTS) - machine.lower) / (
+            machine.upper - machine.lower
+        )
+        return np.asarray(low + share * (high - low))
+
+    @cached_property
+    def field_rows(self) -> Array:
+        """From a vector to the errors on the grid without rigid motion, shape (3 n, m)."""
+        points = nominal_position(self.common.machine, self.grid)
+        return free_rows(self.rows(self.grid).reshape(3 * len(points), -1), points)
+
+    def rows(self, q: Array) -> Array:
+        """From a vector to the errors at positions (n, k), m and rad; shape (n, 3, m)."""
+        machine = self.common.machine
+        seen = Sight.of_tool(machine).at(q)
+        found = [
+            seen.motions[m.axis][:, :, DIRECTIONS.index(m[1]), None]
+            * hat_matrix(
+                self.common.position[m.axis],
+                machine.axes[m.axis].wrapped(q[:, machine.column(m.axis)]),
+            )[:, None, :]
+            for m in self.common.motions
+        ]
+        found += [seen.scalars[n][:, :, None] for n in self.scalars]
+        return np.concatenate(found, axis=2)
+
+    def since(self, first: int) -> AxisSeries:
+        """The runs from one on."""
+        return replace(
+            self,
+            runs=self.runs[first:],
+            values=self.values[first:],
+            covariances=self.covariances[first:],
+        )
+
+
+def _axis_series(runs: Sequence[StoredRun]) -> AxisSeries:
+    """Runs of a machine with rotary axes; as ``series_of``."""
+    latest = runs[-1].content.tables
+    for run in runs[:-1]:
+        check_one_machine((run.name, runs[-1].name), run.content.tables.machine, latest.machine)
+    contents = [run.content for run in runs]
+    reasons: dict[str, str] = {}
+    for run in runs:
+        reasons |= not_compared((run.name, runs[-1].name), run.content, runs[-1].content)
+    machine = latest.machine
+    motions = tuple(m for m in machine.motions if str(m) not in reasons)
+    scalars = tuple(n for n in machine.scalars if n not in reasons)
+    if not motions:
+        raise ConfigError(
+            f'the runs of {machine.name} share nothing: {next(iter(reasons.values()))}'
+        )
+    position = {a: latest.motions[f'EX{a}'].position for a in machine.axis_names}
+    values, covariances = [], []
+    for content in contents:
+        vector, covariance = whole_vector(content)
+        full = np.zeros((0, len(vector)))
+        start = len(machine.scalars)
+        place = {}
+        for motion in machine.motions:
+            place[motion] = slice(start, start + len(content.tables.motions[motion].position))
+            start = place[motion].stop
+        for motion in motions:
+            rows = np.zeros((len(position[motion.axis]), len(vector)))
+            own = content.tables.motions[motion].position
+            rows[:, place[motion]] = hat_matrix(own, position[motion.axis])
+            full = np.vstack([full, rows])
+        full = np.vstack([full, np.eye(len(vector))[[machine.scalars.index(n) for n in scalars]]])
+        values.append(full @ vector)
+        covariances.append(full @ covariance @ full.T)
+    common = Common(machine, position, {}, (), motions)
+    return AxisSeries(tuple(runs), common, np.array(values), np.array(covariances), scalars)

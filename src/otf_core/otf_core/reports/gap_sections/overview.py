@@ -463,7 +463,7 @@ def _separating_picture(diagnosis: Diagnosis) -> Picture:
     views, where = diagnosis.shown.views, diagnosis.where
     if where.view == TIME and len(views) == 1:
         return size_pictures(diagnosis)
-    if where.view == VOLUME:
+    if where.view == VOLUME and not views[0].rotary:
         return volume_picture(diagnosis, [_separating_plane(diagnosis)])
     name = where.grouping or PLAIN_GROUPING
     grouping = next(g for _, g in groupings_by_view(views) if g.kind == name)
