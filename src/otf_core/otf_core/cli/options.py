@@ -50,8 +50,8 @@ def refuse_rotary(machine: Any, verb: str) -> None:
     if machine.rotary_names:
         raise ConfigError(
             f'{verb}: not available for machines with rotary axes ({machine.name}, chain '
-            f'{machine.chain}); available are calibrate, compare, export, fleet calibrate, plan, '
-            f'predict, info, noise and simulate'
+            f'{machine.chain}); available are calibrate, check, compare, diagnose, export, '
+            f'fleet calibrate, history, plan, predict, info, noise and simulate'
         )
 
 
