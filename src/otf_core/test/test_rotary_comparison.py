@@ -101,6 +101,7 @@ def test_history_takes_machines_with_rotary_axes_but_no_interim_check(tables, tm
     names = {f.name for f in (tmp_path / 'page').iterdir()}
     assert {'history.html', 'history.json'} <= names
     assert 'interim_path.csv' not in names
+    capsys.readouterr()
     assert run('history', store, '--interim', 'bag') == 2
     assert '--interim: not available for machines with rotary axes' in message(capsys)
 
