@@ -47,7 +47,7 @@ def standing(stops=40, seconds=2.0, level=(1.0, 1.0), seed=1, **colour):
     stamp = (np.arange(len(xyz)) * 1e9 / RATE).astype(np.int64)
     samples = Samples(stamp, xyz)
     runs = tuple(replace(r, samples=samples) for r in rows.runs)
-    return replace(rows, runs=runs)
+    return replace(rows, observed=runs, runs=runs)
 
 
 def found(**stops):

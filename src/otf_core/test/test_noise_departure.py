@@ -92,7 +92,7 @@ def rows_of(samples):
     recording = SimpleNamespace(samples=samples)
     run = SimpleNamespace(recording=recording, machine=machine, noise=noise)
     solved = SimpleNamespace(system=SimpleNamespace(shares=np.ones((3, 2, 5))))
-    return SimpleNamespace(runs=[run], done=SimpleNamespace(runs=[solved]))
+    return SimpleNamespace(observed=[run], done=SimpleNamespace(runs=[solved]))
 
 
 def test_the_finding_names_the_component_and_carries_its_probability():
