@@ -145,22 +145,22 @@ def test_every_leg_of_several_axes_is_driven_in_both_senses(link):
         assert all((b, a) in legs for a, b in own)
 
 
-def test_lines_of_two_reflectors_are_driven_in_opposite_senses():
+def test_lines_are_driven_in_both_senses_with_every_reflector():
     machine = trunnion()
-    tool, long = (p for p in paths.plan_parts(machine, FEED) if p.words == paths.LINES)
-    np.testing.assert_allclose(long.path.positions, tool.path.positions[::-1], atol=1e-12)
+    for planned in (p for p in paths.plan_parts(machine, FEED) if p.words == paths.LINES):
+        np.testing.assert_array_equal(planned.path.positions, planned.path.positions[::-1])
 
 
 def test_a_budget_is_kept_and_spent_on_all_errors_that_can_be_seen():
     machine = trunnion()
     place, judge = paths.beside(machine), ForecastConfig()
-    for budget in (1600.0, 1100.0):
+    for budget in (2600.0, 1500.0):
         parts = choose_parts(machine, place, FEED, judge, time_budget=budget)
         driving = sum(paths.duration_of(machine, p, FEED) for p in parts)
         assert driving + paths.HAND_MOVE * hand_moves(parts) <= budget
         found = paths.forecast_parts(machine, parts, place, FEED, judge)
         assert set(found.hidden) <= {'ECX', 'ECZ', 'EAZ', 'EBZ', 'EXZ', 'EYZ', 'A0Z', 'B0Z'}
-        assert budget < 1600.0 or set(found.hidden) == {'ECX', 'ECZ'}
+        assert budget < 2600.0 or set(found.hidden) == {'ECX', 'ECZ'}
     with pytest.raises(ConfigError, match='the shortest chain alone takes'):
         choose_parts(machine, place, FEED, judge, time_budget=5.0)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import zipfile
 from collections import Counter
@@ -612,9 +613,10 @@ def _explain_machine(path: Path) -> Explained:
     rows = [('machine', f'{machine.name}, chain {machine.chain}')]
     for name in machine.axis_names:
         axis = machine.axes[name]
+        scale, unit = (math.degrees(1.0), 'degrees') if axis.rotary else (1e3, 'mm')
         rows.append((
-            f'axis {name}', f'{1e3 * axis.min:g} to {1e3 * axis.max:g} mm, a node every '
-            f'{1e3 * axis.table_pitch:g} mm',
+            f'axis {name}', f'{scale * axis.min:g} to {scale * axis.max:g} {unit}, a node every '
+            f'{scale * axis.table_pitch:g} {unit}',
         ))  # fmt: skip
     offset = ', '.join(f'{1e3 * v:g}' for v in machine.target_offset)
     rows += [

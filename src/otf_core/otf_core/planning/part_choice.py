@@ -39,9 +39,9 @@ ROTARY_TIME = 600.0
 """s of driving beside the lines that a plan takes where no time is given."""
 FEWEST_LEVELS = 2
 """Levels of the shorter lines that a budget may choose."""
-UNSEEN, HARDLY = 6.0, 0.15
+UNSEEN, HARDLY = 30.0, 0.15
 """What an error that is not seen costs, and the share of its variance from which it is not."""
-AT_ONCE = 0.1
+AT_ONCE = 0.06
 """Share of the chains that goes at once while the time is far exceeded."""
 
 

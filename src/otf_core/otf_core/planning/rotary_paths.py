@@ -309,10 +309,9 @@ def plan_parts(machine: Machine, config: PlannerConfig) -> list[PlannedPart]:
 def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
     """Chains that show what the set-up can show.
 
-    Spindle targets: lines, in the opposite sense with every second one; TCP creep and a spiral of
-    every rotary axis between them and the tracker. Targets on the table: circles and arcs of every
-    rotary axis, two rotary axes together, else a linear axis on the table with the rotary one,
-    else stops.
+    Spindle targets: lines, TCP creep and a spiral of every rotary axis between them and the
+    tracker. Targets on the table: circles and arcs of every rotary axis, two rotary axes together,
+    else a linear axis on the table with the rotary one, else stops.
 
     Raises
     ------
@@ -328,7 +327,7 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
             if tools:  # a second place tells more of the tool side alone
                 turning = [a for a in turning if a in machine.chain.target_side]
             if all(a in seen for a in AXES):
-                chains.append(Chain(name, _lines(machine, config.levels, tools), LINES))
+                chains.append(Chain(name, _lines(machine, config, tools), LINES))
             for axis in turning:
                 words = f'linear axes follow {axis}, TCP creep'
                 chains += [Chain(name, own, words) for own in creeps(machine, axis, name)]
@@ -345,17 +344,14 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
     return chains
 
 
-def _lines(machine: Machine, levels: int, number: int) -> Array:
-    """Lines with the target of a number: both senses of every line over the targets.
+def _lines(machine: Machine, config: PlannerConfig, number: int) -> Array:
+    """Lines with the spindle target of a number, in both senses unless there is one pass alone.
 
-    With one target alone, and with a third one, there and back.
+    In one sense a lag of a linear axis is an error of its position; in opposite senses with two
+    targets it is one of its rotations.
     """
-    spindle = sum(t.link == SPINDLE for t in machine.targets.values())
-    if spindle == 1:
-        return there_and_back(box_lines(machine, levels))
-    if number > 1:
-        return there_and_back(box_lines(machine, 2))
-    return box_lines(machine, levels)[:: -1 if number else 1]
+    lap = box_lines(machine, min(config.levels, 2) if number > 1 else config.levels)
+    return there_and_back(lap) if config.passes > 1 else lap
 
 
 def _spiral_outward(machine: Machine, axis: str) -> Array:
