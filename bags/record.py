@@ -23,7 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together, module_of
+from otf_bringup.processes import NodeProcess, end_together, module_of
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.machine import load_machine
@@ -160,7 +160,7 @@ def record(name: str, cell: Cell) -> None:
                 ('tracker_driver', driver),
             )
         ]
-        with ended_together(nodes):
+        with end_together(nodes):
             content = listen(domain, nodes)
     write_bag(folder / 'bag', content, overwrite=True)
     print(f'{name}: {len(content.samples)} samples, {content.path.length:.1f} m')

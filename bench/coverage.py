@@ -39,7 +39,7 @@ from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.forecast import free_rows
 from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.reports.calibration_facts import budget_lines, expanded
+from otf_core.reports.calibration_facts import budget_lines, expanded_uncertainties
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
 from otf_core.solving.unknowns import layout, linear
@@ -150,7 +150,7 @@ def deviations(case: Case) -> dict[str, tuple[Array, Array, Array]]:
     """Deviation from the truth, u and U of every motion, squareness error and of the grid."""
     result, truth = case.result, truth_in_gauge(case)
     found = {}
-    wide = expanded(result.tables, budget_lines(result.tables, result.budget))
+    wide = expanded_uncertainties(result.tables, budget_lines(result.tables, result.budget))
     for name in NAMES:
         if name in result.not_identifiable:
             continue

@@ -27,9 +27,9 @@ from cells import write_machine
 from graph import offline
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import ended_together
+from otf_bringup.processes import end_together
 from otf_bringup.soak import KILLED, Soak
-from otf_bringup.soak_ear import Ear
+from otf_bringup.soak_ear import SoakListener
 from otf_core.bags.bag import read_points
 from otf_core.config import PlannerConfig
 from otf_msgs.msg import CalibrationResult, CalibratorState
@@ -45,7 +45,7 @@ LAP = 75.0
 """s; less than a lap of the default path of the small machine takes."""
 
 
-class Witness(Ear):
+class Witness(SoakListener):
     """Writes down when each sample came, and when planner and calibrator were heard."""
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ def main(kills: int = 10, seed: int = 1) -> int:
 
         graph = Soak(folder, machine, planning, seed, domain)
         rows = []
-        with ended_together(graph.nodes):
+        with end_together(graph.nodes):
             spin(lambda: witness.streaming, 60.0)
             for names in (KILLED[k] for k in rng.integers(len(KILLED), size=kills)):
                 spin(lambda: False, rng.uniform(*EVERY))

@@ -30,7 +30,7 @@ from otf_core.model.machine import machine_from_dict
 from otf_core.model.observation import Samples
 from otf_core.planning.path_creation import plan_path
 from otf_tracker_driver.backends import CommonConfig
-from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emulator.cell import Cell
 
@@ -107,7 +107,7 @@ def main(minutes=10.0, seed=1):
             time.sleep(0.005)
         state = backend.state
         backend.stop()
-        samples = joined(parts)
+        samples = join_samples(parts)
         backend.disconnect()
         pipe.send(samples)
         off = np.abs(pipe.recv())

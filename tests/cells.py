@@ -12,7 +12,7 @@ from otf_core.model.joints import exact_position as exact_of_parts
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.tables import load_tables, tables_to_dict
-from otf_core.rotary.tabulation import evenly_spread, without_rigid
+from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 from otf_core.sim.cell import random_tables
 
 ERROR_SIZE = 5e-5
@@ -72,6 +72,6 @@ def _share_left_over_axes(found, truth):
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
     before = exact_of_parts(truth, sight, q) - sight.nominal(q)
     fields = (before - displacement(found, q), before)
-    free = (without_rigid(machine, q, field.reshape(-1, 1)) for field in fields)
+    free = (remove_rigid_motions(machine, q, field.reshape(-1, 1)) for field in fields)
     left, all_of_it = (float(np.linalg.norm(field)) for field in free)
     return left / all_of_it

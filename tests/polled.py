@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
-from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.base import join_samples
 
 
 def poll(file, name, own):
@@ -39,7 +39,7 @@ def poll(file, name, own):
             sys.stdout.flush()
         time.sleep(0.005)
     parts.append(backend.poll())
-    health, samples = backend.health, joined(parts)
+    health, samples = backend.health, join_samples(parts)
     backend.disconnect()
     words = {'said': list(said), 'gaps': len(health.gaps), 'left_out': health.left_out}
     words |= {'interruptions': health.interruptions}

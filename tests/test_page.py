@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.live.live_run import LiveRun, RunProgress, Solved, now, scene
+from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress, now, scene
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
@@ -58,7 +58,7 @@ def a_run():
     square = {'C0Y': (-20e-6, 1e-6)}
     words = ('<script>document.title = "broken"</script>',)
     run.set_solved(
-        Solved(
+        LiveSolution(
             True,
             True,
             'so far, 5 um',

@@ -12,7 +12,7 @@ import yaml
 from cells import MACHINE
 
 from otf_calibrator.children import Diagnosis
-from otf_calibrator.job import Calibrated, Worker, free_folder
+from otf_calibrator.job import CalibrationOutput, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
@@ -69,7 +69,7 @@ def test_all_that_could_not_be_saved_is_named(tmp_path):
     before, said = 'not added to the history: no', []
     worker = Worker(said.append)
     first = {'summary.txt': 'the disk is full'}
-    outcome = Calibrated(request, recording, None, tmp_path, later, before, first)
+    outcome = CalibrationOutput(request, recording, None, tmp_path, later, before, first)
     saved = worker.save(outcome).result()
     worker.close()
     assert saved.problem == '; '.join([before, *said]) and len(said) == 2

@@ -2,7 +2,7 @@
 """What a soak tells of a graph under faults."""
 
 from otf_bringup.soak import FAULTS, table
-from otf_bringup.soak_ear import Heard
+from otf_bringup.soak_ear import FaultRecord
 from otf_tracker_driver.emulator.faults import read_faults
 
 
@@ -13,8 +13,8 @@ def test_every_fault_of_the_soak_can_happen():
 
 def test_table_counts_losses_of_each_fault_alone():
     rows = [
-        ('one', Heard(samples=10, longest=1.26, gaps=1, said={'beam lost': None}), 3),
-        ('two', Heard(samples=20, backwards=1), 3),
+        ('one', FaultRecord(samples=10, longest=1.26, gaps=1, said={'beam lost': None}), 3),
+        ('two', FaultRecord(samples=20, backwards=1), 3),
     ]
     lines = table(rows).splitlines()[2:]
     assert lines == [

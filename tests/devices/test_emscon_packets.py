@@ -88,7 +88,7 @@ def test_count_that_does_not_fill_the_packet_is_refused(count):
 def test_unsolicited_packets_say_what_happened():
     assert packets.decode(GOOD[3]) == packets.ErrorReport(64, 701)
     assert packets.decode(GOOD[4]) == packets.StatusChange(998)
-    assert packets.decode(GOOD[-1]) == packets.Unused(77)
+    assert packets.decode(GOOD[-1]) == packets.UnusedPacket(77)
     assert codes.status_text(701).startswith('beam lost')
 
 

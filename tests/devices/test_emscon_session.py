@@ -14,7 +14,7 @@ from emulated import emulator
 
 from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
-from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
 from otf_tracker_driver.emscon.intake import Intake
@@ -56,7 +56,7 @@ def take(backend, count=1500, patience=PATIENCE):
         return sum(map(len, parts)) >= count
 
     until(enough, patience)
-    return joined(parts)
+    return join_samples(parts)
 
 
 def test_tracker_is_initialised_and_set_up_and_read_back(make):
@@ -120,7 +120,7 @@ def test_lost_beam_is_said_found_again_and_its_gap_is_marked(make):
             return len(backend.state.gaps) >= 1
 
         until(found_again)
-        samples = joined(parts)
+        samples = join_samples(parts)
         assert any('beam lost' in text and 'searches' in text for text in said)
         assert np.all(np.diff(samples.stamp_ns) > 0)
         assert np.abs(running.error_ms(samples)).max() < NEAR
@@ -154,7 +154,7 @@ def test_stream_goes_on_after_the_connection_or_the_stream_broke_off(make, fault
             return len(backend.state.gaps) >= 1
 
         until(gone_on)
-        samples = joined(samples)
+        samples = join_samples(samples)
         assert np.all(np.diff(samples.stamp_ns) > 0)
         assert len(said - {''}) >= 1
 
@@ -185,7 +185,7 @@ def test_samples_in_millimetres_never_pass(make):
             return backend.state.connections >= 3
 
         until(changed)
-        samples = joined(parts)
+        samples = join_samples(parts)
         assert np.linalg.norm(samples.xyz, axis=1).max() < 2.0
         assert any('another program has changed the units' in text for text in said)
 
@@ -199,7 +199,7 @@ def test_samples_of_a_packet_that_failed_are_left_out_and_counted_by_its_result(
         packet = Measurements(result, (20.0, 1013.0, 50.0), np.zeros(3, np.int32), times, xyz)
         intake.take(packet, int(times[-1]))
     intake.end('')
-    assert joined(delivered).xyz.max() == 1.0
+    assert join_samples(delivered).xyz.max() == 1.0
     assert state.left_out == {'environment out of range (status 57)': 3}
 
 

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 
-from otf_tracker_driver.handover import LONGEST, Handover, Left, place
+from otf_tracker_driver.handover import LONGEST, DriverRemains, Handover, place
 
 LAST = 1_750_000_000 * 10**9
 WORK = """
@@ -33,7 +33,7 @@ def test_killed_process_leaves_what_it_has_noted_last_and_once(tmp_path):
     file = tmp_path / 'of' / 'a.stream'
     killed(file)
     handover = Handover(file)
-    assert handover.take(LAST + 10**9) == Left('0123456789ab', 100, LAST + 99)
+    assert handover.take(LAST + 10**9) == DriverRemains('0123456789ab', 100, LAST + 99)
     assert handover.take(LAST + 10**9) is None
 
 

@@ -9,7 +9,7 @@ from other_tracker import RADIUS, TURN, other_tracker, time_of
 
 from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
-from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.health import Beam, Flow
 
@@ -56,7 +56,7 @@ def test_another_server_is_set_up_followed_and_helped_after_a_broken_beam():
                     broken = True
                     tracker.break_beam(0.5)
                 time.sleep(0.005)
-            samples = joined([*parts, backend.poll()])
+            samples = join_samples([*parts, backend.poll()])
             (gap,) = backend.health.gaps
             assert backend.health.interruptions == 1
         finally:

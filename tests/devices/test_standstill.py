@@ -11,7 +11,7 @@ from streaming import CARTESIAN, INTERVAL, described, sender
 from test_other_tracker import off
 
 from otf_tracker_driver.stream.description import Source
-from otf_tracker_driver.stream.transport import opened
+from otf_tracker_driver.stream.transport import open_source
 
 SENT = 20_000
 """Datagrams of a kilobyte, more than any buffer holds."""
@@ -63,7 +63,7 @@ def test_datagrams_that_found_no_room_are_counted():
             free.bind(('127.0.0.1', 0))
             port = free.getsockname()[1]
         source.connect(('127.0.0.1', port))
-        transport = opened(Source('udp', '127.0.0.1', port))
+        transport = open_source(Source('udp', '127.0.0.1', port))
         try:
             for k in range(SENT):
                 source.send(f'{k};1;2;3{filler}'.encode())

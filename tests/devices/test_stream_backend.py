@@ -18,7 +18,7 @@ from streaming import CARTESIAN, SPHERICAL, described, sender
 
 from otf_core.errors import ConfigError, InputError
 from otf_tracker_driver.backends import CommonConfig
-from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.stream import Stream, StreamConfig
 from otf_tracker_driver.stream.description import read_description
 from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, read_point
@@ -57,7 +57,7 @@ def take(backend, count, meanwhile=lambda: None):
         return sum(map(len, parts)) >= count
 
     until(enough)
-    return joined(parts)
+    return join_samples(parts)
 
 
 @pytest.mark.parametrize(('kind', 'look'), [('tcp', CARTESIAN), ('udp', SPHERICAL)])

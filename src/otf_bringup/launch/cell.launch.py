@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
-from otf_bringup.launching import ended, refuse_unknown, switched_on
+from otf_bringup.launching import is_on, refuse_unknown, shut_down_on_exit
 from otf_core.config import PlannerConfig
 from otf_tracker_driver.backends import BACKENDS
 
@@ -108,7 +108,7 @@ def nodes(context, known):
             raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(parameters_of)}')
     if backend and backend.brings_path and 'tracker_driver' in wanted:
         del parameters_of['path_planner']
-    viewers = VIEWERS if switched_on(given, 'view') else ()
+    viewers = VIEWERS if is_on(given, 'view') else ()
     return [
         *(node(name, given, *parameters_of[name]) for name in parameters_of if name in wanted),
         *(node(name, given, [], {}) for name in viewers),
@@ -118,7 +118,7 @@ def nodes(context, known):
 
 def aggregator(given):
     """Return the node that sums up what the others diagnose, if it is wanted."""
-    if 'aggregate' not in given or not switched_on(given, 'aggregate'):
+    if 'aggregate' not in given or not is_on(given, 'aggregate'):
         return []
     return [
         Node(
@@ -180,12 +180,12 @@ def node(name, given, names, own):
     """Return a node that takes parameters from the launch arguments of the same names."""
     names = [*names, 'use_sim_time', 'machine_frame', 'tracker_frame']
     parameters = {
-        key: switched_on(given, key)
+        key: is_on(given, key)
         if KINDS.get(key) is bool
         else parameter(given[key], KINDS.get(key, str))
         for key in names
     }
-    respawn = switched_on(given, 'respawn')
+    respawn = is_on(given, 'respawn')
     return Node(
         package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,
@@ -198,5 +198,5 @@ def node(name, given, names, own):
         emulate_tty=True,
         respawn=respawn,
         respawn_delay=RESPAWN_DELAY,
-        on_exit=None if respawn or name in VIEWERS else partial(ended, hint=AGAIN),
+        on_exit=None if respawn or name in VIEWERS else partial(shut_down_on_exit, hint=AGAIN),
     )

@@ -9,7 +9,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import LifecycleNode
 
 from launch import LaunchDescription
-from otf_bringup.launching import ended, refuse_unknown, switched_on
+from otf_bringup.launching import is_on, refuse_unknown, shut_down_on_exit
 
 ARGUMENTS = {
     'tables_file': 'error_tables.json of a calibration',
@@ -43,11 +43,11 @@ def compensator(context):
             parameters=[
                 {
                     'tables_file': given['tables_file'],
-                    'auto_start': switched_on(given, 'auto_start'),
+                    'auto_start': is_on(given, 'auto_start'),
                 }
             ],
             ros_arguments=['--enclave', '/otf/compensator'],
             output='screen',
-            on_exit=ended,
+            on_exit=shut_down_on_exit,
         )
     ]

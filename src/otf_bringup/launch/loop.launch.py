@@ -15,7 +15,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 
 from launch import LaunchDescription
-from otf_bringup.launching import ended, refuse_unknown, switched_on
+from otf_bringup.launching import is_on, refuse_unknown, shut_down_on_exit
 from otf_core.cli.options import CLI_UNITS
 from otf_core.config import LoopConfig
 
@@ -59,13 +59,13 @@ def loop(context, known):
     words = ['--machine', given['machine_file'], '--out', given['out']]
     words += ['--compensate', given['compensate']]
     words += [word for info in INFOS for word in option(info, given[info.name])]
-    if switched_on(given, 'overwrite'):
+    if is_on(given, 'overwrite'):
         words.append('--overwrite')
     return [
         ExecuteProcess(
             cmd=[sys.executable, '-m', 'otf_core.cli', 'loop', *words],
             name='loop',
             output='screen',
-            on_exit=ended,
+            on_exit=shut_down_on_exit,
         )
     ]

@@ -25,7 +25,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from otf_bringup import view
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together, module_of
+from otf_bringup.processes import NodeProcess, end_together, module_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
@@ -37,7 +37,7 @@ from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
-from otf_core.rotary.tabulation import evenly_spread, without_rigid
+from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import CalibrationResult, GapReport
 
@@ -117,13 +117,13 @@ def _run(options: argparse.Namespace) -> int:
             flush=True,
         )
         nodes = _start(out, options, environment, rotary=bool(truth.machine.rotary_names))
-        with ended_together(nodes):
-            from otf_bringup.monitor import follow
+        with end_together(nodes):
+            from otf_bringup.monitor import monitor_run
 
             address = view.open_page(nodes[0]) if options.view else ''
             if address:
                 print(f'Live view: {address}\n', flush=True)
-            result, gap = follow(domain, nodes, options.diagnose)
+            result, gap = monitor_run(domain, nodes, options.diagnose)
             took = time.monotonic() - started
             if result.run_id:
                 (_report_axes if truth.machine.rotary_names else _report)(truth, result)
@@ -178,7 +178,7 @@ def _start(
             module = module_of(name)
             nodes.append(NodeProcess(name, module, parameters, out / 'log', environment))
     except BaseException:  # an interrupt too: no node outlives the demo
-        with ended_together(nodes):
+        with end_together(nodes):
             raise
     return nodes
 
@@ -222,7 +222,7 @@ def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
         ('as it stands', before),
         ('compensated', before - displacement(tables, q)),
     ):
-        free = without_rigid(machine, q, field.reshape(-1, 1)).reshape(-1, 3)
+        free = remove_rigid_motions(machine, q, field.reshape(-1, 1)).reshape(-1, 3)
         length = np.linalg.norm(free, axis=1)
         mean, largest = (1e6 * float(size()) for size in (length.mean, length.max))
         print(f'  {when}: mean {mean:.2f} um, largest {largest:.2f} um')

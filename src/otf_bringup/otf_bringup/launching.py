@@ -34,7 +34,7 @@ def refuse_unknown(known, words, files):
             raise RuntimeError(f'launch argument {name!r} is unknown{hint} --show-args lists all')
 
 
-def switched_on(given, name):
+def is_on(given, name):
     """Return whether a launch argument is on; RuntimeError if its word says neither.
 
     Parameters
@@ -49,7 +49,7 @@ def switched_on(given, name):
     return SWITCH[word]
 
 
-class Ended(RuntimeError):
+class ProcessFailed(RuntimeError):
     """A process has failed: it ends the launch with exit code 1, as only an exception can."""
 
 
@@ -63,13 +63,13 @@ class _WithoutFalseAlarm(logging.Filter):
         return True
 
 
-def ended(event, context, hint=''):
+def shut_down_on_exit(event, context, hint=''):
     """End all where one process ends by itself; with an error where that was one."""
     if context.is_shutdown:
         return []
     if event.returncode:
         logging.getLogger('launch').addFilter(_WithoutFalseAlarm())
-        raise Ended(
+        raise ProcessFailed(
             f'{event.process_name} ended with exit code {event.returncode}{ALL_ENDS}{hint}'
         )
     return [Shutdown(reason=f'{event.process_name} has ended')]

@@ -66,7 +66,7 @@ class Monitor(Node):
         self.gap = message
 
 
-def follow(
+def monitor_run(
     domain: int, nodes: list[NodeProcess], diagnose: bool
 ) -> tuple[CalibrationResult, GapReport | None]:
     """Show progress until there is a result, and return it.

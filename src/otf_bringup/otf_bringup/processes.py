@@ -102,7 +102,7 @@ def _as_yaml(value: object) -> str:
 
 
 @contextmanager
-def ended_together(nodes: list[NodeProcess]) -> Iterator[None]:
+def end_together(nodes: list[NodeProcess]) -> Iterator[None]:
     """End all nodes when the block is left, however it is left; a second Ctrl-C waits for it."""
     try:
         yield

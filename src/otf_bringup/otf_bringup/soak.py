@@ -19,8 +19,8 @@ from pathlib import Path
 from rclpy.executors import SingleThreadedExecutor
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together, module_of
-from otf_bringup.soak_ear import Ear, Heard
+from otf_bringup.processes import NodeProcess, end_together, module_of
+from otf_bringup.soak_ear import FaultRecord, SoakListener
 from otf_bringup.soak_tracker import SoakTracker
 from otf_core.cli.parser import Parser
 from otf_core.config import PlannerConfig
@@ -138,8 +138,8 @@ class Soak:
 
 
 def soak(
-    graph: Soak, ear: Ear, spin: Callable[[float], None], seconds: float
-) -> list[tuple[str, Heard, int]]:
+    graph: Soak, ear: SoakListener, spin: Callable[[float], None], seconds: float
+) -> list[tuple[str, FaultRecord, int]]:
     """Let every fault happen for so many seconds; returns its name, what was heard, lost."""
     rows = []
     for name, faults in FAULTS.items():
@@ -176,7 +176,7 @@ def soak(
     return rows
 
 
-def _lost(ear: Ear, spin: Callable[[float], None]) -> int:
+def _lost(ear: SoakListener, spin: Callable[[float], None]) -> int:
     """Samples lost so far, once what is still under way has come."""
     until = time.monotonic() + UNDER_WAY
     while ear.lost and time.monotonic() < until:
@@ -184,7 +184,7 @@ def _lost(ear: Ear, spin: Callable[[float], None]) -> int:
     return ear.lost
 
 
-def table(rows: list[tuple[str, Heard, int]]) -> str:
+def table(rows: list[tuple[str, FaultRecord, int]]) -> str:
     """Markdown."""
     head = (
         '| fault | messages | gaps published | longest pause, s | samples | going back | lost |\n'
@@ -208,7 +208,7 @@ def run(given: argparse.Namespace, folder: Path) -> int:
     seconds = 60.0 * given.minutes / count
     planning = PlannerConfig(passes=min(20, max(1, round(60 * given.minutes / LAP))))
     with EndRequest() as end, free_domain() as domain, running_ros([], domain):
-        ear, executor = Ear(), SingleThreadedExecutor()
+        ear, executor = SoakListener(), SingleThreadedExecutor()
         executor.add_node(ear)
 
         def spin(lasting: float) -> None:
@@ -218,7 +218,7 @@ def run(given: argparse.Namespace, folder: Path) -> int:
 
         graph = Soak(folder, machine, planning, given.seed, domain)
         try:
-            with ended_together(graph.nodes):
+            with end_together(graph.nodes):
                 until = time.monotonic() + START
                 while not ear.streaming and time.monotonic() < until and not end.came:
                     spin(0.2)

@@ -22,7 +22,7 @@ WORDS = 90
 
 
 @dataclass
-class Heard:
+class FaultRecord:
     """What was heard during one fault.
 
     Attributes
@@ -44,12 +44,12 @@ class Heard:
     said: dict[str, None] = field(default_factory=dict)
 
 
-class Ear(Node):
+class SoakListener(Node):
     """Hears points, status, gaps and results."""
 
     def __init__(self) -> None:
         super().__init__('soak_ear')
-        self.heard = Heard()
+        self.heard = FaultRecord()
         self.results: list[CalibrationResult] = []
         self._last_ns, self._at = 0, time.monotonic()
         self._received: dict[str, int] = {}
@@ -76,9 +76,9 @@ class Ear(Node):
 
     def begin(self) -> None:
         """Begin with another fault."""
-        self.heard = Heard()
+        self.heard = FaultRecord()
 
-    def end(self) -> Heard:
+    def end(self) -> FaultRecord:
         """Return what was heard since the beginning of this fault; a pause may still last."""
         self.heard.longest = max(self.heard.longest, time.monotonic() - self._at)
         return self.heard

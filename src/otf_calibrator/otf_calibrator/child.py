@@ -23,7 +23,7 @@ from otf_core.live.stages import DIAGNOSE, Progress, of_whole
 from otf_core.memory import give_back, seldom_look_for_cycles
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
-from otf_core.rotary.calibrate import calibrate_axes
+from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.sim.twin import twin_recording
 
 

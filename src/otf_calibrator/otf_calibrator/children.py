@@ -31,7 +31,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import OtfError
 from otf_core.live.stages import Progress
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
 
 MODULE = 'otf_calibrator.child'
 LOOK = 0.05

@@ -23,7 +23,7 @@ from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, top
 from otf_core.bags.cdr import DecodedPoints, decode_axes, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.rosbag2_metadata import AXES, GAP, OTHER_POINT, PATH, POINT, STATUS
-from otf_core.bags.sample_order import judged
+from otf_core.bags.sample_order import screen_points
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
 from otf_core.model.declared_signals import SignalSpec
@@ -429,7 +429,7 @@ class Intake:
         return {s: signals[s.name] for s in self.signals.specs if s.name in signals}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
-        collector, now, wrong = self._collector, time.monotonic(), judged(xyz).tolist()
+        collector, now, wrong = self._collector, time.monotonic(), screen_points(xyz).tolist()
         rows = zip(stamp_ns.tolist(), xyz.tolist(), wrong, strict=True)
         self._stamp_ns = np.concatenate([self._stamp_ns, stamp_ns])
         self._xyz = np.concatenate([self._xyz, xyz])

@@ -19,9 +19,9 @@ from typing import TypeVar
 
 from otf_calibrator.children import AnyCalibration, CalibrationTask, Solved, Solver
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.request import Early, Request
+from otf_calibrator.request import EarlyCalibration, Request
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.bags.sample_order import in_time_order
+from otf_core.bags.sample_order import sort_by_time
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
@@ -46,14 +46,14 @@ from otf_core.reports.calibration import (
     write_residuals_of_both,
     write_with_effects,
 )
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.rotary.run_progress import PartsDriven
-from otf_core.tracking.alignment import Followed
+from otf_core.tracking.alignment import FollowedTrack
 
 Writer = Callable[[Path], object]
 FilesWriter = Callable[[Path, dict[str, str]], object]
 A = TypeVar('A')
-Seen = Followed | PartsDriven
+Seen = FollowedTrack | PartsDriven
 Look = Callable[[Samples], Seen | None]
 Wake = Callable[[], None]
 
@@ -65,7 +65,7 @@ TOPIC = 'tracker/point'
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class CalibrationOutput:
     """A calibration that succeeded; ``folder`` is None if its files could not be written.
 
     ``later`` writes the files into it that take a while, by name. ``missing`` names those that
@@ -104,10 +104,10 @@ class Worker:
         self._cancelled = threading.Event()
         self._solver = Solver()
         self._seen: Seen | None = None
-        self._early: Early | None = None
+        self._early: EarlyCalibration | None = None
         self.stage, self.fraction = '', 0.0
 
-    def start(self, request: Request) -> Future[Calibrated]:
+    def start(self, request: Request) -> Future[CalibrationOutput]:
         """Start a calibration; the future raises what went wrong."""
         if self._early is None or not self._early.is_of(request):
             self.give_up()
@@ -127,12 +127,12 @@ class Worker:
         self._solver.warm_up()
         return self._begin(self._provisional, request)
 
-    def save(self, outcome: Calibrated) -> Future[Calibrated]:
+    def save(self, outcome: CalibrationOutput) -> Future[CalibrationOutput]:
         """Add the report, residuals, and path and samples as a bag, as far as wanted."""
         self.stage, self.fraction = 'saving report and samples', 0.0
         return self._begin(self._save, outcome)
 
-    def _save(self, outcome: Calibrated) -> Calibrated:
+    def _save(self, outcome: CalibrationOutput) -> CalibrationOutput:
         files, folder = outcome.request.files, outcome.folder
         if not folder:
             return outcome
@@ -163,7 +163,7 @@ class Worker:
         self.give_up()
         self._cancelled.clear()
         self.stage, self.fraction = 'aligning', 0.0  # of what is wanted as soon as the run is over
-        early = self._early = Early(request)
+        early = self._early = EarlyCalibration(request)
         self._begin(self._begin_early, early, look)
         return early.at_the_end
 
@@ -173,7 +173,7 @@ class Worker:
             self._early.given_up.set()
             self._early = None
 
-    def _begin_early(self, early: Early, look: Look) -> None:
+    def _begin_early(self, early: EarlyCalibration, look: Look) -> None:
         try:
             self._seen = look(early.request.samples)
             early.at_the_end.set_result(self._seen is not None and self._seen.to_the_end)
@@ -223,9 +223,9 @@ class Worker:
         self.stage, self.fraction = stage, fraction
 
     @property
-    def _followed(self) -> Followed | None:
+    def _followed(self) -> FollowedTrack | None:
         """What was found of the track, where that saves time."""
-        return self._seen if isinstance(self._seen, Followed) else None
+        return self._seen if isinstance(self._seen, FollowedTrack) else None
 
     def _provisional(self, request: Request) -> AnyCalibration:
         def progress(stage: str, fraction: float) -> None:
@@ -237,14 +237,14 @@ class Worker:
         assert isinstance(result, AnyCalibration), 'no effects are removed'
         return result
 
-    def _calibrate(self, request: Request, early: Early | None) -> Calibrated:
+    def _calibrate(self, request: Request, early: EarlyCalibration | None) -> CalibrationOutput:
         solved = None if early is None else early.solved
         if early is not None and solved is not None:
             request = replace(request, signals=early.request.signals)
         recording = replace(recording_of(request), seen=self._followed)
         if solved is None:
             solved = self._solve(recording, request, self._progress)
-        result, write, later = _written(solved)
+        result, write, later = _result_and_writers(solved)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
@@ -253,10 +253,10 @@ class Worker:
                 write(partial, out.missing)
         except OtfError as error:
             problem = f'files not written: {error}'
-            return Calibrated(request, recording, result, None, later, problem)
-        problems = [out.missing_words, _latest(base, folder), _kept(request.files, folder)]
+            return CalibrationOutput(request, recording, result, None, later, problem)
+        problems = [out.missing_words, _latest(base, folder), _add_to_store(request.files, folder)]
         problem = '; '.join(text for text in problems if text)
-        return Calibrated(request, recording, result, folder, later, problem, out.missing)
+        return CalibrationOutput(request, recording, result, folder, later, problem, out.missing)
 
     def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
         files = request.files
@@ -264,7 +264,7 @@ class Worker:
         return self._solver.solve(task, progress)
 
 
-def _written(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Writer]]:
+def _result_and_writers(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Writer]]:
     """The result, what writes its files as far as they fit, and what adds the larger ones."""
     if isinstance(solved, AxisCalibration):
         return (
@@ -299,7 +299,7 @@ def _written(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Wri
     )
 
 
-def _write_samples(outcome: Calibrated, folder: Path) -> None:
+def _write_samples(outcome: CalibrationOutput, folder: Path) -> None:
     """Write path and samples of a run as a bag."""
     recording, signals = outcome.recording, outcome.request.signals
     path = None if recording.axis_paths else recording.path
@@ -313,7 +313,7 @@ def recording_of(request: Request) -> Recording:
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]
     # in the order in which the offline command takes them from a bag
-    samples = in_time_order(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
+    samples = sort_by_time(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
     signals = {spec.name: signal for spec, signal in request.signals.items()}
     parts = request.path.parts if isinstance(request.path, PartsTrack) else ()
     return Recording(
@@ -366,7 +366,7 @@ def free_folder(base: Path, run_id: str) -> Path:
     return next(base / n for n in names if not os.path.lexists(base / n))
 
 
-def _kept(files: CalibratorConfig, folder: Path) -> str:
+def _add_to_store(files: CalibratorConfig, folder: Path) -> str:
     """Add the tables to the store of calibrations if one is named; what went wrong, or ''."""
     if not files.history_directory:
         return ''

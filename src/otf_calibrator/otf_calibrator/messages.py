@@ -10,9 +10,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 
 from otf_calibrator.children import AnyCalibration
-from otf_calibrator.job import Calibrated
+from otf_calibrator.job import CalibrationOutput
 from otf_core.arrays import Array
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_ros import convert_result, convert_rotary
 from otf_ros.convert_result import Messages
 
@@ -38,7 +38,7 @@ def places_of(job: Future[Any]) -> Mapping[str, Array] | None:
     if job.exception():
         return None
     outcome = job.result()
-    result = outcome.result if isinstance(outcome, Calibrated) else outcome
+    result = outcome.result if isinstance(outcome, CalibrationOutput) else outcome
     if not isinstance(result, AxisCalibration):
         return None
     return {name: place for name, (place, _) in result.targets.items()}

@@ -44,7 +44,7 @@ class Request:
 
 
 @dataclass
-class Early:
+class EarlyCalibration:
     """A calibration that is begun while it is not known yet whether the run has ended.
 
     The target stands at the end of the path, but not yet for long enough. If it goes on to stand,

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.intake import Intake
-from otf_calibrator.job import Calibrated
+from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.losses import lost_words
 from otf_calibrator.messages import messages_of
 from otf_calibrator.session import Ahead, Session
@@ -46,7 +46,7 @@ class SharedTracker:
         self._publisher = node.create_publisher(Header, 'tracker/calibrated', qos.COMMAND)
         node.create_subscription(Header, 'tracker/calibrated', self._on_other, qos.COMMAND)
 
-    def tell(self, outcome: Calibrated) -> None:
+    def tell(self, outcome: CalibrationOutput) -> None:
         """Announce that a run was that of this machine; not of an interim result."""
         if outcome.request.final:
             stamp = time_from_ns(int(outcome.request.samples.stamp_ns[-1]))
@@ -96,7 +96,7 @@ class ResultPublishers:
             self._tables[name] = self._node.create_publisher(ErrorTable, topic, qos.RESULT)
         return self._tables[name]
 
-    def publish(self, outcome: Calibrated) -> list[str]:
+    def publish(self, outcome: CalibrationOutput) -> list[str]:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
@@ -161,7 +161,7 @@ class ResultPublishers:
         self.latest = message
         self._result.publish(message)
 
-    def publish_gap(self, outcome: Calibrated, answer: Answer) -> None:
+    def publish_gap(self, outcome: CalibrationOutput, answer: Answer) -> None:
         """Publish what a diagnosis of a calibrated run gave, or why it gave nothing."""
         now = self._clock.now().to_msg()
         if isinstance(answer, Failure):
@@ -182,7 +182,7 @@ class OutcomePublisher:
         self._log, self._session, self._state = node.get_logger(), session, state
         self.results = ResultPublishers(node, session.intake, machine)
 
-    def finish(self, job: Future[Calibrated]) -> None:
+    def finish(self, job: Future[CalibrationOutput]) -> None:
         """Publish the result of a calibration, or why there is none."""
         error = job.exception()
         if error is None:
@@ -197,7 +197,7 @@ class OutcomePublisher:
         else:
             self._state.failed(text)
 
-    def complete(self, outcome: Calibrated) -> None:
+    def complete(self, outcome: CalibrationOutput) -> None:
         """State that all files of a calibration are there; diagnose it if that is wanted."""
         self._state.done(outcome)
         if outcome.request.files.diagnose:
@@ -205,7 +205,7 @@ class OutcomePublisher:
             if not started:
                 self.publish_diagnosis(outcome, Failure(2, text))
 
-    def publish_diagnosis(self, outcome: Calibrated, answer: Answer) -> None:
+    def publish_diagnosis(self, outcome: CalibrationOutput, answer: Answer) -> None:
         """Publish what a diagnosis gave."""
         self.results.publish_gap(outcome, answer)
         self._state.diagnosed(outcome, answer)

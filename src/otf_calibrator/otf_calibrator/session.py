@@ -15,7 +15,7 @@ from functools import partial
 from otf_calibrator.children import Answer, AnyCalibration, Diagnosis
 from otf_calibrator.collector import Collector
 from otf_calibrator.intake import Batch, Intake
-from otf_calibrator.job import Calibrated, Wake, Worker
+from otf_calibrator.job import CalibrationOutput, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
 from otf_core.calibration.first_sight import (
@@ -115,16 +115,16 @@ class Session:
         self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
         self.intake = Intake(self.collector, warn, publishers)
         self.worker = Worker(warn, wake)
-        self._job: Future[Calibrated] | None = None
-        self._saving: Future[Calibrated] | None = None
+        self._job: Future[CalibrationOutput] | None = None
+        self._saving: Future[CalibrationOutput] | None = None
         self._ahead: Future[Ahead] | None = None
         self._first_looks = FirstLooks()
         self._verdict: Future[bool] | None = None
         self._which: tuple[int, Future[bool]] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
-        self._diagnosed: Calibrated | None = None
-        self._last: Calibrated | None = None
+        self._diagnosed: CalibrationOutput | None = None
+        self._last: CalibrationOutput | None = None
         self._asked = (-1, 0)
         self._waits_since: float | None = None
         self._withdrawn = False
@@ -280,7 +280,7 @@ class Session:
         self.abandon()
         return True, f'{count} samples discarded{place}; ready for a run'
 
-    def finished(self) -> Future[Calibrated] | None:
+    def finished(self) -> Future[CalibrationOutput] | None:
         """Return a calibration that has come to its end, once."""
         if not self._job or not self._job.done():
             return None
@@ -291,7 +291,7 @@ class Session:
             self.intake.settle(self._last.request, self._last.folder)
         return job
 
-    def saved(self) -> Calibrated | None:
+    def saved(self) -> CalibrationOutput | None:
         """Return a calibrated run whose samples are saved beside its results, once."""
         if not self._saving or not self._saving.done():
             return None
@@ -317,7 +317,7 @@ class Session:
         self._diagnosed = self._last
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
-    def diagnosed(self) -> tuple[Calibrated, Answer] | None:
+    def diagnosed(self) -> tuple[CalibrationOutput, Answer] | None:
         """Return the run whose diagnosis has come to its end, and what it gave, once."""
         answer = self.diagnosis.finished() if self.diagnosis else None
         if answer is None or self.diagnosis is None:

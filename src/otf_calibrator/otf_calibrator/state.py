@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
-from otf_calibrator.job import Calibrated
+from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.messages import summary
 from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_core.live.stages import TimeLeft
@@ -56,7 +56,7 @@ class StatePublisher:
         self._warned: set[str] = set()
         self._time_left = TimeLeft()
 
-    def done(self, outcome: Calibrated) -> None:
+    def done(self, outcome: CalibrationOutput) -> None:
         """Remember that the run was calibrated."""
         places = [f'files in {outcome.folder}' if outcome.folder else '', outcome.problem]
         place = '; '.join(text for text in places if text)
@@ -74,7 +74,7 @@ class StatePublisher:
         text = f'{reason}; call calibrator/calibrate, or drive on'
         self._outcome = (CalibratorState.BUFFERING, _driven(session.collector), text)
 
-    def diagnosed(self, outcome: Calibrated, answer: Answer) -> None:
+    def diagnosed(self, outcome: CalibrationOutput, answer: Answer) -> None:
         """Remember what the diagnosis of the run gave."""
         logger = self._node.get_logger()
         if isinstance(answer, Failure):

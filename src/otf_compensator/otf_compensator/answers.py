@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, PointStamped, Vector3
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from otf_compensator.tables import Corrected, Tables
+from otf_compensator.tables import CompensatedPosition, Tables
 from otf_core.bags.cdr import frame_shown
 from otf_core.errors import OtfError
 from otf_msgs.msg import Compensation
@@ -23,7 +23,7 @@ WARNING_INTERVAL = 5.0
 """s between two warnings about positions that are not answered."""
 
 
-class Answers:
+class CompensationServer:
     """``compensator/wanted`` to ``compensator/compensation``, and ``compensator/compensate``.
 
     Parameters
@@ -89,7 +89,7 @@ def _tuple(point: Point) -> tuple[float, float, float]:
     return point.x, point.y, point.z
 
 
-def _message(answer: Corrected, header: Header) -> Compensation:
+def _message(answer: CompensatedPosition, header: Header) -> Compensation:
     (x, y, z), (a, b, c) = answer.wanted, answer.corrected
     (ex, ey, ez), (ux, uy, uz) = answer.error, answer.uncertainty
     return Compensation(

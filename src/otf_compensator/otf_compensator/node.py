@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from otf_compensator.answers import Answers
+from otf_compensator.answers import CompensationServer
 from otf_compensator.params import CompensatorConfig
 from otf_compensator.tables import Tables
 from otf_core.errors import InputError, OtfError
@@ -45,7 +45,7 @@ class Compensator(SteadyLifecycleNode):
         self._published: ErrorTables | None = None
         topic = 'calibrator/error_tables'
         self.create_subscription(ErrorTables, topic, self._on_calibrated, qos.RESULT)
-        self._answers = Answers(self, self._in_use)
+        self._answers = CompensationServer(self, self._in_use)
         services.offer(self, 'compensator/reload', self._reload)
         Diagnostics(self, self._machine, {'tables': self._look_at_tables, 'memory': memory})
         if self._settings.read(CompensatorConfig).auto_start:

@@ -18,7 +18,7 @@ Vector: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Corrected:
+class CompensatedPosition:
     """What tables say of one position; fields as of otf_msgs/msg/Compensation."""
 
     wanted: Vector
@@ -80,7 +80,7 @@ class Tables:
             raise ConfigError('wanted: a position is not finite')
         return check_points(self._predictor.tables, q, 'wanted')
 
-    def ask(self, wanted: Sequence[Vector]) -> Iterator[Corrected]:
+    def ask(self, wanted: Sequence[Vector]) -> Iterator[CompensatedPosition]:
         """Evaluate at positions, m."""
         q = np.array(wanted, dtype=float).reshape(-1, 3)
         prediction, corrected = self._predictor.at(q), self._predictor.corrected(q)
@@ -93,4 +93,4 @@ class Tables:
         for (w, e, u, c), within in zip(
             zip(*columns, strict=True), prediction.inside.tolist(), strict=True
         ):
-            yield Corrected(tuple(w), tuple(e), tuple(u), tuple(c), within)
+            yield CompensatedPosition(tuple(w), tuple(e), tuple(u), tuple(c), within)

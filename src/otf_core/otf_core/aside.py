@@ -121,7 +121,7 @@ class Aside(Generic[R]):
             end.send_bytes(sent.getbuffer())
 
 
-def shared_out(
+def share_out(
     function: Callable[[A], R], items: Sequence[A], known: Sequence[object] = ()
 ) -> list[R]:
     """Results of a function for all items, in their order; two processes share the work.

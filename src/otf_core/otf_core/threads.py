@@ -64,7 +64,7 @@ def one_thread() -> Iterator[None]:
         _here.limited = False
 
 
-def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+def limit_to_one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Make a function whose linear algebra uses one thread."""
 
     @wraps(function)

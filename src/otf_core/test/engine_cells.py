@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.effect_products import Tried
+from otf_core.diagnosis.engine.effect_products import ShapeProducts
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.diagnosis.engine.search import Cause, tried_effects
@@ -96,7 +96,7 @@ def tried_with(rows, options):
     """Each of the given options as if made from these rows."""
     return {
         name: [
-            Tried(
+            ShapeProducts(
                 o.effect,
                 o.shape,
                 replace(o.terms, axes=tuple(o.terms.axes[i] for i in o.take)),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from otf_core.aside import Aside, shared_out
+from otf_core.aside import Aside, share_out
 from otf_core.effects import REGISTRY
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm
@@ -183,7 +183,7 @@ def test_a_thread_beside_others_makes_no_copy():
 
 @pytest.mark.parametrize('count', [0, 1, 2, 3, 500])
 def test_results_come_in_the_order_of_the_items(count):
-    assert shared_out(lambda k: 3 * k, range(count)) == [3 * k for k in range(count)]
+    assert share_out(lambda k: 3 * k, range(count)) == [3 * k for k in range(count)]
 
 
 @copies
@@ -196,7 +196,7 @@ def test_two_processes_share_the_work(tmp_path):
             time.sleep(0.01)
         return os.getpid()
 
-    found = shared_out(who, range(40))
+    found = share_out(who, range(40))
     assert len(set(found)) == 2 and os.getpid() in found
 
 
@@ -210,12 +210,12 @@ def test_items_of_a_process_that_was_killed_are_done_here():
             os.kill(os.getpid(), signal.SIGKILL)
         return item
 
-    assert shared_out(dies, range(10)) == list(range(10))
+    assert share_out(dies, range(10)) == list(range(10))
 
 
 def test_an_error_in_an_item_is_raised_here():
     with pytest.raises(ZeroDivisionError):
-        shared_out(lambda k: 1 / (k - 5), range(10))
+        share_out(lambda k: 1 / (k - 5), range(10))
 
 
 @copies

@@ -11,7 +11,7 @@ import pytest
 from otf_core.blind import forms
 from otf_core.blind.cases import KINDS, TAKE_TURNS, TILTS, draw_names, kinds_of, names_of
 from otf_core.blind.depends import WITHOUT, kin_of
-from otf_core.blind.draw import draw_effect, draw_trial, nodal, scaled
+from otf_core.blind.draw import draw_effect, draw_trial, nodal, scale_effect
 from otf_core.blind.forms import SENSOR, since_reversal
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.observer import make_ruler, sample_state, see
@@ -86,10 +86,10 @@ def test_leave_one_out_takes_an_effect_and_all_that_it_can_be():
 def test_effects_are_drawn_and_scaled_in_proportion(name, trial, state):
     drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(1))
     once = drawn.effect.displacement(state, drawn.parameters)
-    twice = scaled(drawn, 2.0)
+    twice = scale_effect(drawn, 2.0)
     assert np.abs(once).max() > 0
     assert np.allclose(twice.effect.displacement(state, twice.parameters), 2 * once)
-    none = scaled(drawn, 0.0)
+    none = scale_effect(drawn, 0.0)
     assert not none.effect.displacement(state, none.parameters).any()
 
 

@@ -9,16 +9,16 @@ import pytest
 from otf_core.blind.cases import KINDS
 from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.outcome import outcome
-from otf_core.blind.publish import Measured, criteria, fragment
+from otf_core.blind.publish import TrialConditions, criteria, fragment
 from otf_core.blind.recovery import parameter_deviations
 from otf_core.blind.score import (
     binomial_interval,
     expected_calibration_error,
-    further,
+    further_counts,
     leave_one_out,
     reliability,
     sizes,
-    stated,
+    stated_confidences,
     summary,
 )
 from otf_core.blind.seal import KEY, SEAL, open_key
@@ -104,7 +104,9 @@ def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells()
     heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
     there = outcome(entry(part('backlash'), part('tracker_noise'), kind='mixture'), said)
     assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
-    row = next(r for r in further([false, heavy, there]) if r.name.startswith('noise as spec'))
+    row = next(
+        r for r in further_counts([false, heavy, there]) if r.name.startswith('noise as spec')
+    )
     assert (row.hits, row.of) == (1, 1)
 
 
@@ -112,7 +114,7 @@ def test_causes_of_no_catalogue_are_counted_where_they_leave_a_trace():
     said = [answer(verdict='unknown'), answer(('backlash', ())), answer(verdict='none')]
     cells = [outcome(entry(part('unknown_axis_brake'), kind='unknown'), a) for a in said]
     cells.append(outcome(entry(part('unknown_stick_slip', 0.0, 0.0), kind='unknown'), said[1]))
-    rows = {r.name: r for r in (*summary(cells), *further(cells))}
+    rows = {r.name: r for r in (*summary(cells), *further_counts(cells))}
     assert rows['no catalogue: called unknown'][1:] == (1, 3)
     assert rows['no catalogue: given a name'][1:] == (1, 3)
 
@@ -153,7 +155,7 @@ def test_published_tables_are_the_rows_of_the_score(tmp_path):
     ended = {'exit': 0, 'message': '', 'sha256': 'f' * 64, 'seconds': 12.3}
     state = json.dumps({'inputs': '', 'outcome': ended})
     (tmp_path / '.fleet' / 'answers-000.json').write_text(state)
-    measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
+    measured = TrialConditions.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
     text = fragment(measured, criteria(cells), 'Sizes: none.')
     assert './otf blind --trials 3 --seed 7 --out blind\n' in text
     assert '| nothing: no cause reported | 3 of 3 (100 %) | 29 % to 100 % |' in text
@@ -190,7 +192,7 @@ def test_stated_confidence_is_compared_with_what_is_there():
     }
     scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='mixture'), given)
     assert scored.confidence == (0.995, 0.95, 0.999)
-    classes = reliability(stated([scored]))
+    classes = reliability(stated_confidences([scored]))
     assert [c.row.share for c in classes] == ['1 of 1 (100 %)', '1 of 2 (50 %)']
     assert [c.mean for c in classes] == pytest.approx([0.95, 0.997])
     off = (1 * 0.05 + 2 * 0.497) / 3

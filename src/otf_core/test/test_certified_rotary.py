@@ -17,12 +17,12 @@ from certified_rotary.exact_chain import HERE, MACHINE, NODES
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import machine_from_dict
-from otf_core.rotary.matching import Part, nominal_places
+from otf_core.rotary.axis_solution import AxisSolution, place_equations
+from otf_core.rotary.axis_unknowns import layout, place_block
+from otf_core.rotary.curve_matching import Part, nominal_places
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.rows import AxisRun, build_rows
-from otf_core.rotary.solution import AxisSolution, place_equations
 from otf_core.rotary.tabulation import gauge_matrix, raw_rows
-from otf_core.rotary.unknowns import layout, place_block
 from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import solve
@@ -62,7 +62,7 @@ def stops(machine, name):
 
 def nominal_points(machine, run, places):
     """Nominal points of the pieces at places of the targets."""
-    from otf_core.rotary.matching import sight_at
+    from otf_core.rotary.curve_matching import sight_at
 
     points = np.zeros((len(run.pieces), 3))
     for name, own in run.by_target().items():

@@ -18,8 +18,8 @@ from otf_core.tracking.curves import (
     Lines,
     bulge_of,
     curve_boundaries,
+    replace_chords,
     shape_of,
-    with_arcs,
 )
 from otf_core.tracking.driving_order import OFF_PATH
 
@@ -134,7 +134,7 @@ def test_arcs_and_chords_are_told_apart(driven, share):
 def test_half_a_bulge_is_said():
     path = circle(5e-3)
     lines = Lines.of(shape_of(path))
-    fine, _, parent = with_arcs(lines)
+    fine, _, parent = replace_chords(lines)
     middle = 0.5 * (fine.corners[1:] + fine.corners[:-1])
     foot = path[parent] + lines.along(middle, parent)[:, None] * lines.unit[parent]
     noise = 1e-7 * np.random.default_rng(1).standard_normal(middle.shape)

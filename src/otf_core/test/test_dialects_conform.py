@@ -17,7 +17,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS, programs
-from otf_core.planning.nc.programs import on_increment, program
+from otf_core.planning.nc.programs import program, round_to_increment
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 NASTY = ['MILL (NEW); 5% [A] {B} Fräse µm', '', 'x' * 200]
@@ -115,7 +115,7 @@ def random_plan(seed):
 @pytest.mark.parametrize('seed', [None, 1, 2, 3])
 def test_program_read_back_drives_the_plan(name, seed):
     machine = some_machine()
-    planned = on_increment(small_plan(machine, passes=2), machine.lower, machine.upper)
+    planned = round_to_increment(small_plan(machine, passes=2), machine.lower, machine.upper)
     plan = planned if seed is None else random_plan(seed)
     done = np.array(Reader(program(DIALECTS[name], plan, NASTY)).moves, dtype=float)
     moves = np.concatenate([[True], np.any(np.diff(plan.path.points, axis=0) != 0, axis=1)])

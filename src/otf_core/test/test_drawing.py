@@ -13,13 +13,13 @@ from otf_core.reports.drawing.panel import (
     Bar,
     Panel,
     Scale,
-    around,
     arrow_path,
     bars,
     dates,
     decades,
     heat_classes,
     heat_step,
+    scale_around,
     write_sheet,
 )
 from otf_core.reports.drawing.scene import (
@@ -70,8 +70,8 @@ def test_logarithmic_axes_are_marked_even_over_less_than_a_decade():
 
 
 def test_scales_hold_their_values_and_single_ones():
-    assert around([2.0, 2.0], '').place(2.0) == pytest.approx(0.5)
-    scale = around([0.0, 4.0, np.nan], '', zero=True)
+    assert scale_around([2.0, 2.0], '').place(2.0) == pytest.approx(0.5)
+    scale = scale_around([0.0, 4.0, np.nan], '', zero=True)
     assert scale.low == 0.0 and scale.high > 4.0
 
 

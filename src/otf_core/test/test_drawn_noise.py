@@ -6,14 +6,14 @@ import pytest
 from scipy.signal import lfilter
 
 from otf_core.noise.noise_model import NoiseComponent
-from otf_core.sim.tracker import drawn
+from otf_core.sim.tracker import draw_noise
 
 
 @pytest.mark.parametrize('time', [0.0, 0.02, 3.0])
 def test_lasting_noise_is_the_recursion_over_its_own_past(time):
     level, rate, count = 2e-6, 500.0, 5000
     noise = NoiseComponent(level, 0.0, time)
-    found = drawn(noise, np.random.default_rng(3), count, rate)
+    found = draw_noise(noise, np.random.default_rng(3), count, rate)
     decay = np.exp(-1.0 / (rate * time)) if time else 0.0
     rng = np.random.default_rng(3)
     drive = rng.standard_normal(count) * np.sqrt(1.0 - decay**2)

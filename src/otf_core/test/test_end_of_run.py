@@ -9,7 +9,7 @@ from core_cells import record, small_plan, some_machine
 
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
-from otf_core.tracking.alignment import align, followed
+from otf_core.tracking.alignment import align, follow_track
 from otf_core.tracking.path_watch import PathWatcher
 
 CONFIG = CalibrationConfig()
@@ -30,16 +30,16 @@ def standing(samples, seconds):
 def test_what_was_seen_of_a_run_before_its_last_samples_changes_nothing():
     path, early = RECORDING.path, RECORDING.measured(seed=3)
     late = standing(early, 1.0)
-    seen = followed(early, path, CONFIG)
-    assert seen.to_the_end and followed(late, path, CONFIG, seen) is seen
+    seen = follow_track(early, path, CONFIG)
+    assert seen.to_the_end and follow_track(late, path, CONFIG, seen) is seen
     plain, found = (align(late, path, CONFIG, known) for known in (None, seen))
     for name in ('rotation', 'translation'):
         one, other = (getattr(a.T_machine_tracker, name) for a in (plain, found))
         assert one.tobytes() == other.tobytes()
     assert found.leg.tobytes() == plain.leg.tobytes() and found.coverage == plain.coverage
     other = replace(CONFIG, corner_exclusion=0.01)
-    assert followed(early, path, other, seen).config == other
-    again = followed(early.part(0, len(early) // 2), path, CONFIG, seen)
+    assert follow_track(early, path, other, seen).config == other
+    again = follow_track(early.part(0, len(early) // 2), path, CONFIG, seen)
     assert again is not seen and not again.to_the_end
 
 

@@ -15,7 +15,7 @@ from core_cells import error_of
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError, InputError
-from otf_core.history.control_chart import Standing, history_of
+from otf_core.history.control_chart import MachineStatus, history_of
 from otf_core.history.interim_check import interim_check, interim_path
 from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -178,7 +178,7 @@ def test_a_steady_machine_shows_no_drift(found, tmp_path):
     changed = [name for h in judged for step in h.steps for name in step.changed]
     tests = sum(len(step.motions) for h in judged for step in h.steps)
     assert len(changed) <= 0.02 * tests
-    steady = next(h for h in judged if h.standing is Standing.STEADY)
+    steady = next(h for h in judged if h.standing is MachineStatus.STEADY)
     assert steady.due.days is None and steady.due.earliest > 0
 
 
@@ -205,7 +205,7 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.drift.volume == pytest.approx(rate, rel=0.1)
     assert h.due.earliest < limit / rate < h.due.latest
     assert h.due.earliest < h.due.days < h.due.latest
-    assert h.standing is Standing.DRIFT and not h.drift.bent and not h.due.withheld
+    assert h.standing is MachineStatus.DRIFT and not h.drift.bent and not h.due.withheld
 
 
 def head_of(*histories):
@@ -223,7 +223,7 @@ def test_a_machine_of_which_one_run_follows_an_event_is_not_called_steady(found,
     add_event(tmp_path / 'store', 'X scale replaced', '2029-06-01')
     store = read_store(tmp_path / 'store')
     h = history_of(store, store.machines[0])
-    assert h.standing is Standing.CHANGED and h.drift is None and h.due is None
+    assert h.standing is MachineStatus.CHANGED and h.drift is None and h.due is None
     mood, badge, sentence = head_of(h)
     assert (mood, badge) == ('open', 'changed')
     assert 'EXX by' in sentence and 'after X scale replaced (2029-06-01)' in sentence
@@ -235,13 +235,13 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     for file in written(tmp_path, found, [0.0, 0.0], 22):
         add_run(tmp_path / 'store', file)
     alone = history_of(read_store(tmp_path / 'store'), 'small')
-    assert alone.standing is Standing.STEADY
+    assert alone.standing is MachineStatus.STEADY
     add_event(tmp_path / 'store', 'new spindle', '2026-01-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    assert h.standing is Standing.UNJUDGED and 'cannot be assessed yet' in format_history(h)
+    assert h.standing is MachineStatus.UNJUDGED and 'cannot be assessed yet' in format_history(h)
     add_event(tmp_path / 'store', 'collision', '2026-02-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    assert h.standing is Standing.UNJUDGED and h.due is None
+    assert h.standing is MachineStatus.UNJUDGED and h.due is None
     assert 'collision (2026-02-15), and no run since' in head_of(h)[2]
     assert [e['followed'] for e in history_to_dict(h)['events']] == [True, False]
 
@@ -265,14 +265,14 @@ def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
 
 def test_one_run_alone_is_not_judged(found, tmp_path):
     h = history(tmp_path, found, [0.0], 23)
-    assert h.standing is Standing.UNJUDGED and head_of(h)[0] == 'open'
+    assert h.standing is MachineStatus.UNJUDGED and head_of(h)[0] == 'open'
     assert 'one run' in head_of(h)[2]
 
 
 def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 1e-5], 24)
     assert (
-        h.standing is Standing.CHANGED
+        h.standing is MachineStatus.CHANGED
         and 'cannot distinguish a drift from a jump' in head_of(h)[2]
     )
     assert 'if it continues evenly' in format_history(h)
@@ -281,7 +281,7 @@ def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
     limit = 2e-5
     h = history(tmp_path, found, [0.0, 1e-6, 2e-6, 3.5e-6, 1.2e-5], 25, limit)
-    assert h.standing is Standing.BENT and 'EXX' in h.drift.bent
+    assert h.standing is MachineStatus.BENT and 'EXX' in h.drift.bent
     assert h.due.days is None and h.due.latest is None and h.due.withheld
     # no later than by the last step alone, and that is far sooner than by the line
     assert h.due.earliest <= limit / h.last.volume < 0.6 * limit / h.drift.volume

@@ -24,7 +24,7 @@ from otf_core.bags.bag import points_of
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_moments import read_moments
 from otf_core.inputs.path_file import read_path, read_points
-from otf_core.inputs.recordings import Given, open_reading, read_content
+from otf_core.inputs.recordings import ReadingOptions, open_reading, read_content
 from otf_core.inputs.text_points import TextReading
 
 STAMPS = START + 2_000_000 * np.arange(50)
@@ -221,10 +221,10 @@ def test_a_text_of_one_sample_or_without_times_is_refused_for_that(tmp_path, tim
     file = tmp_path / 'run.csv'
     file.write_text(f'time_s,x,y,z\n{time},1.0,0.2,0.3\n')
     with pytest.raises(InputError, match=r'run\.csv: samples: one sample only'):
-        points_of(open_reading(file, Given()), file)
+        points_of(open_reading(file, ReadingOptions()), file)
     file.write_text('time_s,x,y,z\n' + '0,1.0,0.2,0.3\n' * 9)
     with pytest.raises(InputError, match='time_s in s: all 9 times are zero'):
-        points_of(open_reading(file, Given()), file)
+        points_of(open_reading(file, ReadingOptions()), file)
 
 
 def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
@@ -233,7 +233,7 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     with pytest.raises(InputError, match='give the path beside it'):
         read_content([file])
     write_points(corners, CORNERS)
-    content = read_content([file], Given(path=corners))
+    content = read_content([file], ReadingOptions(path=corners))
     np.testing.assert_array_equal(content.path.points, CORNERS)
     np.testing.assert_array_equal(content.samples.xyz, XYZ)
     assert run('check', file, '--path', corners, '--json') == 3  # these samples follow no path
@@ -242,7 +242,7 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
         json.loads(shown.out)['samples'] == 50 and 'x, y, z from x_m, y_m, z_m in m' in shown.err
     )
     with pytest.raises(ConfigError, match='is a text table and has no topics'):
-        read_content([file], Given(path=corners, topic='/point'))
+        read_content([file], ReadingOptions(path=corners, topic='/point'))
     assert run('check', file, '--rate', '-5') == 2
 
 
@@ -342,7 +342,7 @@ def test_types_that_hold_a_point_in_any_frame_of_a_topic_that_is_named(tmp_path,
     ]
     messages.append(('/cell/path', PATH_TYPE, START, path_cdr(frame='base')))
     bag = write_mcap(tmp_path / 'run.mcap', messages)
-    content = read_content([bag], Given(topic='leica/target', path_topic='/cell/path'))
+    content = read_content([bag], ReadingOptions(topic='leica/target', path_topic='/cell/path'))
     np.testing.assert_array_equal(content.samples.xyz, XYZ)
     np.testing.assert_array_equal(content.samples.stamp_ns, STAMPS)
     np.testing.assert_array_equal(content.path.points, CORNERS)
@@ -357,7 +357,7 @@ def test_samples_of_another_child_are_left_out(tmp_path):
         for k, (t, p) in enumerate(zip(STAMPS, XYZ, strict=True))
     ]
     bag = write_mcap(tmp_path / 'run.mcap', messages)
-    samples = points_of(open_reading(bag, Given(topic='/tf_point')), bag)
+    samples = points_of(open_reading(bag, ReadingOptions(topic='/tf_point')), bag)
     np.testing.assert_array_equal(samples.xyz, np.delete(XYZ, 7, axis=0))
 
 
@@ -366,11 +366,11 @@ def test_a_path_that_is_given_takes_the_place_of_that_of_a_bag(tmp_path):
     with pytest.raises(InputError, match='/planner/path is missing'):
         read_content([bag])
     write_points(tmp_path / 'path.csv', 0.5 * CORNERS)
-    content = read_content([bag], Given(path=tmp_path / 'path.csv'))
+    content = read_content([bag], ReadingOptions(path=tmp_path / 'path.csv'))
     np.testing.assert_array_equal(content.path.points, 0.5 * CORNERS)
     np.testing.assert_array_equal(content.samples.xyz, CONTENT.samples.xyz)
     with pytest.raises(ConfigError, match='--columns'):
-        read_content([bag], Given(columns='x,y,z'))
+        read_content([bag], ReadingOptions(columns='x,y,z'))
 
 
 def test_lines_left_out_are_counted_in_the_answers(tmp_path, capsys):

@@ -13,7 +13,14 @@ from mcap.reader import make_reader
 
 from otf_core.bags import journal as journal_module
 from otf_core.bags.bag import read_bag
-from otf_core.bags.journal import Definitions, Journal, JournalFile, Rows, state_of, unfinished
+from otf_core.bags.journal import (
+    Definitions,
+    Journal,
+    JournalFile,
+    Rows,
+    state_of,
+    unfinished_runs,
+)
 from otf_core.bags.mcap_messages import McapMessages
 from otf_core.bags.rosbag2_metadata import PATH, POINT, STATUS
 from otf_core.errors import ConfigError
@@ -122,7 +129,7 @@ def test_every_run_is_a_folder_of_its_own_with_the_path(journal):
     stamps = [read_bag(folder).samples.stamp_ns for folder in folders]
     assert np.concatenate(stamps).tobytes() == SAMPLES.stamp_ns.tobytes()
     journal.directory.joinpath('notes').mkdir()
-    assert unfinished(journal.directory) == []
+    assert unfinished_runs(journal.directory) == []
 
 
 def crashed(journal):

@@ -16,8 +16,8 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
 from otf_core.live.layers import TRACK_POINTS, PathDistance, Track, enlargement
-from otf_core.live.live_run import NUMBERS, LiveRun, RunProgress, Solved, numbers
-from otf_core.live.stages import StepsLeft, TimeLeft, about
+from otf_core.live.live_run import NUMBERS, LiveRun, LiveSolution, RunProgress, numbers
+from otf_core.live.stages import StepProgress, TimeLeft, approximate_time
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
@@ -64,9 +64,9 @@ def test_time_left_is_that_of_the_mean_speed_and_begins_anew_with_another_job():
 def test_steps_say_how_long_the_others_take(monkeypatch):
     now = iter([100.0, 140.0, 180.0, 220.0])
     monkeypatch.setattr(time, 'monotonic', lambda: next(now))
-    left = StepsLeft(3)
+    left = StepProgress(3)
     assert [left.after_one() for _ in range(3)] == [', about 80 s left', ', about 40 s left', '']
-    assert (about(3.2), about(math.nan), about(600.0)) == (
+    assert (approximate_time(3.2), approximate_time(math.nan), approximate_time(600.0)) == (
         'about 4 s left',
         '',
         'about 10 min left',
@@ -161,7 +161,7 @@ def test_moving_layers_show_the_tracker_where_it_stands_once_that_is_known():
         return named(layers.moving(run.path, 0.4, run.track, run.pose, 0.0))
 
     assert set(drawn()) == {'driven'}
-    run.set_solved(Solved(True, True, ''), TURNED)
+    run.set_solved(LiveSolution(True, True, ''), TURNED)
     assert np.allclose(drawn()['beam'].points, [TURNED.translation, [0.1, 2e-5, 0]])
     begin, end = drawn()['deviations'].points
     assert np.allclose(begin, [0.1, 0, 0], atol=1e-9) and end[1] - begin[1] > 0.005
@@ -176,7 +176,7 @@ def test_numbers_of_a_run_and_a_new_run_forgets_the_old_one():
     run.set_path(PATH)
     run.set_progress(DRIVEN, 10.0)
     run.set_progress(RunProgress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
-    run.set_solved(Solved(True, True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)}), TURNED)
+    run.set_solved(LiveSolution(True, True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)}), TURNED)
     run.track.add(*in_tracker([[0.2, 0, 1e-5]])[0])
     now = numbers(run)
     assert now['distance_from_path'] == pytest.approx(1e-5)

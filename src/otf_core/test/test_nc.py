@@ -14,7 +14,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.nc.dialect import plain
-from otf_core.planning.nc.programs import on_increment, program
+from otf_core.planning.nc.programs import program, round_to_increment
 
 POINTS = np.array([[0.0, 0.0, -0.1], [0.1, 0.05, -0.1], [0.1, 0.05, 0.0125]])
 EXPECTED = {
@@ -135,13 +135,15 @@ def test_program_word_by_word(name):
 
 @every_dialect
 def test_positions_are_rounded_to_increments(name):
-    fitted = on_increment(little(POINTS + np.array([0, 4e-7, 0])), np.full(3, -1.0), np.ones(3))
+    fitted = round_to_increment(
+        little(POINTS + np.array([0, 4e-7, 0])), np.full(3, -1.0), np.ones(3)
+    )
     assert program(DIALECTS[name], fitted, ['HEAD (1)']) == EXPECTED[name]
 
 
 def test_rounding_stays_inside_the_axis_ranges():
     low, high = np.array([0.0, 0.0, -0.1000004]), np.array([0.1000006, 0.05, 0.0125])
-    plan = on_increment(little(np.array([low, high, low])), low, high)
+    plan = round_to_increment(little(np.array([low, high, low])), low, high)
     assert np.all(plan.path.points >= low - 1e-12)
     assert np.all(plan.path.points <= high + 1e-12)
     assert plan.path.points[1, 0] == 0.1
@@ -233,7 +235,7 @@ def numbers(text):
 
 def test_linuxcnc_interpreter_drives_the_plan(rs274):
     machine = some_machine()
-    plan = on_increment(small_plan(machine, passes=2), machine.lower, machine.upper)
+    plan = round_to_increment(small_plan(machine, passes=2), machine.lower, machine.upper)
     done = rs274(program(DIALECTS['linuxcnc'], plan, ['OTF path; (test) %']))
     assert done.code == 0, done.error
     names = [name for name, _ in done.moves]

@@ -14,7 +14,7 @@ from otf_core.inputs.path_file import read_path
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS
-from otf_core.planning.nc.programs import on_increment, program
+from otf_core.planning.nc.programs import program, round_to_increment
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 MACHINE = """\
@@ -53,7 +53,7 @@ def read(tmp_path, text, name='PROGRAM.NC'):
 @pytest.mark.parametrize('passes', [1, 2, 3])
 def test_a_planned_program_is_the_path_that_was_planned_to_the_last_bit(tmp_path, name, passes):
     machine = some_machine()
-    plan = on_increment(small_plan(machine, passes=passes), machine.lower, machine.upper)
+    plan = round_to_increment(small_plan(machine, passes=passes), machine.lower, machine.upper)
     (tmp_path / DIALECTS[name].file_name).write_text(program(DIALECTS[name], plan, NASTY))
     points, said = read_path(tmp_path / DIALECTS[name].file_name)
     assert points.tobytes() == (driven(plan.path.points) + 0.0).tobytes()

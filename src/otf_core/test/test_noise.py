@@ -15,7 +15,7 @@ from otf_core.noise.noise_model import (
     path_frame,
     sample_variance,
 )
-from otf_core.sim.tracker import drawn as drawn_noise
+from otf_core.sim.tracker import draw_noise as drawn_noise
 from otf_core.sim.tracker import measure
 
 

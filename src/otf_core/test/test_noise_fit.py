@@ -28,7 +28,7 @@ from otf_core.noise.noise_model import (
     NoiseModel,
     covariance_parts,
     misfit_of,
-    scaled,
+    scale_noise,
 )
 from otf_core.solving.joint import (
     LOWER_BOUNDS,
@@ -70,7 +70,7 @@ def dense(rows, logs, noise=NOISE):
     for low, high in leg_bounds(rows.pieces.leg):
         for c in range(2):
             part = slice(c * count + low, c * count + high)
-            parts = (rows.system, rows.pieces, scaled(noise, logs), misfit_of(logs))
+            parts = (rows.system, rows.pieces, scale_noise(noise, logs), misfit_of(logs))
             total[part, part] = sum(leg_parts(*parts, c, low, high))
     return total
 
@@ -91,7 +91,7 @@ def drawn(rows, logs, seed):
     rng, found = np.random.default_rng(seed), np.zeros((2, len(rows.pieces)))
     for low, high in leg_bounds(rows.pieces.leg):
         for c in range(2):
-            parts = (rows.system, rows.pieces, scaled(NOISE, logs), misfit_of(logs))
+            parts = (rows.system, rows.pieces, scale_noise(NOISE, logs), misfit_of(logs))
             root = np.linalg.cholesky(sum(leg_parts(*parts, c, low, high)))
             found[c, low:high] = root @ rng.standard_normal(high - low)
     return found
@@ -197,7 +197,7 @@ def test_sizes_stay_in_their_bounds(short, size):
 
 
 def test_factors_act_on_white_and_slow_variance_each_for_itself():
-    found = scaled(NOISE, np.array([np.log(3.0), np.log(0.5), np.log(0.8), 0.0, 0.0]))
+    found = scale_noise(NOISE, np.array([np.log(3.0), np.log(0.5), np.log(0.8), 0.0, 0.0]))
     for part, old, before in zip(found, (1e-6, 2e-6, 2e-6), (0.5, 0.4, 0.4), strict=True):
         assert part.correlation_time == pytest.approx(0.8 * 0.3)
         assert part.white**2 == pytest.approx(3.0 * old**2 * before)
@@ -231,7 +231,7 @@ def test_whitening_by_leg_is_that_of_the_whole_covariance():
     rows = rows_of(ZIGZAG, 0.05)
     logs = START + np.array([0.3, -0.2, 0.1, 4.0, 5.0])
     covariance = dense(rows, logs)
-    whitener = Whitener.of(rows.system, rows.pieces, scaled(NOISE, logs), misfit_of(logs))
+    whitener = Whitener.of(rows.system, rows.pieces, scale_noise(NOISE, logs), misfit_of(logs))
     values = np.random.default_rng(8).normal(size=(2, len(rows.pieces), 3))
     white, flat = whitener.whiten(values), values.reshape(-1, 3)
     wanted = np.linalg.solve(covariance, flat)

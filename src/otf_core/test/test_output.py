@@ -11,7 +11,7 @@ import pytest
 
 import otf_core
 from otf_core.errors import ConfigError
-from otf_core.files.output_folder import MANIFEST, OutputFile, OutputFolder, foreign
+from otf_core.files.output_folder import MANIFEST, OutputFile, OutputFolder, foreign_files
 
 
 def fill(folder, content='first', **options):
@@ -76,7 +76,7 @@ def test_results_changed_by_hand_are_no_longer_ours(out):
 def test_link_inside_a_folder_is_no_result(out, tmp_path):
     fill(out)
     (out / 'latest').symlink_to(tmp_path)
-    assert foreign(out) == [out / 'latest']
+    assert foreign_files(out) == [out / 'latest']
 
 
 def test_folder_of_others_is_refused_with_overwrite_too(tmp_path):
@@ -89,7 +89,7 @@ def test_manifest_that_lists_nothing_makes_nothing_ours(out):
     out.mkdir(parents=True)
     (out / MANIFEST).write_text('{"schema": "otf-manifest/1", "sha256": "all"}')
     (out / 'a.json').write_text('mine')
-    assert foreign(out) == [out / MANIFEST, out / 'a.json']
+    assert foreign_files(out) == [out / MANIFEST, out / 'a.json']
 
 
 def test_empty_folder_is_filled_and_keeps_its_mode(out):

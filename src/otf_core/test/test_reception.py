@@ -7,9 +7,9 @@ from bag_cells import CORNERS, PATH_MESSAGE, START, point_messages, write_mcap
 from cli_cells import run
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.sample_order import PERIODS, in_time_order
+from otf_core.bags.sample_order import PERIODS, sort_by_time
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.recordings import Given, read_content
+from otf_core.inputs.recordings import ReadingOptions, read_content
 from otf_core.model.observation import Samples
 
 COUNT, STEP = 2000, 10_000_000
@@ -30,7 +30,7 @@ XYZ = track()
 
 def ordered(stamps, xyz=XYZ):
     remarks = []
-    samples = in_time_order('run', np.asarray(stamps, np.int64), xyz, remarks)
+    samples = sort_by_time('run', np.asarray(stamps, np.int64), xyz, remarks)
     return samples, remarks
 
 
@@ -152,7 +152,7 @@ def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, ca
     said = str(refused.value)
     assert f'--publisher 1: {COUNT} samples' in said
     assert f'--publisher 2: {COUNT - gap} samples' in said
-    first, second = (read_content([file], Given(publisher=k)) for k in (1, 2))
+    first, second = (read_content([file], ReadingOptions(publisher=k)) for k in (1, 2))
     assert first.samples.xyz.tobytes() == XYZ.tobytes()
     assert second.samples.xyz.tobytes() == OTHER[gap:].tobytes()
     assert first.remarks[0].startswith(
@@ -167,21 +167,21 @@ def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, ca
 def test_a_pause_of_one_clock_is_no_further_publisher(tmp_path):
     rows = [row for row in mixed(-49 * S) if row[1] or not 400 < row[0] < 900]
     file = bag_of(tmp_path, rows)
-    content = read_content([file], Given(publisher=1))
+    content = read_content([file], ReadingOptions(publisher=1))
     keep = np.r_[0:401, 900:COUNT]
     assert content.samples.xyz.tobytes() == XYZ[keep].tobytes()
 
 
 def test_channels_tell_publishers_apart_on_one_clock(tmp_path):
     file = bag_of(tmp_path, mixed(STEP // 2), channels=True)
-    content = read_content([file], Given(publisher=2))
+    content = read_content([file], ReadingOptions(publisher=2))
     assert content.samples.xyz.tobytes() == OTHER.tobytes()
     assert 'distinguished by their channels' in content.remarks[0]
 
 
 def test_places_tell_publishers_apart_on_one_clock(tmp_path):
     file = bag_of(tmp_path, mixed(STEP // 2))
-    content = read_content([file], Given(publisher=2))
+    content = read_content([file], ReadingOptions(publisher=2))
     assert content.samples.xyz.tobytes() == OTHER.tobytes()
     assert 'the places of their targets' in content.remarks[0]
 
@@ -191,10 +191,10 @@ def test_a_publisher_that_there_is_not_is_refused_with_those_there_are(tmp_path)
     with pytest.raises(
         ConfigError, match=r'--publisher 3: .* --publisher 1: 2000 .* --publisher 2'
     ):
-        read_content([file], Given(publisher=3))
+        read_content([file], ReadingOptions(publisher=3))
     alone = bag_of(tmp_path, mixed(0, COUNT))
     with pytest.raises(ConfigError, match='has one publisher'):
-        read_content([alone], Given(publisher=1))
+        read_content([alone], ReadingOptions(publisher=1))
 
 
 def test_one_of_two_clocks_in_a_text(tmp_path):
@@ -205,6 +205,6 @@ def test_one_of_two_clocks_in_a_text(tmp_path):
     (tmp_path / 'path.csv').write_text(
         'x,y,z\n' + '\n'.join(','.join(map(str, p)) for p in CORNERS)
     )
-    given = Given(path=tmp_path / 'path.csv', publisher=1)
+    given = ReadingOptions(path=tmp_path / 'path.csv', publisher=1)
     content = read_content([tmp_path / 'run.csv'], given)
     assert content.samples.xyz.tobytes() == XYZ.tobytes()

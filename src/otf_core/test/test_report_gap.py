@@ -15,7 +15,7 @@ from html_cells import Page, unloading
 from otf_core.diagnosis.answer import sentence_of
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.where import describe_structure
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
+from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.circumstances import Circumstances
 from otf_core.model.quantities import quantity
@@ -83,7 +83,7 @@ def diagnosis(view, verdict='explained', found=(), **further):
             plain=SimpleNamespace(tables=TABLES, runs=(), reversal=REVERSAL, run_id='1')
         ),
         'origin': (),
-        'shown': Shown((view,), CONDITIONS),
+        'shown': FigureData((view,), CONDITIONS),
     }
     return Diagnosis(**{**fields, **further})
 
@@ -181,7 +181,7 @@ def test_axis_labels_keep_their_digits(page):
 def test_strange_names_are_escaped(view):
     evil = '<script>alert("1")</script>&\'x'
     cause = NamedCause(evil, (evil,), {evil: 1e-6}, {}, {evil: evil}, 1.0, 0.5, 50.0, 0.9, (evil,))
-    asked = Shown(
+    asked = FigureData(
         views=(run_view(laps=1, name=evil), run_view(laps=1, name='b', seed=2)),
         conditions={evil: evil},
     )
@@ -345,7 +345,7 @@ def test_first_screen_shows_where_before_and_after_at_one_scale(page):
 )
 def test_picture_is_of_the_view_that_separates_most(gap, view_name, label):
     own = run_view(gap, laps=2, after=lambda v: 0.0 * v.q)
-    where, shown = where_of([own]), Shown((own,), CONDITIONS)
+    where, shown = where_of([own]), FigureData((own,), CONDITIONS)
     assert where.view == view_name
     page = report_html(diagnosis(own, found=causes(), where=where, shown=shown))
     assert len(re.findall(f'aria-label="{label}', page.split('<nav')[0])) == 2

@@ -17,7 +17,7 @@ from otf_core.model.axis_path import AxisPath, along_legs, nominal_track, positi
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.prediction.predict import predict
-from otf_core.rotary.matching import split_parts
+from otf_core.rotary.curve_matching import split_parts
 from otf_core.rotary.periodic import over_turn
 from otf_core.rotary.tabulation import evenly_spread, field_rows, gauge_matrix
 from otf_core.sim.axis_cell import JointDrive

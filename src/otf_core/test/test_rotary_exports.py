@@ -16,7 +16,7 @@ from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
 from otf_core.exports.format import Request, remaining_error
 from otf_core.exports.lattice import linear_tables
-from otf_core.exports.pivot import moved_lines
+from otf_core.exports.pivot import correct_axis_lines
 from otf_core.model.kinematics import exact_position, nominal_position
 from otf_core.model.tables import LocationError, MotionTable, TablesFile, tables_to_dict
 from otf_core.sim.cell import random_tables
@@ -258,7 +258,7 @@ def location_only(machine, rng, tilts=True):
 def test_moved_lines_take_the_place_of_location_errors(chain):
     tables = location_only(five_axes(chain), np.random.default_rng(1))
     q = places(tables.machine)
-    found = nominal_position(moved_lines(tables), q)
+    found = nominal_position(correct_axis_lines(tables), q)
     assert np.abs(exact_position(tables, q) - found).max() < 1e-11  # tables to 1 nm, 1 nrad apart
     assert np.abs(exact_position(tables, q) - nominal_position(tables.machine, q)).max() > 2e-5
 
@@ -319,7 +319,7 @@ def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
     vector = {
         n: np.array([numbers.get(k + j, np.nan) for j in range(3)]) for n, k in first.items()
     }
-    moved = moved_lines(tables)
+    moved = correct_axis_lines(tables)
     one, two = {'P': 'AC', 'M': 'BC', 'T': 'CA'}[kind]
     if kind == 'P':
         reached = vector['I2'], vector['I2'] + vector['I3']

@@ -48,7 +48,7 @@ def part(machine, name, *chains):
 
 
 def judged(machine, parts):
-    place = paths.beside(machine)
+    place = paths.default_tracker_place(machine)
     return paths.forecast_parts(machine, parts, place, FEED, ForecastConfig())
 
 
@@ -153,7 +153,7 @@ def test_lines_are_driven_in_both_senses_with_every_reflector():
 
 def test_a_budget_is_kept_and_spent_on_all_errors_that_can_be_seen():
     machine = trunnion()
-    place, judge = paths.beside(machine), ForecastConfig()
+    place, judge = paths.default_tracker_place(machine), ForecastConfig()
     for budget in (2600.0, 1500.0):
         parts = choose_parts(machine, place, FEED, judge, time_budget=budget)
         driving = sum(paths.duration_of(machine, p, FEED) for p in parts)
@@ -183,14 +183,14 @@ def test_a_spindle_that_passes_a_nest_or_the_tracker_is_named():
 
 def test_tracker_stands_where_the_table_tilts_to():
     machine = trunnion()
-    assert paths.beside(machine)[1] > 0.25
+    assert paths.default_tracker_place(machine)[1] > 0.25
     other = {**machine.axes, 'A': replace(machine.axes['A'], direction=(-1.0, 0.0, 0.0))}
-    assert paths.beside(replace(machine, axes=other))[1] < -0.25
+    assert paths.default_tracker_place(replace(machine, axes=other))[1] < -0.25
 
 
 def test_the_table_hides_its_reflectors_from_the_other_side():
     machine = trunnion()
-    place = paths.beside(machine)
+    place = paths.default_tracker_place(machine)
     good = paths.sight_share(machine, 'a', place)
     bad = paths.sight_share(machine, 'a', place * [1.0, -1.0, 1.0])
     assert good.open > 0.95 > 0.7 > bad.open
@@ -221,7 +221,9 @@ def test_the_page_on_five_axes_states_what_the_planner_says():
     )
     config = PlannerConfig()
     plan = paths.plan_parts(machine, config)
-    found = paths.forecast_parts(machine, plan, paths.beside(machine), config, ForecastConfig())
+    found = paths.forecast_parts(
+        machine, plan, paths.default_tracker_place(machine), config, ForecastConfig()
+    )
     rotary = [p for p in plan if p.path.target.startswith('nest')]
     assert sum(paths.duration_of(machine, p, config) for p in rotary) / 60 == pytest.approx(
         minutes, abs=0.1

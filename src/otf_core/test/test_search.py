@@ -21,8 +21,8 @@ from scipy.optimize import brentq
 from otf_core.diagnosis.engine.search import (
     MAX_CAUSES,
     fit_jointly,
-    fit_out,
     noise_variance,
+    remove_option,
     search,
     search_beside,
     tried_effects,
@@ -193,7 +193,7 @@ def test_the_second_is_scored_on_what_the_first_cannot_follow():
     expected = np.logaddexp.reduce(odds) - np.log(len(odds))
     assert expected > 9.0
     assert causes[1].score == pytest.approx(expected, rel=1e-6)
-    left = fit_out(causes[1].option, fit_out(causes[0].option, rows.residual))
+    left = remove_option(causes[1].option, remove_option(causes[0].option, rows.residual))
     assert np.sum(left**2) < 1e-9 * np.sum(rows.residual**2)
 
 

@@ -18,7 +18,7 @@ from otf_core.diagnosis.engine.time_courses import DECOY_NAMES, DECOYS, courses_
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.action import vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
-from otf_core.effects.free import switched
+from otf_core.effects.free import declare_switching
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import known_input
 from otf_core.effects.switching import Switching
@@ -77,7 +77,7 @@ def test_what_is_no_such_name_is_none(name):
 @pytest.mark.parametrize('order', [1, 3])
 def test_file_keeps_a_drift_that_switches(order):
     state, machine = driven_state(), some_machine('w-Y-b-X-Z-t')
-    free = switched(vector, Switching(8.0, (2.0, 20.0, 41.5)), order)
+    free = declare_switching(vector, Switching(8.0, (2.0, 20.0, 41.5)), order)
     form = FreeForm.bound(DRIFT, free, [state])
     given = AppliedEffect(form, {'Z_1': 6e-6, f'X_{order}': -2e-6})
     text = yaml.safe_dump(effects_to_data([given], machine))

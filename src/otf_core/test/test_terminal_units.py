@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from otf_core.cli.output import answer, as_shown
+from otf_core.cli.output import answer, typeset_units
 
 
 class Terminal(io.StringIO):
@@ -36,7 +36,7 @@ class Terminal(io.StringIO):
     ],
 )
 def test_a_terminal_shows_micrometres_with_their_sign_where_it_has_it(stream, shown):
-    assert as_shown('largest 12 +/- 2 um, 3 urad/m; mean_um of a minimum', stream) == shown
+    assert typeset_units('largest 12 +/- 2 um, 3 urad/m; mean_um of a minimum', stream) == shown
 
 
 def test_words_of_a_verb_are_shown_so_and_objects_stay_as_they_are(monkeypatch):

@@ -14,7 +14,7 @@ from otf_core.cli.parser import Parser
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.message_text import shortened, without_middle
 from otf_core.inputs.path_file import read_points
-from otf_core.inputs.recordings import Given, read_recording
+from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.inputs.text_points import TextReading
 from otf_core.model.provenance import origins, provenance
 from otf_core.tracking import no_match
@@ -96,7 +96,7 @@ def test_what_is_left_out_goes_with_the_recording(tmp_path):
     (tmp_path / 'run.csv').write_text(LEFT_OUT['#DIV/0!'][1])
     (tmp_path / 'path.csv').write_text('x,y,z\n0,0,0\n0.1,0,0\n0.1,0.1,0\n')
     (tmp_path / 'm.yaml').write_text(MACHINE)
-    given = Given(path=tmp_path / 'path.csv')
+    given = ReadingOptions(path=tmp_path / 'path.csv')
     recording = read_recording([tmp_path / 'run.csv'], tmp_path / 'm.yaml', given)
     (told,) = provenance('calibrate', runs=origins([recording]))['runs']
     assert told['left_out'] == [{'reason': "x_mm is '#DIV/0!'", 'lines': 1, 'first_line': 9}]

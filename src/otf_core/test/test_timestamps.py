@@ -11,7 +11,7 @@ import pytest
 from otf_core.bags.bag import points_of
 from otf_core.errors import InputError
 from otf_core.files.text_moments import ZONES, MomentError, is_moment, read_moments
-from otf_core.inputs.recordings import Given, open_reading
+from otf_core.inputs.recordings import ReadingOptions, open_reading
 from otf_core.inputs.text_points import TextReading
 
 S = 1_000_000_000
@@ -250,7 +250,7 @@ def test_minutes_and_seconds_of_a_spreadsheet(tmp_path):
     wrapped = [f'{int(t[:2]) % 60:02d}{t[2:]}' for t in stamps]
     file = table(tmp_path, wrapped)
     assert 'minutes and seconds' in TextReading(file).said[0]
-    samples = points_of(open_reading(file, Given()), file)
+    samples = points_of(open_reading(file, ReadingOptions()), file)
     np.testing.assert_array_equal(samples.stamp_ns - samples.stamp_ns[0], STEP * np.arange(COUNT))
 
 

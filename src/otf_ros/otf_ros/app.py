@@ -64,7 +64,7 @@ class EndRequest:
 _request: EndRequest | None = None
 
 
-def ending() -> bool:
+def is_ending() -> bool:
     """Return whether the process is asked to end, for callbacks that take long."""
     return _request is not None and _request.came
 

@@ -12,8 +12,8 @@ from otf_core.arrays import Array
 from otf_core.calibration.calibration_result import motion_sizes
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.reports.rotary_calibration import verdicts_of, volume_sizes
-from otf_core.rotary.calibrate import AxisCalibration, first_pose
-from otf_core.rotary.volume import volume_errors
+from otf_core.rotary.axis_calibration import AxisCalibration, first_pose
+from otf_core.rotary.axis_volume import volume_errors
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTables as TablesMessage

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from otf_ros.timers import create_timer
 
 
-class NeverWoken(CallbackGroup):
+class PolledSubscription(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -61,7 +61,7 @@ class Drain:
         self._callback = callback
         self._most = qos.depth
         self.subscription = node.create_subscription(
-            msg_type, topic, self._never, qos, callback_group=NeverWoken()
+            msg_type, topic, self._never, qos, callback_group=PolledSubscription()
         )
         self._timer = create_timer(node, period, self.empty)
 

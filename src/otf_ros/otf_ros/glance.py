@@ -8,10 +8,10 @@ from typing import Any
 from rclpy.node import Node
 
 from otf_ros import qos
-from otf_ros.drain import NeverWoken
+from otf_ros.drain import PolledSubscription
 
 
-class Glance:
+class LatestMessage:
     """A subscription of which only the newest message is read, when it is asked for.
 
     Parameters
@@ -22,7 +22,7 @@ class Glance:
     """
 
     def __init__(self, node: Node, msg_type: type, topic: str) -> None:
-        group = NeverWoken()
+        group = PolledSubscription()
         self._subscription = node.create_subscription(
             msg_type, topic, self._never, qos.GLANCE, callback_group=group
         )

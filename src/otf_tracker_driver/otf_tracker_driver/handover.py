@@ -21,7 +21,7 @@ LONGEST = 600 * 10**9
 """ns; what is left of a stream that has ended earlier has nothing to do with the next one."""
 
 
-class Left(NamedTuple):
+class DriverRemains(NamedTuple):
     """What the driver before has left.
 
     Attributes
@@ -37,7 +37,7 @@ class Left(NamedTuple):
     last_ns: int
 
 
-NOTHING_LEFT = Left('', 0, 0)
+NOTHING_LEFT = DriverRemains('', 0, 0)
 
 
 def place(name: str) -> Path:
@@ -64,9 +64,9 @@ class Handover:
                 opened.truncate(LAYOUT.size)
                 self._bytes = mmap.mmap(opened.fileno(), LAYOUT.size)
         name, samples, last_ns = LAYOUT.unpack(self._bytes[:])
-        self._left = Left(name.rstrip(b'\0').decode('ascii', 'replace'), samples, last_ns)
+        self._left = DriverRemains(name.rstrip(b'\0').decode('ascii', 'replace'), samples, last_ns)
 
-    def take(self, first_ns: int) -> Left | None:
+    def take(self, first_ns: int) -> DriverRemains | None:
         """Return, once, what was left by a stream that a sample of this stamp goes on with."""
         handed_over, self._left = self._left, NOTHING_LEFT
         going_on = handed_over.stream_id and 0 < first_ns - handed_over.last_ns < LONGEST

@@ -118,6 +118,8 @@ class Health:
     gaps: tuple[Gap, ...] = ()
 
 
-def left_out(repeated: int, others: Mapping[str, int] = MappingProxyType({})) -> dict[str, int]:
+def count_left_out(
+    repeated: int, others: Mapping[str, int] = MappingProxyType({})
+) -> dict[str, int]:
     """Samples left out by reason, those of repeated times among them."""
     return {**others, REPEATED: repeated} if repeated else dict(others)

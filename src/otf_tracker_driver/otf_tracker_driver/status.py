@@ -17,7 +17,7 @@ from otf_ros.convert import NS, header, time_from_ns
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.clock.device_clock import ClockState
-from otf_tracker_driver.handover import NOTHING_LEFT, Handover, Left, place
+from otf_tracker_driver.handover import NOTHING_LEFT, DriverRemains, Handover, place
 from otf_tracker_driver.health import ORDINARY, Flow, Gap, Health, Hindrance
 
 NAMES = {
@@ -183,7 +183,7 @@ class Status:
             gap = Gap(handed_over.last_ns, first_ns, 'the driver ended and was started again')
             self._publish_gap(gap, handed_over)
 
-    def _publish_gap(self, gap: Gap, handed_over: Left = NOTHING_LEFT) -> None:
+    def _publish_gap(self, gap: Gap, handed_over: DriverRemains = NOTHING_LEFT) -> None:
         message = TrackerGap(
             header=self._header(),
             stream_id=self.message.stream_id,

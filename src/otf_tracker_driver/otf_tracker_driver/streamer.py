@@ -19,7 +19,7 @@ from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import app, convert, qos
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
-from otf_tracker_driver.backends.base import NO_SAMPLES, joined
+from otf_tracker_driver.backends.base import NO_SAMPLES, join_samples
 from otf_tracker_driver.listeners import calibrators
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
@@ -50,7 +50,7 @@ class Streamer:
     ) -> None:
         self._node, self._status, self._config = node, status, config
         self._backend = backend
-        backend.cancelled = app.ending
+        backend.cancelled = app.is_ending
         backend.now_ns = lambda: node.get_clock().now().nanoseconds or time.time_ns()
         try:
             self.description = backend.connect()
@@ -194,7 +194,7 @@ class Streamer:
 
     def _due(self, new: Samples) -> Samples:
         """Take new samples; return what is to be published now, in order."""
-        pending = joined([self._pending, new]) if len(self._pending) else new
+        pending = join_samples([self._pending, new]) if len(self._pending) else new
         now = time.monotonic()
         paused = now - self._ticked
         if paused > STOOD_STILL:

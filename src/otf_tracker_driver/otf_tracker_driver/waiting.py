@@ -75,7 +75,7 @@ class Waiting:
             return
         self._attempts, self._error = self._attempts + 1, None
         self._node.trigger_configure()
-        if app.ending():
+        if app.is_ending():
             return
         if self._error is None:
             self._node.trigger_activate()

@@ -12,18 +12,18 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 
 from otf_core.errors import OtfError
-from otf_core.live.live_run import LiveRun, RunProgress, Solved
+from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress
 from otf_core.model.motions import SQUARENESS
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
 from otf_ros import convert, convert_result, qos
-from otf_ros.glance import Glance
+from otf_ros.glance import LatestMessage
 from otf_ros.timers import create_timer
 
 LOOK = 0.2
 """s; how often the newest sample is looked at."""
 
 
-class Ears:
+class LiveRunListener:
     """Keeps a LiveRun up to date.
 
     Samples are subscribed to once the calibrator takes some: a driver that waits for listeners
@@ -48,7 +48,7 @@ class Ears:
         self.news = 0
         self.folder: FilePath | None = None
         self._solved_ns = -1
-        self._points: Glance | None = None
+        self._points: LatestMessage | None = None
         subscribe = node.create_subscription
         for topic in ('planner/path', 'calibrator/track'):  # the latter of several parts
             subscribe(Path, topic, partial(self._on_path, topic), qos.PATH)
@@ -60,7 +60,7 @@ class Ears:
 
     def _look(self) -> None:
         if self._points is None and self.run.collecting:
-            self._points = Glance(self._node, PointStamped, 'tracker/point')
+            self._points = LatestMessage(self._node, PointStamped, 'tracker/point')
         message = self._points.newest() if self._points else None
         if message and self.run.collecting:
             self.run.track.add(message.point.x, message.point.y, message.point.z)
@@ -103,7 +103,7 @@ class Ears:
         self._solved_ns = stamp_ns
         sizes = zip(message.motion_largest, message.motion_u, strict=True)
         location = zip(message.location_value, message.location_u, strict=True)
-        solved = Solved(
+        solved = LiveSolution(
             provisional=provisional,
             ok=message.status == CalibrationResult.OK,
             message=message.message,

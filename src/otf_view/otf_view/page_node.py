@@ -11,7 +11,7 @@ from otf_core.live.live_run import now, scene
 from otf_ros import app
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
-from otf_view.listening import Ears
+from otf_view.listening import LiveRunListener
 from otf_view.params import PageConfig
 from otf_view.server import PageServer
 
@@ -31,7 +31,7 @@ class Page(Node):
     def __init__(self) -> None:
         super().__init__('page')
         config = NodeParameters(self, PageConfig, read_only=('host', 'port')).read(PageConfig)
-        self._ears = Ears(self)
+        self._ears = LiveRunListener(self)
         self._server = PageServer(config.host, config.port)
         self._shown = -1
         self._offered: Path | None = None

@@ -15,7 +15,7 @@ from otf_core.live.live_run import NUMBERS, numbers
 from otf_ros import app, qos
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
-from otf_view.listening import Ears
+from otf_view.listening import LiveRunListener
 from otf_view.markers import to_markers
 from otf_view.params import ViewerConfig
 
@@ -34,7 +34,7 @@ class Viewer(Node):
         self._numbers = {
             name: self.create_publisher(Float64, f'view/{name}', qos.SCALAR) for name in NUMBERS
         }
-        self._ears = Ears(self)
+        self._ears = LiveRunListener(self)
         self._drawn = 0
         create_timer(self, PERIOD, self._publish)
 

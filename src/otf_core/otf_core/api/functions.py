@@ -20,7 +20,7 @@ from otf_core.effects import EVERY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
 from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
-from otf_core.inputs.recordings import Given, read_recording
+from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.live.stages import Progress
 from otf_core.memory import giving_back
 from otf_core.model.frames import RigidTransform
@@ -93,7 +93,9 @@ def read_bag(
     41.005
     """
     return read_recording(
-        [source], machine, Given(path, topic, path_topic, columns, rate, publisher=publisher)
+        [source],
+        machine,
+        ReadingOptions(path, topic, path_topic, columns, rate, publisher=publisher),
     )
 
 
@@ -149,7 +151,7 @@ def write_calibration(
     >>> sorted(file.name for file in files)[:2]
     ['error_tables.csv', 'error_tables.json']
     """
-    return _written(
+    return _fill_folder(
         folder,
         overwrite,
         'calibrate',
@@ -178,7 +180,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Name, *, overwrite: bool = Fal
     """
     from otf_core.reports.diagnosis import write_diagnosis
 
-    return _written(folder, overwrite, 'diagnose', lambda place: write_diagnosis(diagnosis, place))
+    return _fill_folder(
+        folder, overwrite, 'diagnose', lambda place: write_diagnosis(diagnosis, place)
+    )
 
 
 def write_plan(
@@ -210,7 +214,9 @@ def write_plan(
     if dialect is not None and dialect not in DIALECTS:
         raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')
     chosen = None if dialect is None else DIALECTS[dialect]
-    return _written(folder, overwrite, 'plan', lambda place: write_report(report, place, chosen))
+    return _fill_folder(
+        folder, overwrite, 'plan', lambda place: write_report(report, place, chosen)
+    )
 
 
 def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
@@ -235,7 +241,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 
-def _written(
+def _fill_folder(
     folder: Name, overwrite: bool, verb: str, write: Callable[[Path], list[Path]]
 ) -> list[Path]:
     """Fill a folder as a whole; return its files but the manifest."""

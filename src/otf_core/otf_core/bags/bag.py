@@ -16,7 +16,7 @@ from types import MappingProxyType
 import numpy as np
 import yaml
 
-from otf_core.bags.bag_reading import BagReading, Reading, advice_of, path_of, received_of
+from otf_core.bags.bag_reading import BagReading, Reading, advice_of, choose_publisher, path_of
 from otf_core.bags.bag_signals import signal_messages
 from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
 from otf_core.bags.rosbag2_metadata import (
@@ -30,9 +30,9 @@ from otf_core.bags.rosbag2_metadata import (
     channel_metadata,
     metadata_text,
 )
-from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order, usable_path
+from otf_core.bags.sample_order import MixedSamples, Screening, sort_by_time, usable_path
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.text_table import LeftOut
+from otf_core.files.text_table import SkippedLines
 from otf_core.files.writing import unwritable
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.declared_signals import SignalSpec
@@ -219,7 +219,7 @@ class BagContent:
     path: NominalPath | None
     remarks: tuple[str, ...] = ()
     signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SkippedLines, ...] = ()
     axis_paths: tuple[AxisPath, ...] = ()
 
 
@@ -290,7 +290,7 @@ def content_of(
         if part.path is not None and len(parts) == 1 and not part.axis_paths:
             part.require(part.path)
     where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
-    samples, remarks = _told(where, parts)
+    samples, remarks = _join_parts(where, parts)
     left_out = tuple(lines for part in parts for lines in part.left_out)
     axis_paths = tuple(own for part in parts for own in part.axis_paths)
     driven = None
@@ -302,10 +302,10 @@ def content_of(
 def points_of(part: Reading, source: str | Path) -> Samples:
     """Return the samples of one recording, whether it has a path or not; see ``content_of``."""
     part.require(part.point)
-    return _told(str(source), [part])[0]
+    return _join_parts(str(source), [part])[0]
 
 
-def _told(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str]]:
+def _join_parts(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str]]:
     """Samples of parts, and remarks; both kinds of words go to the log."""
     remarks = [text for part in parts for text in part.remarks]
     samples = samples_of(where, parts, remarks)
@@ -318,7 +318,7 @@ def _told(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str]]:
 
 def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
     """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
-    received = [received_of(part, where, remarks) for part in parts]
+    received = [choose_publisher(part, where, remarks) for part in parts]
     raw = sorted(received, key=lambda r: r.stamp_ns[:1].tolist())
     stamp_ns, xyz = (
         raw[0].stamp_ns if len(raw) == 1 else np.concatenate([r.stamp_ns for r in raw]),
@@ -327,7 +327,7 @@ def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samp
     screening = Screening()
     screening.foreign(sum((part.foreign for part in parts), Counter()))
     try:
-        return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
+        return sort_by_time(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
     except MixedSamples as error:
         raise MixedSamples(f'{error}{advice_of(received)}') from None
 
@@ -354,7 +354,7 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     """
     samples = content.samples
     remarks: list[str] = []
-    in_time_order(f'{folder}: samples', samples.stamp_ns, samples.xyz, remarks)
+    sort_by_time(f'{folder}: samples', samples.stamp_ns, samples.xyz, remarks)
     if not np.all(samples.stamp_ns[1:] > samples.stamp_ns[:-1]):
         raise InputError(f'{folder}: stamps of samples to write have to increase strictly')
     if remarks:

@@ -18,7 +18,7 @@ from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, Topic
 from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, MAX_OFF_NS, usable_path
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.text_table import LeftOut
+from otf_core.files.text_table import SkippedLines
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import TOOL
 from otf_core.model.path import NominalPath
@@ -73,7 +73,7 @@ class Column(Generic[T]):
 
 
 @dataclass(frozen=True)
-class Received:
+class ReceivedPoints:
     """Points as they were received.
 
     Attributes
@@ -102,14 +102,14 @@ class Reading(Protocol):
     axis_paths: list[AxisPath]
     foreign: Counter[str]
     remarks: list[str]
-    left_out: list[LeftOut]
+    left_out: list[SkippedLines]
     said: list[str]
     publisher: int | None
 
     def require(self, *wanted: Topic) -> None:
         """Refuse a recording without these topics."""
 
-    def received(self) -> Received:
+    def received(self) -> ReceivedPoints:
         """Return the points in the order of reception; they need not be kept."""
 
 
@@ -162,7 +162,7 @@ class BagReading:
         self.paths: list[NDArray[np.float64]] = []
         self.axis_paths: list[AxisPath] = []
         self.remarks: list[str] = []
-        self.left_out: list[LeftOut] = []
+        self.left_out: list[SkippedLines] = []
         self.said: list[str] = []
         self.publisher: int | None = None
         self.foreign: Counter[str] = Counter()
@@ -208,7 +208,7 @@ class BagReading:
             self._last_path = data
             path = decode_path(data, self.path.frame)
             if len(path):
-                self.paths = different([*self.paths, path])
+                self.paths = drop_repetitions([*self.paths, path])
             else:
                 self._cleared += 1
 
@@ -240,23 +240,23 @@ class BagReading:
         self.foreign.update(points.foreign)
         self._points += block.start.size
 
-    def received(self) -> Received:
+    def received(self) -> ReceivedPoints:
         """Return the points in the order of reception; they are not kept."""
         log_time = self._log_time.joined()
         as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
         stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
         channel = None if self._channel is None else self._channel.joined()
         if as_received:
-            return Received(stamp_ns, xyz, log_time, channel)
+            return ReceivedPoints(stamp_ns, xyz, log_time, channel)
         order = np.argsort(log_time, kind='stable')
         channel = None if channel is None else channel[order]
-        return Received(stamp_ns[order], xyz[order], log_time[order], channel)
+        return ReceivedPoints(stamp_ns[order], xyz[order], log_time[order], channel)
 
 
 def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
     """Return the path, if it is always the same."""
     where = f'{where}: {parts[0].path.name if parts[0].path else PATH.name}'
-    paths = different([corners for part in parts for corners in part.paths])
+    paths = drop_repetitions([corners for part in parts for corners in part.paths])
     if not paths:
         raise InputError(
             f'{where}: no path with points was published while it was recorded; give the one that '
@@ -270,7 +270,7 @@ def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
     return usable_path(where, paths[0])
 
 
-def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+def drop_repetitions(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
     """Leave out what repeats."""
     distinct: list[NDArray[np.float64]] = []
     for path in paths:
@@ -315,7 +315,7 @@ class Publishers:
         return '; '.join(f'--publisher {k}: {text}' for k, text in enumerate(self.words, start=1))
 
 
-def publishers_of(received: Received) -> Publishers | None:
+def publishers_of(received: ReceivedPoints) -> Publishers | None:
     """Tell publishers apart; None if there is one only, or no telling."""
     for by, labels in (
         ('their channels', _by_channel(received)),
@@ -328,7 +328,7 @@ def publishers_of(received: Received) -> Publishers | None:
     return None
 
 
-def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
+def choose_publisher(part: Reading, where: str, remarks: list[str]) -> ReceivedPoints:
     """Return the samples of the publisher that was asked for, of all if none was.
 
     Raises
@@ -354,16 +354,18 @@ def received_of(part: Reading, where: str, remarks: list[str]) -> Received:
         f'{part.publisher}: {publishers.words[part.publisher - 1]}'
     )
     channel = None if received.channel is None else received.channel[mine]
-    return Received(received.stamp_ns[mine], received.xyz[mine], received.log_time[mine], channel)
+    return ReceivedPoints(
+        received.stamp_ns[mine], received.xyz[mine], received.log_time[mine], channel
+    )
 
 
-def advice_of(parts: Sequence[Received]) -> str:
+def advice_of(parts: Sequence[ReceivedPoints]) -> str:
     """Return what to type where publishers are mixed; empty where none are distinguished."""
     publishers = publishers_of(parts[0]) if len(parts) == 1 else None
     return f'; distinguished by {publishers.by}, {publishers}' if publishers else ''
 
 
-def _words(received: Received, mine: NDArray[np.bool_]) -> str:
+def _words(received: ReceivedPoints, mine: NDArray[np.bool_]) -> str:
     stamps = received.stamp_ns[mine]
     low, high = int(stamps.min()), int(stamps.max())
     first, last = moment(low), moment(high)
@@ -371,7 +373,7 @@ def _words(received: Received, mine: NDArray[np.bool_]) -> str:
     return f'{len(stamps)} samples, {span}'
 
 
-def _by_channel(received: Received) -> Labels | None:
+def _by_channel(received: ReceivedPoints) -> Labels | None:
     if received.channel is None:
         return None
     different, labels = np.unique(received.channel, return_inverse=True)

@@ -225,10 +225,10 @@ def _from_metadata(folder: Path) -> BagSource:
     strange = [p for p in files if not is_storage(p)]
     if strange:
         raise InputError(f'{file}: lists {_names(strange)}; supported are .mcap and .db3')
-    return BagSource(folder, files, packed, _stated(info))
+    return BagSource(folder, files, packed, _metadata_messages(info))
 
 
-def _stated(info: Mapping[str, Any]) -> dict[str, int]:
+def _metadata_messages(info: Mapping[str, Any]) -> dict[str, int]:
     """Messages of every topic by metadata.yaml, as far as it is well-formed."""
     stated: dict[str, int] = {}
     listed = info.get('topics_with_message_count')

@@ -418,14 +418,14 @@ def set_state(folder: Path, state: str) -> None:
     _replace_text(path, metadata_text(data['rosbag2_bagfile_information']))
 
 
-def unfinished(directory: Path) -> list[Path]:
+def unfinished_runs(directory: Path) -> list[Path]:
     """Runs that are still to be calibrated, the newest last."""
     runs = [p for p in sorted(directory.iterdir()) if any(p.glob('*_0.mcap'))]
     return [p for p in runs if state_of(p) == RECORDING or not (p / METADATA).exists()]
 
 
 @dataclass(frozen=True)
-class Recorded:
+class JournalContent:
     """What a run holds, and the run to go on with.
 
     Attributes
@@ -442,7 +442,7 @@ class Recorded:
     parts: tuple[tuple[tuple[Topic, DecodedPoints | bytes], ...], ...]
 
 
-def take_up(folder: Path, definitions: Definitions) -> Recorded:
+def resume_run(folder: Path, definitions: Definitions) -> JournalContent:
     """Read an unfinished run, so that it goes on.
 
     Raises
@@ -470,7 +470,7 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
         else:
             parts.append(Part(file.name, 0, 0, {}))
     end = max((part.end for part in parts), default=0)
-    return Recorded(JournalRun(folder, definitions, parts), end, tuple(arrived))
+    return JournalContent(JournalRun(folder, definitions, parts), end, tuple(arrived))
 
 
 def _topic(block: MessageBlock, topics: Sequence[Topic] = (*TOPICS, GAP)) -> Topic:
@@ -634,7 +634,7 @@ class Journal:
         else:
             self._append(_End(folder, None, state))
 
-    def take_up(self, within: float) -> tuple[Recorded | None, list[Path]]:
+    def take_up(self, within: float) -> tuple[JournalContent | None, list[Path]]:
         """Go on with the newest unfinished run, if it was written lately.
 
         Parameters
@@ -652,13 +652,13 @@ class Journal:
         InputError
             If it cannot be read.
         """
-        folders = unfinished(self.directory)
+        folders = unfinished_runs(self.directory)
         if not folders:
             return None, []
         newest = max(p.stat().st_mtime for p in folders[-1].iterdir())
         if time.time() - newest > within:
             return None, folders
-        recorded = take_up(folders[-1], self._definitions)
+        recorded = resume_run(folders[-1], self._definitions)
         self._run = recorded.run
         self._clock = max(self._clock, recorded.end_ns + 1 - time.monotonic_ns())
         return recorded, folders[:-1]

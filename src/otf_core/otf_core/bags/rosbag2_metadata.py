@@ -47,7 +47,7 @@ OTHER_POINT = Topic('/tracker/point_other', POINT.type, POINT.frame, POINT.depth
 """Only in journals: samples of a second publisher, which are not part of the run."""
 
 
-def called(topic: Topic, name: str | None) -> Topic:
+def rename_topic(topic: Topic, name: str | None) -> Topic:
     """Return a topic under another name, whose frame is then as it comes; None: as it is."""
     if name is None:
         return topic

@@ -223,7 +223,7 @@ WRONG_STAMPS = (
 )
 
 
-def continued(stamp_ns: Stamps, xyz: Array, remarks: list[str]) -> Stamps:
+def continue_stamps(stamp_ns: Stamps, xyz: Array, remarks: list[str]) -> Stamps:
     """Continue stamps where their clock began again or was set back while the target went on.
 
     Parameters
@@ -340,7 +340,7 @@ class MixedSamples(InputError):
     """Stamps of several clocks: of publishers, runs, or one that was set back."""
 
 
-def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
+def screen_points(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Determine what is wrong with points; 0: nothing.
 
     Parameters
@@ -406,7 +406,7 @@ class Screening:
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
         """
-        kinds, before = judged(xyz), self.total - self._count[FOREIGN]
+        kinds, before = screen_points(xyz), self.total - self._count[FOREIGN]
         self.total += len(xyz)
         if self._start_ns is None and len(xyz):
             self._start_ns = int(stamp_ns[0])
@@ -481,7 +481,7 @@ MAX_CONFLICTS = 1e-3
 """Share of samples that may repeat a stamp with another point; they are dropped."""
 
 
-def in_time_order(
+def sort_by_time(
     where: str,
     stamp_ns: NDArray[np.int64],
     xyz: NDArray[np.float64],
@@ -552,7 +552,7 @@ def _screened(
     good = screening.good(stamp_ns, xyz)
     if good is not None:
         stamp_ns, xyz = stamp_ns[good], xyz[good]
-    stamp_ns = continued(stamp_ns, xyz, remarks)
+    stamp_ns = continue_stamps(stamp_ns, xyz, remarks)
     rows = of_one_clock(stamp_ns, screening.off)
     return (stamp_ns, xyz) if rows is None else (stamp_ns[rows], xyz[rows])
 

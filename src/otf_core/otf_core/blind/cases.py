@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.blind.depends import Depends, catalogue_depends
-from otf_core.blind.draw import Trial, draw_effect, draw_trial, nodal, scaled
+from otf_core.blind.depends import EffectInputs, catalogue_depends
+from otf_core.blind.draw import Trial, draw_effect, draw_trial, nodal, scale_effect
 from otf_core.blind.forms import TILT
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.observer import Ruler, make_ruler
@@ -27,7 +27,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Kind:
+class CellFamily:
     """A family of cells.
 
     Attributes
@@ -54,19 +54,19 @@ class Kind:
 
 
 KINDS = {
-    'none': Kind(0.06),
-    'one': Kind(0.12, 0.7e-6),
-    'faint': Kind(0.06, 0.3e-6, 0.7e-6),
-    'departed': Kind(0.13, 1e-6, 6e-6),
-    'tilt': Kind(0.10, 1e-6, 6e-6, seen=True),
-    'large': Kind(0.06, 20e-6, 30e-6, displaced=True),
-    'mixture': Kind(0.12, 0.7e-6, 6e-6, seen=True),
-    'as_is': Kind(0.10, 2e-6, 6e-6, seen=True, small=True),
-    'small': Kind(0.04, small=True),
-    'unknown': Kind(0.10, 1e-6, 6e-6),
-    'signal': Kind(0.03, 1e-6, 6e-6),
-    'places': Kind(0.04),
-    'long': Kind(0.04, 2e-6, 10e-6, seen=True),
+    'none': CellFamily(0.06),
+    'one': CellFamily(0.12, 0.7e-6),
+    'faint': CellFamily(0.06, 0.3e-6, 0.7e-6),
+    'departed': CellFamily(0.13, 1e-6, 6e-6),
+    'tilt': CellFamily(0.10, 1e-6, 6e-6, seen=True),
+    'large': CellFamily(0.06, 20e-6, 30e-6, displaced=True),
+    'mixture': CellFamily(0.12, 0.7e-6, 6e-6, seen=True),
+    'as_is': CellFamily(0.10, 2e-6, 6e-6, seen=True, small=True),
+    'small': CellFamily(0.04, small=True),
+    'unknown': CellFamily(0.10, 1e-6, 6e-6),
+    'signal': CellFamily(0.03, 1e-6, 6e-6),
+    'places': CellFamily(0.04),
+    'long': CellFamily(0.04, 2e-6, 10e-6, seen=True),
 }
 """Families: nothing; one of the catalogue; a faint one; a known cause in another form; a table
 that tilts; a very large one, of either; two or three of either; one of either amid small ones;
@@ -125,7 +125,7 @@ class Part:
     size: float
     raw: float
     snr: float
-    depends: Depends
+    depends: EffectInputs
 
     @property
     def name(self) -> str:
@@ -180,8 +180,8 @@ def weigh(ruler: Ruler, applied: AppliedEffect) -> Part:
     return Part(applied, ruler.size(moved), ruler.raw(moved), ruler.snr(moved), depends)
 
 
-def sized(
-    ruler: Ruler, applied: AppliedEffect, kind: Kind, rng: Rng, sizes: tuple[float, float]
+def draw_size(
+    ruler: Ruler, applied: AppliedEffect, kind: CellFamily, rng: Rng, sizes: tuple[float, float]
 ) -> Part:
     """Give an effect a random size."""
     effect = applied.effect
@@ -190,7 +190,7 @@ def sized(
         return part
     wanted = float(np.exp(rng.uniform(*np.log(sizes))))
     if kind.displaced:
-        return weigh(ruler, scaled(applied, wanted / _where_it_acts(ruler, applied)))
+        return weigh(ruler, scale_effect(applied, wanted / _where_it_acts(ruler, applied)))
     have = part.size
     # where means over pieces wash an effect out, its size is that of the samples
     blurred = effect.wave is not None and part.size < 0.3 * part.raw
@@ -199,15 +199,17 @@ def sized(
     machine = ruler.trial.machine
     longer = max(1.0, float(np.linalg.norm(machine.upper - machine.lower)) / USUAL)
     most = min(MOST / part.raw, PEAK / _lengths(ruler, applied).max())
-    return weigh(ruler, scaled(applied, min(wanted / max(have, 1e-12), longer * most)))
+    return weigh(ruler, scale_effect(applied, min(wanted / max(have, 1e-12), longer * most)))
 
 
-def draw_part(ruler: Ruler, name: str, kind: Kind, rng: Rng, sizes: tuple[float, float]) -> Part:
+def draw_part(
+    ruler: Ruler, name: str, kind: CellFamily, rng: Rng, sizes: tuple[float, float]
+) -> Part:
     """Draw an effect with its size, anew where it has to be seen and leaves too little."""
     trial = ruler.trial
     for _ in range(DRAWS):
         applied = draw_effect(name, trial.machine, trial.plan.duration, rng)
-        part = sized(ruler, applied, kind, rng, sizes)
+        part = draw_size(ruler, applied, kind, rng, sizes)
         if not kind.seen or max(part.size, _blurred(part)) > 0.9 * sizes[0]:
             break
     return part

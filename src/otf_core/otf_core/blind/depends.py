@@ -23,7 +23,7 @@ SPEED = ('feed', 'lap')
 
 
 @dataclass(frozen=True)
-class Depends:
+class EffectInputs:
     """Inputs of an effect.
 
     Attributes
@@ -43,10 +43,10 @@ class Depends:
         return {'groups': [list(g) for g in self.groups], 'besides': list(self.besides)}
 
 
-def on(*groups: str | tuple[str, ...], besides: Iterable[str] = ()) -> Depends:
+def depends_on(*groups: str | tuple[str, ...], besides: Iterable[str] = ()) -> EffectInputs:
     """Groups of one input each, or of several."""
     each = tuple((g,) if isinstance(g, str) else g for g in groups)
-    return Depends(each, tuple(besides))
+    return EffectInputs(each, tuple(besides))
 
 
 def named_rightly(named: Sequence[str], groups: Sequence[Sequence[str]], *more: str) -> bool:
@@ -69,32 +69,32 @@ def _moving_axes_of(applied: AppliedEffect) -> list[str]:
     return [a.lower() for a in XYZ if any(n[:1] == 'E' and n[2:3] == a for n in own)]
 
 
-def catalogue_depends(applied: AppliedEffect) -> Depends:
+def catalogue_depends(applied: AppliedEffect) -> EffectInputs:
     """What an effect of the catalogue depends on, by the equation in its file."""
     senses = tuple(f'sense_{a}' for a in _axes_of(applied))
     match applied.effect.name:
         case 'backlash':
-            return Depends(tuple((s,) for s in senses), SENSES)
+            return EffectInputs(tuple((s,) for s in senses), SENSES)
         case 'direction_dependent_tables':
             moving = _moving_axes_of(applied)
             groups = tuple(f'sense_{a}' for a in moving), tuple(moving)
-            return Depends(groups, (*SENSES, *PLACES))
+            return EffectInputs(groups, (*SENSES, *PLACES))
         case 'thermal_axis_expansion':
-            return on('time', tuple(_axes_of(applied)), besides=PLACES)
+            return depends_on('time', tuple(_axes_of(applied)), besides=PLACES)
         case 'thermal_structure_drift':
-            return on('time')
+            return depends_on('time')
         case 'tracker_pose_drift':
-            return on('time', besides=(*PLACES, *BEAM))
+            return depends_on('time', besides=(*PLACES, *BEAM))
         case 'servo_mismatch':
-            return Depends((senses,), (*SENSES, *SPEED, 'acceleration', 'since_stop'))
+            return EffectInputs((senses,), (*SENSES, *SPEED, 'acceleration', 'since_stop'))
         case 'cyclic_error':
-            return on(*_axes_of(applied))
+            return depends_on(*_axes_of(applied))
         case 'corner_rounding':
-            return on(('since_stop', 'acceleration'), besides=SENSES)
+            return depends_on(('since_stop', 'acceleration'), besides=SENSES)
         case 'cross_coupling' | 'target_incidence' | 'table_tilt' | 'tracker_angles':
-            return Depends(((*PLACES, *BEAM),), (*PLACES, *BEAM))
+            return EffectInputs(((*PLACES, *BEAM),), (*PLACES, *BEAM))
         case _:
-            return Depends()
+            return EffectInputs()
 
 
 _STATIC = frozenset({

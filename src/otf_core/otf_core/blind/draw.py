@@ -350,7 +350,7 @@ def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> Appli
     return AppliedEffect(REGISTRY[name], draw.all(REGISTRY[name].trial.drawn))
 
 
-def scaled(applied: AppliedEffect, factor: float) -> AppliedEffect:
+def scale_effect(applied: AppliedEffect, factor: float) -> AppliedEffect:
     """Return the effect with all coefficients, but not its shape, multiplied."""
     own = applied.effect.shape_names
     parameters = {k: v if k in own else v * factor for k, v in applied.parameters.items()}

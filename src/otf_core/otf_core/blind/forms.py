@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
+from otf_core.blind.depends import PLACES, SENSES, SPEED, EffectInputs, depends_on
 from otf_core.effects import State
 
 STILL = 1e-10
@@ -371,14 +371,14 @@ DEPARTED_FORMS = {
 
 _UNIT = np.eye(3)
 
-Nameless = tuple[Array, Depends]
+Nameless = tuple[Array, EffectInputs]
 
 
 def tiring_clamp(v: View) -> Nameless:
     """A slide that stands is pulled aside by its clamp, more as the run goes on."""
     a = v.axis()
     stands = (v.sense[:, a] == 0.0) * (0.5 + v.share)
-    return stands[:, None] * np.roll(_UNIT[a], 1), on(SENSES[a], besides=['time'])
+    return stands[:, None] * np.roll(_UNIT[a], 1), depends_on(SENSES[a], besides=['time'])
 
 
 def sagging_bed(v: View) -> Nameless:
@@ -386,7 +386,7 @@ def sagging_bed(v: View) -> Nameless:
     a, b = v.axes()
     shape = np.exp(-2.0 * v.u[:, a] ** 2)
     sunk = v.share**1.5 * (shape - shape.mean())
-    return sunk[:, None] * _UNIT[b], on('time', PLACES[a])
+    return sunk[:, None] * _UNIT[b], depends_on('time', PLACES[a])
 
 
 def warm_air(v: View) -> Nameless:
@@ -396,20 +396,20 @@ def warm_air(v: View) -> Nameless:
     centre = np.angle(np.exp(1j * azimuth).mean())
     off = np.angle(np.exp(1j * (azimuth - centre)))
     bent = v.share * reach**2 * np.sin(6.0 * off)
-    return bent[:, None] * _UNIT[2], on('time', 'azimuth', besides=['range'])
+    return bent[:, None] * _UNIT[2], depends_on('time', 'azimuth', besides=['range'])
 
 
 def slow_settling(v: View) -> Nameless:
     """A soft mount settles for a second or two after every start."""
     remainder = np.exp(-v.since_start / v.between(0.5, 1.0))
-    return remainder[:, None] * v.unit(), on('since_stop', besides=['acceleration'])
+    return remainder[:, None] * v.unit(), depends_on('since_stop', besides=['acceleration'])
 
 
 def oil_at_one_end(v: View) -> Nameless:
     """A slide floats up with its feed, at the end where the oil comes in."""
     a = v.axis()
     lift = (v.speed / v.feed.max()) ** 2 * (1.0 + np.tanh(1.5 * v.u[:, a]))
-    return lift[:, None] * np.array([0.2, 0.1, 1.0]), on(SPEED, PLACES[a])
+    return lift[:, None] * np.array([0.2, 0.1, 1.0]), depends_on(SPEED, PLACES[a])
 
 
 NAMELESS_FORMS = (tiring_clamp, sagging_bed, warm_air, slow_settling, oil_at_one_end)

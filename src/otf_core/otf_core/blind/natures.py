@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
+from otf_core.blind.depends import PLACES, SENSES, SPEED, EffectInputs, depends_on
 from otf_core.blind.forms import (
     DEPARTED_FORMS,
     FOLLOWING_FORMS,
@@ -49,7 +49,7 @@ class UnknownEffect(Effect):
     """True if a decoy of the diagnosis has the same formula."""
     stands_for: ClassVar[frozenset[str]] = frozenset()
     """Causes of the catalogue whose name is right for it; none for an unknown one."""
-    depends: ClassVar[Depends] = Depends()
+    depends: ClassVar[EffectInputs] = EffectInputs()
     """What it depends on; no groups where no smooth function of inputs comes near."""
 
     @property
@@ -57,7 +57,7 @@ class UnknownEffect(Effect):
         """How a trial draws all its parameters."""
         return (*self.trial.drawn, Axes('A', self.size))
 
-    def depends_on(self, state: State, parameters: Shape) -> Depends:
+    def depends_on(self, state: State, parameters: Shape) -> EffectInputs:
         """What it depends on as drawn."""
         return self.depends
 
@@ -83,7 +83,7 @@ class MachineStep(UnknownEffect):
     name: ClassVar[str] = 'unknown_machine_step'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'something moves by a jolt'
-    depends: ClassVar[Depends] = on('time')
+    depends: ClassVar[EffectInputs] = depends_on('time')
     equation: ClassVar[str] = 'A [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
@@ -100,7 +100,7 @@ class TrackerStep(UnknownEffect):
     name: ClassVar[str] = 'unknown_tracker_step'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'somebody knocks against the tracker'
-    depends: ClassVar[Depends] = on('time')
+    depends: ClassVar[EffectInputs] = depends_on('time')
     equation: ClassVar[str] = '(A / 1 m) x r [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
@@ -124,7 +124,7 @@ class SlowSwing(UnknownEffect):
     name: ClassVar[str] = 'unknown_slow_swing'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'air conditioning, chiller'
-    depends: ClassVar[Depends] = on('time')
+    depends: ClassVar[EffectInputs] = depends_on('time')
     equation: ClassVar[str] = 'A sin(2 pi (t - t0) / period)'
     shape_names: ClassVar[tuple[str, ...]] = ('period', 't0')
     shape_units: ClassVar[tuple[str, ...]] = ('s', 's')
@@ -142,7 +142,7 @@ class LocalBump(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_local_bump'
     cause: ClassVar[str] = 'a dent, a chip under the cover'
-    depends: ClassVar[Depends] = on(*PLACES)
+    depends: ClassVar[EffectInputs] = depends_on(*PLACES)
     equation: ClassVar[str] = 'A exp(-|q - q0|^2 / (2 w^2))'
     shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
     shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'm')
@@ -179,7 +179,7 @@ class FeedOffset(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_feed_offset'
     cause: ClassVar[str] = 'slides float up on their oil film'
-    depends: ClassVar[Depends] = on(SPEED)
+    depends: ClassVar[EffectInputs] = depends_on(SPEED)
     equation: ClassVar[str] = 'A (v / 0.2 m/s)^2'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -192,7 +192,7 @@ class InertiaNod(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_inertia_nod'
     cause: ClassVar[str] = 'a soft head or column'
-    depends: ClassVar[Depends] = on('acceleration', besides=['since_stop'])
+    depends: ClassVar[EffectInputs] = depends_on('acceleration', besides=['since_stop'])
     equation: ClassVar[str] = 'A times the sign of the acceleration along the path'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -206,7 +206,7 @@ class DirectionPair(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_direction_pair'
     cause: ClassVar[str] = 'the frame racks when two drives push against each other'
-    depends: ClassVar[Depends] = on('sense_x', 'sense_y')
+    depends: ClassVar[EffectInputs] = depends_on('sense_x', 'sense_y')
     equation: ClassVar[str] = 'A sign(d_X) sign(d_Y) where both move'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -226,9 +226,11 @@ class BallPassage(UnknownEffect):
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
     trial: ClassVar[Trial] = Trial((Number('p', Uniform(0.004, 0.02)),))
 
-    def depends_on(self, state: State, parameters: Shape) -> Depends:
+    def depends_on(self, state: State, parameters: Shape) -> EffectInputs:
         """Position of every axis whose slide lifts."""
-        return on(*(p for p, n in zip(PLACES, self.vector, strict=True) if parameters.get(n)))
+        return depends_on(
+            *(p for p, n in zip(PLACES, self.vector, strict=True) if parameters.get(n))
+        )
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Lift of every slide."""
@@ -247,9 +249,11 @@ class AxisBrake(UnknownEffect):
     cause: ClassVar[str] = 'a brake or a clamp that closes while its axis stands'
     equation: ClassVar[str] = 'A_a [axis a stands] e_a'
 
-    def depends_on(self, state: State, parameters: Shape) -> Depends:
+    def depends_on(self, state: State, parameters: Shape) -> EffectInputs:
         """Whether each axis that has a brake moves."""
-        return on(*(s for s, n in zip(SENSES, self.vector, strict=True) if parameters.get(n)))
+        return depends_on(
+            *(s for s, n in zip(SENSES, self.vector, strict=True) if parameters.get(n))
+        )
 
     def factor(self, state: State, shape: Shape) -> Array:
         """One for every axis that stands."""
@@ -262,7 +266,7 @@ class HeatPlume(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_heat_plume'
     cause: ClassVar[str] = 'a hot motor beside the beam'
-    depends: ClassVar[Depends] = on('azimuth', 'elevation')
+    depends: ClassVar[EffectInputs] = depends_on('azimuth', 'elevation')
     equation: ClassVar[str] = 'A r / 1 m exp(-angle(r, r0)^2 / (2 w^2)), r the beam'
     shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
     shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'rad')
@@ -300,7 +304,7 @@ WRITTEN_OUT: tuple[UnknownEffect, ...] = (
 
 
 _SIZE = 1e-6
-_ANY = Depends()
+_ANY = EffectInputs()
 _SEEDS = Uniform(1.0, 1e9)
 
 
@@ -326,7 +330,7 @@ class Nature(UnknownEffect):
         self,
         form: Callable[[View], Array | Nameless],
         stands_for: frozenset[str] = frozenset(),
-        depends: Depends = _ANY,
+        depends: EffectInputs = _ANY,
     ) -> None:
         self.form = form
         prefix = 'departed' if stands_for else 'unknown'
@@ -346,7 +350,7 @@ class Nature(UnknownEffect):
         """Displacement per unit of A."""
         return self._made(state, shape)[0]
 
-    def depends_on(self, state: State, parameters: Shape) -> Depends:
+    def depends_on(self, state: State, parameters: Shape) -> EffectInputs:
         """As the form says."""
         return self._made(state, parameters)[1]
 
@@ -360,7 +364,8 @@ DEPARTED: dict[str, UnknownEffect] = {
 }
 """Known causes in other forms."""
 FOLLOWING: dict[str, UnknownEffect] = {
-    n.name: n for n in (Nature(form, names, on(SENSOR)) for form, names in FOLLOWING_FORMS.items())
+    n.name: n
+    for n in (Nature(form, names, depends_on(SENSOR)) for form, names in FOLLOWING_FORMS.items())
 }
 """Known causes that follow a signal recorded beside the samples."""
 UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {

@@ -32,9 +32,9 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.tables import ErrorTables
 from otf_core.sim.cell import EPOCH_NS, SimulatedRun
 from otf_core.sim.drive import Drive
-from otf_core.sim.effects import displaced, run_state
+from otf_core.sim.effects import run_state, total_displacement
 from otf_core.sim.simulated_signals import signal_courses
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 
 OBSERVED_RATE = 100.0
 """Hz; samples that come faster are averaged, so that the covariance of a line stays small."""
@@ -214,7 +214,7 @@ class Observer:
     orthogonal: Array
     triangular: Array
 
-    @in_one_thread
+    @limit_to_one_thread
     def left(self, moved: Sequence[Array]) -> tuple[list[Array], float]:
         """What tables and poses leave of displacements of all samples of each run.
 
@@ -259,7 +259,7 @@ def _between(sight: Sight, values: Array) -> Array:
     return angles
 
 
-@in_one_thread
+@limit_to_one_thread
 def observe(sights: Sequence[Sight], tables: ErrorTables) -> Observer:
     """Set up the least squares for runs of one machine.
 
@@ -298,7 +298,7 @@ class Ruler:
 
     def displacement(self, effects: Sequence[AppliedEffect]) -> list[Array]:
         """Displacement of all samples of each run, (n, 3), m."""
-        return [displaced(s, effects) for s in self.states]
+        return [total_displacement(s, effects) for s in self.states]
 
     def raw(self, moved: Sequence[Array]) -> float:
         """Root mean square of a displacement itself, m."""

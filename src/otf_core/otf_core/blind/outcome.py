@@ -182,7 +182,7 @@ def _sure(causes: Causes) -> Causes:
     return [c for c in causes if c.get('confidence', 0.0) >= SURE]
 
 
-def _gap_left(answer: Mapping[str, Any]) -> float | None:
+def _remaining_share(answer: Mapping[str, Any]) -> float | None:
     """Share of the gap that is left on legs that were not fitted on; None without a gap."""
     gap = answer.get('unnamed') or answer.get('gap') or {}
     before = float(gap.get('before_um', 0.0))
@@ -270,7 +270,7 @@ def outcome(
         sure_extra=tuple(c['effect'] for c in _sure(extra)),
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
-        gap_left=_gap_left(answer),
+        gap_left=_remaining_share(answer),
         follows=_follows(parts, answer),
         simulated_off=None if first_place else _simulated_off(entry, answer),
         **_inputs(parts, answer, exclude),

@@ -19,13 +19,13 @@ from otf_core.blind import score
 from otf_core.blind.outcome import Outcome
 from otf_core.blind.recovery import Recovery
 from otf_core.blind.score import (
+    ConfidenceClass,
     Row,
-    Stated,
     binomial_interval,
     expected_calibration_error,
     reliability,
 )
-from otf_core.blind.seal import sealed
+from otf_core.blind.seal import read_seal
 from otf_core.files.strict_yaml import read_json
 from otf_core.fleet.fleet import STATE
 
@@ -50,7 +50,7 @@ def _words(x: float, y: float, words: str, look: str = '') -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" {look}>{words}</text>'
 
 
-def _point(one: Stated) -> list[str]:
+def _point(one: ConfidenceClass) -> list[str]:
     """A class: its share, the 95 % interval, and how many causes it holds."""
     x, low_high = _across(one.mean), binomial_interval(one.row.hits, one.row.of)
     bar = 'stroke="#1f77b4" stroke-width="2"'
@@ -61,7 +61,7 @@ def _point(one: Stated) -> list[str]:
     ]
 
 
-def reliability_svg(classes: Sequence[Stated]) -> str:
+def reliability_svg(classes: Sequence[ConfidenceClass]) -> str:
     """Draw the diagram as SVG; a point on the diagonal states what is so."""
     whole, plain = SIDE + 2.0 * EDGE, 'stroke="#888"'
     parts = [
@@ -142,7 +142,7 @@ def particulars(
     """Sizes, what one of two tracker places says, every hidden effect, confidences."""
     confusion = [(row.name, row.share, words) for row, words in score.confusion(outcomes)]
     tables = [
-        of_rows(('besides', 'cells'), score.further(outcomes)),
+        of_rows(('besides', 'cells'), score.further_counts(outcomes)),
         of_rows(('sizes', ''), score.sizes(recovered, outcomes)),
         Table(('hidden', 'answered correctly', 'answers'), confusion),
         confidences(outcomes),
@@ -155,7 +155,7 @@ def particulars(
 
 def confidences(outcomes: Sequence[Outcome]) -> Table:
     """Reliability: the confidence stated for causes, and how many of them are there."""
-    classes = reliability(score.stated(outcomes))
+    classes = reliability(score.stated_confidences(outcomes))
     rows = [(s.row.name, f'{s.mean:.2f}', s.row.share, s.row.interval) for s in classes]
     error = expected_calibration_error(classes)
     rows.append(('expected calibration error', f'{error:.3f}', '', ''))
@@ -186,13 +186,15 @@ def shrink_words(recovered: Sequence[Recovery]) -> str:
     )
 
 
-def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]) -> list[Table]:
+def leave_one_out_table(
+    outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
+) -> list[Table]:
     """Leave one out: the criteria as they are published, and every cell."""
     rows = []
     for o in outcomes:
         pairs = zip(o.named, o.confidence, strict=True)
         words = ', '.join(f'{n} ({c:.2f})' for n, c in pairs) or '-'
-        apart = score.told_apart(o, recovered)
+        apart = score.distinguishability(o, recovered)
         seen = f'{o.size_um[0]:.2f} um' + ('' if all(o.visible) else ', no trace')
         separation = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
         rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', separation))
@@ -206,7 +208,7 @@ TABLE, DIAGRAM = 'table.md', 'reliability.svg'
 
 
 @dataclass(frozen=True)
-class Measured:
+class TrialConditions:
     """Under what conditions a trial was measured.
 
     Attributes
@@ -227,11 +229,11 @@ class Measured:
     @classmethod
     def of(
         cls, folder: Path, entries: Sequence[Mapping[str, Any]], date: str, leave_one_out: bool
-    ) -> Measured:
+    ) -> TrialConditions:
         """Read the conditions from the folder of a trial."""
         ended = [read_json(f)['outcome'] for f in sorted(folder.glob(f'{STATE}/answers*.json'))]
         times = tuple(float(e['seconds']) for e in ended if e['sha256'] is not None)
-        return cls(len(entries), entries[0]['seed'], date, sealed(folder), times, leave_one_out)
+        return cls(len(entries), entries[0]['seed'], date, read_seal(folder), times, leave_one_out)
 
     @property
     def command(self) -> str:
@@ -246,7 +248,7 @@ def sizes_words(recovered: Sequence[Recovery], outcomes: Sequence[Outcome]) -> s
     return f'Sizes: {"; ".join(f"{r.name} in {r.share}" for r in rows)}.' if rows else ''
 
 
-def fragment(measured: Measured, table: Table, words: str = '') -> str:
+def fragment(measured: TrialConditions, table: Table, words: str = '') -> str:
     """Command, conditions, table and words below it."""
     times = measured.seconds
     lasted = (

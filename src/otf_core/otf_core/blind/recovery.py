@@ -18,7 +18,7 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import read_json
 from otf_core.model.machine import Machine
-from otf_core.sim.effects import displaced
+from otf_core.sim.effects import total_displacement
 
 EFFECTS, LATER_EFFECTS = 'effects.yaml', 'effects_run_{}.yaml'
 """Files that an answer lies in beside gap.json; later runs have one where theirs differ."""
@@ -142,7 +142,7 @@ def recover(
         Of the cell.
     """
     true = ruler.displacement(_hidden(entry['parts']))
-    said = [displaced(s, one) for s, one in zip(ruler.states, fitted, strict=True)]
+    said = [total_displacement(s, one) for s, one in zip(ruler.states, fitted, strict=True)]
     difference = [t - f for t, f in zip(true, said, strict=True)]
     before = max(ruler.size(true), 1e-12)
     shrink = answer.get('unnamed') or answer['gap']

@@ -59,7 +59,7 @@ def binomial_interval(hits: int, of: int) -> tuple[float, float]:
     return low, high
 
 
-class Stated(NamedTuple):
+class ConfidenceClass(NamedTuple):
     """A class of stated confidences.
 
     Attributes
@@ -74,7 +74,7 @@ class Stated(NamedTuple):
     mean: float
 
 
-def reliability(said: Sequence[tuple[float, bool]]) -> list[Stated]:
+def reliability(said: Sequence[tuple[float, bool]]) -> list[ConfidenceClass]:
     """Share of the causes that are there, by the confidence stated for them."""
     classes = []
     for low, high in pairwise(CLASSES):
@@ -82,11 +82,11 @@ def reliability(said: Sequence[tuple[float, bool]]) -> list[Stated]:
         if own:
             name = f'{low:.2f} to {high:.2f}'
             row = Row(name, sum(there for _, there in own), len(own))
-            classes.append(Stated(row, sum(c for c, _ in own) / len(own)))
+            classes.append(ConfidenceClass(row, sum(c for c, _ in own) / len(own)))
     return classes
 
 
-def expected_calibration_error(classes: Sequence[Stated]) -> float:
+def expected_calibration_error(classes: Sequence[ConfidenceClass]) -> float:
     """Mean distance of the stated confidence from the share that is there, over all causes."""
     count = sum(c.row.of for c in classes)
     off = sum(c.row.of * abs(c.mean - c.row.hits / c.row.of) for c in classes)
@@ -111,7 +111,7 @@ def _right(name: str, outcomes: Sequence[Outcome]) -> Row:
     return Row(name, sum(o.is_right for o in outcomes), len(outcomes))
 
 
-def _left(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
+def _shrunk_below(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
     """Right answers that leave less than a share of the gap."""
     shares = [o.gap_left for o in outcomes if o.is_right]
     return Row(name, sum(g is not None and g < share for g in shares), len(outcomes))
@@ -147,7 +147,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         named('a faint one', 'faint'),
         named('a very large one', 'large'),
         named('a known cause in another form', 'departed'),
-        _left(', less than a third of the gap left', of('departed'), THIRD),
+        _shrunk_below(', less than a third of the gap left', of('departed'), THIRD),
         named('a table that tilts', 'tilt'),
         named('one on a machine of 2 m to 6 m', 'long'),
         Row('one that follows a signal: named correctly, with its signal',
@@ -158,11 +158,11 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         Row(', at most one needless cause', sum(len(o.extra) < 2 for o in as_is), len(as_is)),
         Row(', none claimed', sum(not o.sure_extra for o in as_is), len(as_is)),
         _results('no catalogue: called unknown', unknown, 'unknown'),
-        _left(', less than half of the gap left', unknown, HALF),
+        _shrunk_below(', less than half of the gap left', unknown, HALF),
     ]  # fmt: skip
 
 
-def further(outcomes: Sequence[Outcome]) -> list[Row]:
+def further_counts(outcomes: Sequence[Outcome]) -> list[Row]:
     """What else can be counted: needless causes, inputs, what leaves no trace."""
     noise = [o for o in outcomes if o.noise_as_specified]
     alone = [o for o in outcomes if o.kind in ('one', 'faint', 'places')]
@@ -219,7 +219,7 @@ def confusion(outcomes: Sequence[Outcome]) -> list[tuple[Row, str]]:
     return lines
 
 
-def stated(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
+def stated_confidences(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
     """Confidence of every cause that is named, and whether it is hidden in the cell."""
     return [
         (c, n not in o.extra) for o in outcomes for n, c in zip(o.named, o.confidence, strict=True)
@@ -251,7 +251,7 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     """
     seen = [o for o in outcomes if all(o.visible)]
     sure = [o for o in seen if any(c >= CONFIDENT for c in o.confidence)]
-    apart = sum(told_apart(o, recovered) > TOLD_APART for o in sure)
+    apart = sum(distinguishability(o, recovered) > TOLD_APART for o in sure)
     return [
         _results('an effect taken out of the catalogue: called unknown', seen, 'unknown'),
         Row(
@@ -262,7 +262,7 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     ]
 
 
-def told_apart(outcome: Outcome, recovered: Mapping[str, Recovery]) -> float:
+def distinguishability(outcome: Outcome, recovered: Mapping[str, Recovery]) -> float:
     """Standard deviations at which a perfect observer tells the answer from the truth."""
     return recovered[outcome.cell].left_snr if outcome.cell in recovered else float(np.inf)
 
@@ -271,12 +271,12 @@ def score_to_dict(
     outcomes: Sequence[Outcome], recovered: Sequence[Recovery], alone: Sequence[Outcome] = ()
 ) -> dict[str, Any]:
     """Plain data of everything scored."""
-    classes = reliability(stated(outcomes))
+    classes = reliability(stated_confidences(outcomes))
     return {
         'schema': 'otf-blind-score/3',
         'criteria': [
             {**r._asdict(), 'interval': r.interval}
-            for r in (*summary(outcomes), *further(outcomes))
+            for r in (*summary(outcomes), *further_counts(outcomes))
         ],
         'reliability': [{**c.row._asdict(), 'stated': c.mean} for c in classes],
         'expected_calibration_error': expected_calibration_error(classes),

@@ -142,7 +142,7 @@ def seal(
     """
     if not (folder / SEAL).exists():
         _draw(wanted, folder, workers, progress)
-        progress(f'key sealed, SHA-256 {sealed(folder)}')
+        progress(f'key sealed, SHA-256 {read_seal(folder)}')
     key = _read_key(folder)
     drawn = {(e['seed'], e['cell'], e['kind']) for e in key['cells']}
     cells = sorted([*key['not_drawn'], *(e['cell'] for e in key['cells'])])
@@ -183,7 +183,7 @@ def _draw(
     write_text(folder / SEAL, hashlib.sha256(text.encode()).hexdigest() + '\n')
 
 
-def sealed(folder: Path) -> str:
+def read_seal(folder: Path) -> str:
     """SHA-256 of the key, as it was sealed."""
     return (folder / SEAL).read_text(encoding='utf-8').strip()
 
@@ -206,7 +206,7 @@ def open_key(folder: Path) -> list[Entry]:
 def _read_key(folder: Path) -> dict[str, Any]:
     try:
         text = (folder / KEY).read_text(encoding='utf-8')
-        digest = sealed(folder)
+        digest = read_seal(folder)
     except OSError as error:
         raise InputError(f'{folder}: key cannot be read ({error.strerror})') from None
     if hashlib.sha256(text.encode()).hexdigest() != digest:

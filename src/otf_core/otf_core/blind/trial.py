@@ -17,21 +17,21 @@ from otf_core.blind.outcome import NOISE, Outcome, outcome
 from otf_core.blind.publish import (
     DIAGRAM,
     TABLE,
-    Measured,
     Table,
+    TrialConditions,
     as_text,
     criteria,
     fragment,
+    leave_one_out_table,
     misses,
     particulars,
     reliability_svg,
     shrink_words,
     sizes_words,
-    without_itself,
 )
 from otf_core.blind.recovery import Recovery, recovery_from
-from otf_core.blind.score import reliability, score_to_dict, stated
-from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
+from otf_core.blind.score import reliability, score_to_dict, stated_confidences
+from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, read_seal, seal
 from otf_core.files.output_folder import MANIFEST, file_digest, write_manifest, written_files
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
@@ -198,7 +198,7 @@ def _score(
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
     main, rest = criteria(outcomes), particulars(outcomes, recovered, alone)
-    write_text(folder / DIAGRAM, reliability_svg(reliability(stated(outcomes))))
+    write_text(folder / DIAGRAM, reliability_svg(reliability(stated_confidences(outcomes))))
     data = score_to_dict(outcomes, recovered, alone)
     _publish(folder, data, main, sizes_words(recovered, outcomes))
     every = [main, *rest, misses([*outcomes, *alone])]
@@ -216,7 +216,7 @@ def _publish(
     """Write score.json, and the table as the docs hold it."""
     block = provenance('blind', files={'key': folder / KEY})
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
-    measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
+    measured = TrialConditions.of(folder, open_key(folder), block['written'][:10], leave_one_out)
     write_text(folder / TABLE, fragment(measured, main, words))
 
 
@@ -230,7 +230,7 @@ def list_files(folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Trialled:
+class TrialResult:
     """What a trial came to.
 
     Attributes
@@ -251,7 +251,7 @@ def run_trial(
     folder: str | Path,
     workers: Workers,
     progress: Callable[[str], None] = lambda text: None,
-) -> Trialled:
+) -> TrialResult:
     """Run a blind trial; an interrupted one goes on where it was.
 
     Parameters
@@ -266,7 +266,7 @@ def run_trial(
     ended = seal(orders(trials, seed), folder, workers, progress)
     cells = sorted(p.name for p in (folder / 'cells').iterdir())
     questions = _blind_questions(folder, cells)
-    answers, asked = ask_all(questions, folder, sealed(folder), workers, progress)
+    answers, asked = ask_all(questions, folder, read_seal(folder), workers, progress)
     entries = open_key(folder)
     whole = {q.cell: q for q in questions if q.label == WHOLE}
     sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
@@ -275,7 +275,7 @@ def run_trial(
     recovered, judged = _recover_all(pairs, folder, workers, progress)
     text = _score(folder, entries, answers, list(recovered.values()))
     write_text(folder / 'score.txt', text + '\n')
-    return Trialled(text, {**ended, **asked, **judged})
+    return TrialResult(text, {**ended, **asked, **judged})
 
 
 def run_leave_one_out(
@@ -284,7 +284,7 @@ def run_leave_one_out(
     folder: str | Path,
     workers: Workers,
     progress: Callable[[str], None] = lambda text: None,
-) -> Trialled:
+) -> TrialResult:
     """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
 
     What is taken out is taken out in every form.
@@ -295,7 +295,7 @@ def run_leave_one_out(
     questions = [
         Question(e['cell'], ('bag',), kin_of(e['parts'][0]['effect']), WITHOUT) for e in entries
     ]
-    answers, asked = ask_all(questions, folder, sealed(folder), workers, progress)
+    answers, asked = ask_all(questions, folder, read_seal(folder), workers, progress)
     outcomes: list[Outcome] = []
     named = []
     for entry, question in zip(entries, questions, strict=True):
@@ -303,9 +303,9 @@ def run_leave_one_out(
         if outcomes[-1].named:
             named.append((entry, question))
     recovered, judged = _recover_all(named, folder, workers, progress)
-    main, *rest = without_itself(outcomes, recovered)
+    main, *rest = leave_one_out_table(outcomes, recovered)
     data = score_to_dict(outcomes, list(recovered.values()))
     _publish(folder, data, main, leave_one_out=True)
     text = '\n\n'.join(map(as_text, [main, *rest]))
     write_text(folder / 'score.txt', text + '\n')
-    return Trialled(text, {**ended, **asked, **judged})
+    return TrialResult(text, {**ended, **asked, **judged})

@@ -34,7 +34,7 @@ from operator import add, attrgetter
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.effects import REGISTRY, Effect, State, Terms
 from otf_core.effects.base import Contribution
 from otf_core.model.declared import KEYS, DeclaredUncertainty
@@ -44,9 +44,9 @@ from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import (
     MISFIT_TIME,
     NoiseModel,
+    add_to_diagonal,
     misfit_covariance,
     noise_covariance,
-    with_diagonal,
 )
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
 from otf_core.pieces.runs import Observed, Run
@@ -56,11 +56,11 @@ from otf_core.solving.normal import (
     of_free,
     pieces_of,
     shares_of,
-    turned_times,
+    transpose_times,
     white_rows,
 )
 from otf_core.solving.residuals import ResidualCheck, check_residuals, leg_numbers
-from otf_core.solving.sensitivity import across, piece_state, projected
+from otf_core.solving.sensitivity import components_across, piece_state, project_columns
 from otf_core.solving.unknowns import free_values
 
 LINES_PER_BLOCK = 256
@@ -178,18 +178,18 @@ def _summed(
         for leg, inverse, part in zip(legs, inverses, parts, strict=True):
             own = slice(start, start + inverse.shape[1])
             start = own.stop
-            turned_times(inverse, rows[:, own])
+            transpose_times(inverse, rows[:, own])
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
             odd[:, own] = here
             own_misfit, lasting = misfit_covariance(misfit, windows)
-            root = np.asarray(np.linalg.cholesky(with_diagonal(lasting, own_misfit)))
-            turned_times(root[None], odd[:, own])
+            root = np.asarray(np.linalg.cholesky(add_to_diagonal(lasting, own_misfit)))
+            transpose_times(root[None], odd[:, own])
             for k, (a, b) in enumerate(pairs):
                 white_noise, slow_noise = noise_covariance(
                     noise, shares[:, a], shares[:, b], windows
                 )
-                tied[k, own] = with_diagonal(slow_noise, white_noise) @ here[b]
+                tied[k, own] = add_to_diagonal(slow_noise, white_noise) @ here[b]
             time = windows[0]
             sums.noise[leg] = _line(here, use, slow[:, part], time, _times(noise))
             sums.misfit[leg] = _line(here, use, shared[:, part], time, lasts)
@@ -212,7 +212,7 @@ def noise_parts(runs: Sequence[Observed], joint: JointSolution) -> NoiseParts:
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, joint.runs, strict=True):
         shares = shares_of(solved.system, solved.whitener)
-        parts = shared_out(partial(_summed, run, solved, solved_for), shares)
+        parts = share_out(partial(_summed, run, solved, solved_for), shares)
         product = reduce(np.add, (sums.product for sums in parts))
         normals.append(of_free(product, joint.unknowns, solved.residual.size))
         for sums in parts:
@@ -366,7 +366,7 @@ def systematic_pulls(
         for state, solved, u in zip(states, joint.runs, sizes, strict=True)
     ]
     ends = np.cumsum([len(u) for u in sizes[0]])
-    return np.split(projected(joint, columns), ends[:-1], axis=1)
+    return np.split(project_columns(joint, columns), ends[:-1], axis=1)
 
 
 def _uncertainty(source: Systematic, state: State) -> Array:
@@ -386,7 +386,7 @@ def _columns(
     """Displacements across the path of some pieces of a run, (c, m, k), m, per uncertainty."""
     some = state.part(pieces)
     columns = [
-        across(solved, source.effect.terms(some, source.acts.shape).columns, pieces) * u
+        components_across(solved, source.effect.terms(some, source.acts.shape).columns, pieces) * u
         for source, u in zip(sources, sizes, strict=True)
     ]
     return np.concatenate(columns, axis=2)

@@ -26,14 +26,14 @@ from otf_core.budget.typical import (
     with_typical,
 )
 from otf_core.calibration.calibration_result import CalibrationResult, Fit, RunResult, headline_of
-from otf_core.calibration.lack_of_fit import unfollowed
+from otf_core.calibration.lack_of_fit import find_lack_of_fit
 from otf_core.calibration.machine_verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
-from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
+from otf_core.contradictions.outlier_places import OutlierPlaces, findings, locate_outliers
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch, check_worth, sample_noise
-from otf_core.effects.stated_effect import TakenOff
+from otf_core.effects.stated_effect import RemovedEffects
 from otf_core.live.stages import Progress, silent
 from otf_core.memory import give_back, one_heap
 from otf_core.model.machine import Machine
@@ -49,7 +49,7 @@ from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
-from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
+from otf_core.solving.joint import JointSolution, SolvedRun, settle_covariance, tables_of
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
 from otf_core.solving.system import deviations
@@ -109,7 +109,7 @@ def calibrate_runs(
 
 
 @dataclass(frozen=True)
-class Examined:
+class ExaminedRecordings:
     """Recordings that are examined: solutions, corrections and a diagnosis start here.
 
     Attributes
@@ -133,7 +133,7 @@ class Examined:
 
 
 @dataclass(frozen=True)
-class SolvedRecordings(Examined):
+class SolvedRecordings(ExaminedRecordings):
     """Recordings that are examined and solved.
 
     Attributes
@@ -143,7 +143,7 @@ class SolvedRecordings(Examined):
     """
 
     solution: ReversalSolution[Run]
-    outliers: tuple[LeftOut, ...]
+    outliers: tuple[OutlierPlaces, ...]
 
 
 def solve_recordings(
@@ -179,7 +179,9 @@ def solve_recordings(
     if on_curves is not None:
         runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 
-    outliers = tuple(left_out(run, own) for run, own in zip(runs, solution.runs, strict=True))
+    outliers = tuple(
+        locate_outliers(run, own) for run, own in zip(runs, solution.runs, strict=True)
+    )
     repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
     if pitch:
         repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
@@ -191,7 +193,7 @@ def assemble(
     solved: ReversalSolution[Run],
     config: CalibrationConfig,
     findings: Sequence[Finding] = (),
-    removed: TakenOff | None = None,
+    removed: RemovedEffects | None = None,
 ) -> CalibrationResult:
     """Work out fit and uncertainties of a solution, tables and verdicts: the result.
 
@@ -265,7 +267,7 @@ def assemble(
 
 
 @dataclass(frozen=True)
-class Assessed:
+class Assessment:
     """Fit and uncertainty of a solution, with any reversal model.
 
     Attributes
@@ -297,13 +299,13 @@ def assess(
     runs: Sequence[Run],
     joint: JointSolution,
     config: CalibrationConfig,
-    removed: TakenOff | None = None,
-) -> Assessed:
+    removed: RemovedEffects | None = None,
+) -> Assessment:
     """Work out fit and uncertainty of a solution, with the effects ``removed`` off its runs."""
     pulls = typical_pulls(runs, joint)
     parts = noise_parts(runs, joint)
     give_back()
-    joint = settled(joint, config.unidentifiable_above, parts.normal)
+    joint = settle_covariance(joint, config.unidentifiable_above, parts.normal)
     unknowns, machine = joint.unknowns, runs[0].machine
     results = [_run_result(r, s, config) for r, s in zip(runs, joint.runs, strict=True)]
     fine = tables_of(machine, unknowns, joint.solution)
@@ -317,9 +319,9 @@ def assess(
     tables = with_uncertainty(table.tables, budget.covariance)
     give_back()
     typical = typical_systematic(runs, joint, tables, table.rows, budget.covariance, pulls)
-    lack_of_fit = unfollowed(runs, joint)
+    lack_of_fit = find_lack_of_fit(runs, joint)
     warning = lack_of_fit.warning(grid_u) if lack_of_fit is not None else None
-    return Assessed(joint, results, budget, whole, fit, table, tables, typical, warning)
+    return Assessment(joint, results, budget, whole, fit, table, tables, typical, warning)
 
 
 def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:

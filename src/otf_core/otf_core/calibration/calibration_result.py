@@ -38,7 +38,7 @@ from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
 from otf_core.model.volume import VolumeErrors
 from otf_core.noise.noise_model import Misfit, NoiseModel
-from otf_core.noise.standstill import Lost
+from otf_core.noise.standstill import LostSamples
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
 from otf_core.prediction.table_prior import MotionPrior
@@ -51,7 +51,7 @@ DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedRemainder:
     """Expanded uncertainty of the error vectors on a grid: what compensation will leave.
 
     Attributes
@@ -130,7 +130,7 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class Headline(Expected):
+class Headline(ExpectedRemainder):
     """Volumetric error and its expanded uncertainty on one grid.
 
     Attributes
@@ -445,7 +445,7 @@ class RunResult:
     samples: int
     remarks: tuple[str, ...]
     rate: float
-    lost: Lost
+    lost: LostSamples
     T_machine_tracker: RigidTransform
     noise: NoiseModel
     misfit: Misfit

@@ -54,7 +54,7 @@ MIN_SHARE_BETWEEN_RUNS = 0.5
 
 
 @dataclass(frozen=True)
-class Unfollowed:
+class LackOfFit:
     """What tables leave in every pass.
 
     Attributes
@@ -102,7 +102,7 @@ class Unfollowed:
         )
 
 
-def unfollowed(runs: Sequence[Observed], joint: JointSolution) -> Unfollowed | None:
+def find_lack_of_fit(runs: Sequence[Observed], joint: JointSolution) -> LackOfFit | None:
     """What a solution leaves in every pass; None where no line was driven twice.
 
     Parameters
@@ -116,10 +116,10 @@ def unfollowed(runs: Sequence[Observed], joint: JointSolution) -> Unfollowed | N
     residual = np.concatenate(across)
     line, one, other, alike = _pairs(runs, joint)
 
-    def of_pairs(which: NDArray[np.bool_]) -> Unfollowed | None:
+    def of_pairs(which: NDArray[np.bool_]) -> LackOfFit | None:
         if not which.any():
             return None
-        return _told(line[which], one[which], other[which], residual, joint)
+        return _mean_products(line[which], one[which], other[which], residual, joint)
 
     within, between = of_pairs(alike), of_pairs(~alike)
     if between is None or between.lines < MIN_REPEATED_LINES:
@@ -129,9 +129,9 @@ def unfollowed(runs: Sequence[Observed], joint: JointSolution) -> Unfollowed | N
     return replace(within, between=between.square)
 
 
-def _told(
+def _mean_products(
     line: Index, one: Index, other: Index, residual: Array, joint: JointSolution
-) -> Unfollowed:
+) -> LackOfFit:
     """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
     some = np.unique(np.linspace(0, len(one) - 1, MAX_PAIRS).astype(np.int64))
@@ -143,7 +143,7 @@ def _told(
     total, count = total[count > 0], count[count > 0]
     mean = float(total.sum() / count.sum())
     scatter = float(np.sqrt(np.sum((total - mean * count) ** 2)) / count.sum())
-    return Unfollowed(mean + float(of_unknowns.mean()), scatter, len(count))
+    return LackOfFit(mean + float(of_unknowns.mean()), scatter, len(count))
 
 
 def _rows(joint: JointSolution, places: Index) -> Array:

@@ -55,7 +55,7 @@ MEANING = {
 
 
 @dataclass(frozen=True)
-class Judged:
+class LimitVerdict:
     """One limit.
 
     Attributes
@@ -91,7 +91,7 @@ class Judged:
 class Verdict:
     """All limits of a machine."""
 
-    judged: tuple[Judged, ...]
+    judged: tuple[LimitVerdict, ...]
 
     @property
     def passed(self) -> bool:
@@ -231,7 +231,7 @@ def judge(
     for name, limit in limits.values.items():
         unit = KEYS[name][0]
         if name in unseen:
-            judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
+            judged.append(LimitVerdict(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
         if name == VOLUMETRIC:
             value, wide = _largest(volume, budget, limit)
@@ -239,7 +239,9 @@ def judge(
             value, wide = _uncertainty(volume, budget), 0.0
         else:
             value, wide = size_and_expanded(name, tables, budget, prior)
-        judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
+        judged.append(
+            LimitVerdict(name, unit, limit, value, wide, _with_guard(value, wide, limit))
+        )
     return Verdict(tuple(judged))
 
 
@@ -276,7 +278,7 @@ def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) 
     for name, limit in machine.limits.values.items():
         unit = 'm' if name in (VOLUMETRIC, UNCERTAINTY) else unit_of(name)
         if name in unseen:
-            judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
+            judged.append(LimitVerdict(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
         if name in sizes:
             value, wide = sizes[name]
@@ -291,7 +293,9 @@ def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) 
                 row[places[name].start + int(own.argmin())] -= 1.0
                 value = float(np.ptp(own))
             wide = COVERAGE_FACTOR * float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
-        judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
+        judged.append(
+            LimitVerdict(name, unit, limit, value, wide, _with_guard(value, wide, limit))
+        )
     return Verdict(tuple(judged))
 
 

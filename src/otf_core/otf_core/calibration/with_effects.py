@@ -29,14 +29,14 @@ import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array
-from otf_core.calibration.calibrate import Examined, assemble, solve_recordings
+from otf_core.calibration.calibrate import ExaminedRecordings, assemble, solve_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, Shape, State
 from otf_core.effects.effects_yaml import read_effects
-from otf_core.effects.removable_effect import Taken, taken
+from otf_core.effects.removable_effect import RemovableEffect, removable_effect
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated_effect import FILE, StatedEffect, TakenOff, effects_to_list
+from otf_core.effects.stated_effect import FILE, RemovedEffects, StatedEffect, effects_to_list
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
@@ -54,16 +54,16 @@ from otf_core.solving.residuals import sample_state
 from otf_core.solving.sensitivity import (
     ROUNDING,
     Places,
-    across,
     beside_tables,
     column_size,
+    components_across,
     name_in_run,
     piece_state,
     state_at,
 )
 from otf_core.solving.solution import Positive
 from otf_core.solving.system import nominal_positions
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 
 MAX_ROUNDS = 6
 MAX_FINAL_CHANGE = 2e-8
@@ -84,22 +84,24 @@ class Estimates:
         S: what a unit of each does to the unknowns of the calibration.
     """
 
-    effects: tuple[Taken, ...]
+    effects: tuple[RemovableEffect, ...]
     covariance: Array
     change: Array
 
-    def taken_off(self, solved: ReversalSolution[Run]) -> TakenOff:
+    def taken_off(self, solved: ReversalSolution[Run]) -> RemovedEffects:
         """State effects and what the unknowns of a solution are uncertain by for them."""
         machine = solved.runs[0].machine
         ends = np.cumsum([e.size for e in self.effects])
         u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
-        stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
+        stated = tuple(
+            _stated_effects(e, part, machine) for e, part in zip(self.effects, u, strict=True)
+        )
         covariance = self.change @ self.covariance @ self.change.T
-        return TakenOff(stated, covariance + missing_in_tables(solved, self.effects))
+        return RemovedEffects(stated, covariance + missing_in_tables(solved, self.effects))
 
 
 @dataclass(frozen=True)
-class Corrected:
+class CorrectedCalibration:
     """A calibration with effects taken off.
 
     Attributes
@@ -112,7 +114,7 @@ class Corrected:
     parameters: tuple[tuple[Shape, ...], ...]
 
 
-def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
+def _stated_effects(one: RemovableEffect, u: Array, machine: Machine) -> StatedEffect:
     units = one.effect.units(probe_state(machine), one.applied(0).parameters)
     parameters, uncertain = dict(one.shape), {}
     for name, relative in zip(one.widths, u[one.values.size :], strict=True):
@@ -125,7 +127,7 @@ def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
     return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
 
 
-def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -> Array:
+def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[RemovableEffect]) -> Array:
     """What the tables lack of effects that stay at their place, covariance, (full, full).
 
     Such an effect displaces the target in the same way whenever it comes by, but no table holds
@@ -150,7 +152,7 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -
     return np.diag(variance)
 
 
-def _places(run: Run, state: State, effects: Sequence[Taken]) -> Places:
+def _places(run: Run, state: State, effects: Sequence[RemovableEffect]) -> Places:
     """Where the pieces of one run lie, and the samples that effects ask for."""
     samples = None
     if any(e.effect.changes_within_pieces for e in effects) and len(run.pieces.samples):
@@ -158,9 +160,9 @@ def _places(run: Run, state: State, effects: Sequence[Taken]) -> Places:
     return Places(run.pieces, state, samples)
 
 
-def corrected(
+def correct_runs(
     runs: Sequence[Run],
-    effects: Sequence[Taken],
+    effects: Sequence[RemovableEffect],
     nodes: dict[str, Array],
     tables: ErrorTables | None,
 ) -> list[Run]:
@@ -186,7 +188,7 @@ def corrected(
 
 
 def estimates(
-    runs: Sequence[Run], joint: JointSolution, effects: Sequence[Taken]
+    runs: Sequence[Run], joint: JointSolution, effects: Sequence[RemovableEffect]
 ) -> tuple[Estimates, Array, Array]:
     """Estimate the parameters of effects anew, jointly with tables and poses.
 
@@ -212,7 +214,7 @@ def estimates(
         state = piece_state(run, solved, joint.unknowns.knots, tables)
         places = _places(replace(run, pose=solved.pose), state, effects)
         parts = (places.columns(e.effect, partial(e.columns, run=number), e.size) for e in effects)
-        columns.append(across(solved, np.concatenate(list(parts), axis=2)))
+        columns.append(components_across(solved, np.concatenate(list(parts), axis=2)))
     products = beside_tables(joint, columns)
     size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
     bounds = np.cumsum([0, *(e.size for e in effects)])
@@ -251,7 +253,7 @@ def _covariance(matrix: Array, own: Array, prior: Array) -> Array:
 def solve_with_effects(
     runs: Sequence[Run],
     nodes: dict[str, Array],
-    effects: Sequence[Taken],
+    effects: Sequence[RemovableEffect],
     config: CalibrationConfig,
     progress: Progress,
 ) -> tuple[ReversalSolution[Run], Estimates]:
@@ -270,7 +272,7 @@ def solve_with_effects(
         Of the corrected runs.
     """
     now, whole = tuple(effects), list(runs)
-    solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
+    solved = solve_with_reversal(correct_runs(whole, now, nodes, None), nodes, config, progress)
     for _ in range(MAX_ROUNDS):
         fitted, step, size = estimates(solved.runs, solved.joint, now)
         now, largest = fitted.effects, float(np.max(np.abs(step) * size, initial=0.0))
@@ -281,7 +283,7 @@ def solve_with_effects(
             replace(r, pose=s.pose, fitted=k.fitted)
             for r, s, k in zip(runs, solved.joint.runs, solved.runs, strict=True)
         ]
-        clean = corrected(whole, now, solved.joint.unknowns.knots, tables)
+        clean = correct_runs(whole, now, solved.joint.unknowns.knots, tables)
         if largest > MAX_CHANGE_FOR_SAME_MODEL:
             solved = solve_with_reversal(clean, nodes, config, progress)
             continue
@@ -291,12 +293,12 @@ def solve_with_effects(
     return solved, fitted
 
 
-def calibrate_without(
-    examined: Examined,
-    effects: Sequence[Taken],
+def calibrate_without_effects(
+    examined: ExaminedRecordings,
+    effects: Sequence[RemovableEffect],
     config: CalibrationConfig,
     progress: Progress = silent,
-) -> Corrected:
+) -> CorrectedCalibration:
     """Calibrate on the fly with effects taken off and their parameters estimated.
 
     Parameters
@@ -312,7 +314,7 @@ def calibrate_without(
     result = replace(result, run_id=run_id[: len(result.run_id)])
     runs = range(len(examined.runs))
     parameters = tuple(tuple(e.applied(k).parameters for e in fitted.effects) for k in runs)
-    return Corrected(result, parameters)
+    return CorrectedCalibration(result, parameters)
 
 
 @dataclass(frozen=True)
@@ -339,10 +341,10 @@ class EffectsCalibration:
         return self.result.effects_sentence
 
 
-def beside_plain(
+def pair_with_plain(
     plain: CalibrationResult,
-    corrected: Corrected | None,
-    taking: Sequence[Taken],
+    corrected: CorrectedCalibration | None,
+    taking: Sequence[RemovableEffect],
     words: str,
     warnings: Sequence[str] = (),
 ) -> EffectsCalibration:
@@ -351,7 +353,7 @@ def beside_plain(
     Parameters
     ----------
     corrected : Corrected, optional
-        See ``calibrate_without``; None where nothing was taken off.
+        See ``calibrate_without_effects``; None where nothing was taken off.
     taking : sequence of Taken
         Effects that were taken off.
     words : str
@@ -374,7 +376,7 @@ def beside_plain(
     return EffectsCalibration(result, plain, applied)
 
 
-@in_one_thread
+@limit_to_one_thread
 def calibrate_with_file(
     recordings: Sequence[Recording],
     file: str,
@@ -403,14 +405,14 @@ def calibrate_with_file(
     progress = progress or silent
     named = _named(file, recordings)
     solved = solve_recordings(recordings, config, progress)
-    taking = [taken([one] * len(solved.runs), FILE) for one in named]
+    taking = [removable_effect([one] * len(solved.runs), FILE) for one in named]
     own = config
     if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):
         own = replace(config, reversal='none')
-    words = f'Effects of {file} removed: {listed(taking)}.'
+    words = f'Effects of {file} removed: {effect_names(taking)}.'
     plain = assemble(solved.solution, config, solved.findings)
-    corrected = calibrate_without(solved, taking, own, progress)
-    return beside_plain(plain, corrected, taking, words)
+    corrected = calibrate_without_effects(solved, taking, own, progress)
+    return pair_with_plain(plain, corrected, taking, words)
 
 
 def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
@@ -432,6 +434,6 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
     return list(stated)
 
 
-def listed(taking: Sequence[Taken]) -> str:
+def effect_names(taking: Sequence[RemovableEffect]) -> str:
     """Names of the effects, each once."""
     return ', '.join(dict.fromkeys(one.effect.name for one in taking))

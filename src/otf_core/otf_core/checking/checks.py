@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.bags.bag_reading import Received, advice_of, path_of, received_of
+from otf_core.bags.bag_reading import ReceivedPoints, advice_of, choose_publisher, path_of
 from otf_core.bags.rosbag2_metadata import AXES
-from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order
+from otf_core.bags.sample_order import MixedSamples, Screening, sort_by_time
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
 from otf_core.errors import InputError
-from otf_core.files.text_table import LeftOut
-from otf_core.inputs.recordings import AS_IT_IS, Given, driven_path, open_reading
+from otf_core.files.text_table import SkippedLines
+from otf_core.inputs.recordings import AS_IT_IS, ReadingOptions, driven_path, open_reading
 from otf_core.live.stages import silent
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import Machine
@@ -36,19 +36,19 @@ from otf_core.planning.forecast import (
     planned_systematic,
     solution_of_pieces,
 )
-from otf_core.rotary.calibrate import AxisCalibration, calibrate_axes
-from otf_core.rotary.matching import BREAK
+from otf_core.rotary.axis_calibration import AxisCalibration, calibrate_axes
+from otf_core.rotary.curve_matching import BREAK
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.driving_order import OFF_PATH
-from otf_core.tracking.measured_track import HOP, broken
+from otf_core.tracking.measured_track import HOP, find_breaks
 from otf_core.tracking.no_match import check_partial
 
 # A recording as far as it can be read, aligned and reduced: what its checks look at.
 
 
 @dataclass(frozen=True)
-class Seen:
+class CheckedRecording:
     """A recording as far as it could be followed.
 
     Attributes
@@ -80,7 +80,7 @@ class Seen:
     name: str
     topics: Mapping[str, str]
     config: CalibrationConfig
-    received: Received | None = None
+    received: ReceivedPoints | None = None
     samples: Samples | None = None
     path: NominalPath | None = None
     machine: Machine | None = None
@@ -91,7 +91,7 @@ class Seen:
     findings: tuple[Finding, ...] = ()
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SkippedLines, ...] = ()
     said: tuple[str, ...] = ()
     refused: Mapping[str, str] | None = None
 
@@ -111,7 +111,9 @@ class _Refusals(dict[str, str]):
             self[step] = str(error).removeprefix(f'{name}: ')
 
 
-def look(source: str, machine: Machine | None, config: CalibrationConfig, given: Given) -> Seen:
+def look(
+    source: str, machine: Machine | None, config: CalibrationConfig, given: ReadingOptions
+) -> CheckedRecording:
     """See what can be seen of a recording.
 
     Parameters
@@ -134,8 +136,10 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig, given:
     return replace(seen, machine=machine, refused=refused)
 
 
-def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusals) -> Seen:
-    seen = Seen(source, {}, config)
+def _read(
+    source: str, config: CalibrationConfig, given: ReadingOptions, refused: _Refusals
+) -> CheckedRecording:
+    seen = CheckedRecording(source, {}, config)
     remarks: list[str] = []
     with refused.of('bag', source):
         reading = open_reading(source, given)
@@ -148,7 +152,7 @@ def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusa
                 seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
             reading.require(reading.point)
-            received = received_of(reading, source, remarks)
+            received = choose_publisher(reading, source, remarks)
             seen = replace(seen, received=received, left_out=tuple(reading.left_out))
             seen = replace(seen, parts=tuple(reading.axis_paths))
             screening = Screening()
@@ -156,14 +160,14 @@ def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusa
             raw = received.stamp_ns, received.xyz
             try:
                 where = f'{source}: {reading.point.name}'
-                samples = in_time_order(where, *raw, remarks, screening)
+                samples = sort_by_time(where, *raw, remarks, screening)
             except MixedSamples as error:
                 raise MixedSamples(f'{error}{advice_of([received])}') from None
             seen = replace(seen, samples=samples)
     return replace(seen, remarks=tuple(remarks))
 
 
-def _followed(seen: Seen, refused: _Refusals) -> Seen:
+def _followed(seen: CheckedRecording, refused: _Refusals) -> CheckedRecording:
     """Align and reduce what was read."""
     name, samples, path, machine = seen.name, seen.samples, seen.path, seen.machine
     config = seen.config
@@ -193,7 +197,7 @@ def _followed(seen: Seen, refused: _Refusals) -> Seen:
     return seen
 
 
-def _calibrated(seen: Seen, machine: Machine, refused: _Refusals) -> Seen:
+def _calibrated(seen: CheckedRecording, machine: Machine, refused: _Refusals) -> CheckedRecording:
     """Calibrate what was read of a machine with rotary axes."""
     assert seen.samples is not None
     with refused.of('run', seen.name):
@@ -227,7 +231,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckOutcome:
     """What one check found.
 
     Attributes
@@ -256,7 +260,7 @@ class Check:
     """
 
     name: str
-    ask: Callable[[Seen], Checked]
+    ask: Callable[[CheckedRecording], CheckOutcome]
 
 
 def warnings(*texts: str) -> tuple[Problem, ...]:
@@ -269,7 +273,7 @@ def errors(*texts: str) -> tuple[Problem, ...]:
     return tuple(Problem(ERROR, text) for text in texts if text)
 
 
-def _check_content(seen: Seen) -> Checked:
+def _check_content(seen: CheckedRecording) -> CheckOutcome:
     parts = list(seen.said)
     if seen.received is not None and not parts:
         parts.append(f'{len(seen.received.stamp_ns)} points')
@@ -284,7 +288,7 @@ def _check_content(seen: Seen) -> Checked:
         'left_out': list(map(asdict, seen.left_out)),
     }
     problems = errors(*(seen.why(step) for step in ('bag', 'points', 'path')))
-    return Checked('; '.join(parts), facts, problems + warnings(*seen.remarks))
+    return CheckOutcome('; '.join(parts), facts, problems + warnings(*seen.remarks))
 
 
 CONTENT = Check('content', _check_content)
@@ -296,10 +300,10 @@ TOP_FEED_PERCENTILE = 99.0
 """Percentile of the steps that is taken for the top feed."""
 
 
-def _check_rate(seen: Seen) -> Checked:
+def _check_rate(seen: CheckedRecording) -> CheckOutcome:
     samples = seen.samples
     if samples is None or len(samples) < 2:
-        return Checked(facts={'rate_hz': 0.0, 'duration_s': 0.0})
+        return CheckOutcome(facts={'rate_hz': 0.0, 'duration_s': 0.0})
     rate = 1.0 / samples.step
     apart = np.linalg.norm(np.diff(samples.xyz, axis=0), axis=1)
     usual = np.diff(samples.stamp_ns) < 1.5 * samples.step_ns
@@ -311,7 +315,7 @@ def _check_rate(seen: Seen) -> Checked:
             f'{1e3 * enough:g} mm: raise the rate of the tracker or drive slower'
         )
     duration = float(samples.time[-1])
-    return Checked(
+    return CheckOutcome(
         f'{rate:.1f} Hz over {duration:.1f} s, a sample every {1e3 * spacing:.2f} mm at the top '
         f'feed',
         {'rate_hz': rate, 'duration_s': duration, 'spacing_mm': 1e3 * spacing},
@@ -332,7 +336,7 @@ def _breaks(samples: Samples, parts: int) -> tuple[Index, Index]:
 
     A run of several parts has a break of ``BREAK`` or more between any two of them.
     """
-    at = np.flatnonzero(broken(samples))
+    at = np.flatnonzero(find_breaks(samples))
     length = samples.time[at + 1] - samples.time[at]
     longest = np.argsort(-length)[: max(parts - 1, 0)]
     between = np.zeros(len(at), dtype=bool)
@@ -340,10 +344,10 @@ def _breaks(samples: Samples, parts: int) -> tuple[Index, Index]:
     return at[~between], at[between]
 
 
-def _check_gaps(seen: Seen) -> Checked:
+def _check_gaps(seen: CheckedRecording) -> CheckOutcome:
     samples = seen.samples
     if samples is None or len(samples) < 3:
-        return Checked(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
+        return CheckOutcome(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
     lost, time = lost_samples(samples), samples.time
     at, between = _breaks(samples, len(seen.parts))
     length = time[at + 1] - time[at]
@@ -353,14 +357,14 @@ def _check_gaps(seen: Seen) -> Checked:
     facts = {'gaps': len(at), 'lost_share': share, 'longest_gap_s': longest}
     if not len(at):
         few = f', {lost.samples} single samples lost' if lost.samples else ''
-        return Checked(f'none{few}', facts)
+        return CheckOutcome(f'none{few}', facts)
     words = f'{len(at)}, {100 * share:.1f} % of the samples lost, the longest {longest:.2f} s'
     first = np.argsort(-length)[:GAPS_LISTED]
     where = ', '.join(f'{length[k]:.2f} s at {time[at[k]]:.1f} s' for k in np.sort(first))
     more = ', ...' if len(at) > GAPS_LISTED else ''
     if share < LOST_SHARE:
-        return Checked(words, facts)
-    return Checked(words, facts, warnings(
+        return CheckOutcome(words, facts)
+    return CheckOutcome(words, facts, warnings(
         f'{100 * share:.1f} % of the samples are missing, in {len(at)} gaps ({where}{more}): '
         f'look for a broken beam, lost packets, or a recorder that was too slow'
     ))  # fmt: skip
@@ -377,10 +381,10 @@ JITTER = 0.5
 """Usual deviation of an interval from the median, over it, from which on stamps are doubtful."""
 
 
-def _check_clock(seen: Seen) -> Checked:
+def _check_clock(seen: CheckedRecording) -> CheckOutcome:
     samples = seen.samples
     if seen.received is None or samples is None or len(samples) < 2 * CLOCK_WINDOW:
-        return Checked(problems=errors(seen.why('stamps')))
+        return CheckOutcome(problems=errors(seen.why('stamps')))
     first = moment(int(samples.stamp_ns[0]))
     words = f'starts {first}' if first else 'stamps count from an epoch of their own'
     steps = _clock_steps(seen.received)
@@ -400,14 +404,14 @@ def _check_clock(seen: Seen) -> Checked:
             f'intervals of the stamps scatter by {100 * jitter:.0f} %, as reception times do: '
             f'let the driver stamp the time of measurement'
         )
-    return Checked(
+    return CheckOutcome(
         f'{words}, intervals scatter by {100 * jitter:.1f} %',
         {'first_stamp': first, 'clock_set': len(steps), 'jitter': jitter},
         errors(seen.why('stamps')) + warnings(doubt, uneven),
     )
 
 
-def _clock_steps(received: Received) -> NDArray[np.float64]:
+def _clock_steps(received: ReceivedPoints) -> NDArray[np.float64]:
     """Moments at which the difference of both clocks jumps and stays, s since the start."""
     late = 1e-9 * (received.log_time - received.stamp_ns)
     late -= late[0]
@@ -425,9 +429,9 @@ def _clock_steps(received: Received) -> NDArray[np.float64]:
 CLOCK = Check('clock', _check_clock)
 
 
-def _check_beam(seen: Seen) -> Checked:
+def _check_beam(seen: CheckedRecording) -> CheckOutcome:
     if seen.received is None or seen.samples is None:
-        return Checked()
+        return CheckOutcome()
     lost = int(np.count_nonzero(~seen.received.xyz.any(axis=1)))
     samples = seen.samples
     at = _breaks(samples, len(seen.parts))[0]
@@ -436,7 +440,7 @@ def _check_beam(seen: Seen) -> Checked:
     reach = np.linalg.norm(samples.xyz, axis=1)
     words = f'{breaks} breaks while the target moved' if breaks else 'never broken in motion'
     origin = f', {lost} points in the origin of the tracker' if lost else ''
-    return Checked(
+    return CheckOutcome(
         f'{words}{origin}; {reach.min():.2f} to {reach.max():.2f} m long',
         {
             'beam_breaks': breaks,
@@ -458,7 +462,7 @@ LEG_SEEN = 0.5
 LEGS_LISTED = 3
 
 
-def _check_path(seen: Seen) -> Checked:
+def _check_path(seen: CheckedRecording) -> CheckOutcome:
     if seen.result is not None:
         return _check_parts(seen.result)
     alignment = seen.alignment
@@ -467,7 +471,7 @@ def _check_path(seen: Seen) -> Checked:
     reasons = dict.fromkeys(seen.why(step) for step in ('following', 'run'))  # often the same
     problems = errors(*reasons)
     if alignment is None or seen.samples is None or seen.path is None:
-        return Checked('', facts, problems)
+        return CheckOutcome('', facts, problems)
     missing = _missing(seen.samples, seen.path, alignment, seen.config.corner_exclusion)
     facts['legs_missing'] = len(missing)
     if coverage < COMPLETE_PATH:
@@ -483,10 +487,10 @@ def _check_path(seen: Seen) -> Checked:
         )
         problems += errors(text) if coverage < MIN_COVERAGE else warnings(text)
     end = '' if alignment.last_leg_driven or coverage < COMPLETE_PATH else ', but not its end'
-    return Checked(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
+    return CheckOutcome(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
 
 
-def _check_parts(result: AxisCalibration) -> Checked:
+def _check_parts(result: AxisCalibration) -> CheckOutcome:
     """Parts of a machine with rotary axes, as far as they were driven."""
     shares = [share for one in result.matched for share in one.driven]
     missing = [k + 1 for k, share in enumerate(shares) if share < COMPLETE_PATH]
@@ -497,7 +501,7 @@ def _check_parts(result: AxisCalibration) -> Checked:
     coverage = result.fit.coverage
     facts = {'coverage': coverage, 'legs_missing': len(missing)}
     words = f'{100 * coverage:.1f} % of the path of {len(shares)} parts driven'
-    return Checked(words, facts, warnings(text) if coverage >= MIN_COVERAGE else ())
+    return CheckOutcome(words, facts, warnings(text) if coverage >= MIN_COVERAGE else ())
 
 
 def _place(point: NDArray[np.float64]) -> str:
@@ -525,9 +529,9 @@ def _missing(
 FOLLOWING = Check('path', _check_path)
 
 
-def _check_standstills(seen: Seen) -> Checked:
+def _check_standstills(seen: CheckedRecording) -> CheckOutcome:
     if seen.samples is None:
-        return Checked()
+        return CheckOutcome()
     runs = find_standstills(seen.samples, seen.config.standstill_speed)
     total = float((runs[:, 1] - runs[:, 0]).sum()) * seen.samples.step
     facts: dict[str, object] = {'standstills': len(runs), 'standstill_s': total}
@@ -537,13 +541,13 @@ def _check_standstills(seen: Seen) -> Checked:
         short = f'the target was at rest for {total:.1f} s only' if total < MIN_TOTAL else (
             'the points of the standstills repeat without any noise'
         )  # fmt: skip
-        return Checked(words, facts, warnings(
+        return CheckOutcome(words, facts, warnings(
             f'{short}: the noise is then taken from machine.yaml; keep the target at rest for '
             f'{MIN_TOTAL:g} s at the start and the end, without filtering'
         ))  # fmt: skip
     level = 1e6 * noise.noise.level
     facts |= {'noise_range_um': float(level[0]), 'noise_angle_urad': level[1:].tolist()}
-    return Checked(
+    return CheckOutcome(
         f'{words}; noise {level[0]:.2f} um along the beam, {level[1]:.2f} and {level[2]:.2f} '
         f'urad across',
         facts,
@@ -553,29 +557,29 @@ def _check_standstills(seen: Seen) -> Checked:
 STANDSTILL = Check('standstill', _check_standstills)
 
 
-def _check_contradictions(seen: Seen) -> Checked:
+def _check_contradictions(seen: CheckedRecording) -> CheckOutcome:
     if seen.result is not None:
         result, machine = seen.result, seen.result.machine
         words = ', '.join(result.failed_gates) or 'no contradictions'
         problems = errors(*result.failed_gates) + warnings(*result.warnings)
-        return Checked(f'{machine.name}, chain {machine.chain}: {words}', {}, problems)
+        return CheckOutcome(f'{machine.name}, chain {machine.chain}: {words}', {}, problems)
     if seen.machine is None or seen.run is None:
-        return Checked()
+        return CheckOutcome()
     findings = seen.findings
     doubtful = errors(*words_of(findings, GATE)) + warnings(*words_of(findings, WARNING))
     words = ', '.join(f.check for f in findings) or 'no contradictions'
-    return Checked(f'{seen.machine.name}, chain {seen.machine.chain}: {words}', {}, doubtful)
+    return CheckOutcome(f'{seen.machine.name}, chain {seen.machine.chain}: {words}', {}, doubtful)
 
 
 CONTRADICTION = Check('machine', _check_contradictions)
 
 
-def _check_forecast(seen: Seen) -> Checked:
+def _check_forecast(seen: CheckedRecording) -> CheckOutcome:
     if seen.result is not None:
         return _known_of_axes(seen.result)
     run = seen.run
     if run is None or run.pieces.standstill or seen.nodes is None:
-        return Checked()
+        return CheckOutcome()
     setup = Setup.of(run.machine, run.pose.translation, run.noise)
     with one_thread():
         outlook = forecast_of_pieces(
@@ -598,10 +602,10 @@ def _check_forecast(seen: Seen) -> Checked:
         words += f'\nnot shown by this path: {", ".join(map(str, unseen))}'
     loose = ', '.join(map(str, outlook.loose_nodes))
     doubt = f'parts of {loose} will only be interpolated: no line passes there' if loose else ''
-    return Checked(words, {'forecast': facts}, warnings(doubt))
+    return CheckOutcome(words, {'forecast': facts}, warnings(doubt))
 
 
-def _known_of_axes(result: AxisCalibration) -> Checked:
+def _known_of_axes(result: AxisCalibration) -> CheckOutcome:
     """How well a calibration of this recording knows the errors, and what it does not see."""
     tables = result.tables
     unseen = [n for n, t in tables.motions.items() if not t.identifiable]
@@ -617,7 +621,7 @@ def _known_of_axes(result: AxisCalibration) -> Checked:
         words += [f'{name} is shown by {result.advice[name]}' for name in unseen
                   if name in result.advice]  # fmt: skip
     facts = {'not_identifiable': unseen, 'mean_u': mean_u}
-    return Checked('\n'.join(words), {'forecast': facts})
+    return CheckOutcome('\n'.join(words), {'forecast': facts})
 
 
 def _sizes(mean_u: Mapping[str, float]) -> str:
@@ -659,7 +663,7 @@ class CheckReport:
     """
 
     name: str
-    checked: Mapping[str, Checked]
+    checked: Mapping[str, CheckOutcome]
 
     @property
     def problems(self) -> tuple[tuple[str, Problem], ...]:
@@ -687,7 +691,7 @@ def check(
     source: str,
     machine: Machine | None = None,
     config: CalibrationConfig | None = None,
-    given: Given = AS_IT_IS,
+    given: ReadingOptions = AS_IT_IS,
 ) -> CheckReport:
     """Ask a recording whether it can be used.
 
@@ -718,7 +722,7 @@ def format_check(report: CheckReport) -> str:
     ]
     answer = 'usable' if report.usable else 'NOT USABLE'
     lines = [f'{report.name}: {answer}{", " if counted else ""}{", ".join(counted)}']
-    expected = report.checked.get(FORECAST.name, Checked()).words
+    expected = report.checked.get(FORECAST.name, CheckOutcome()).words
     lines += [*expected.splitlines(), '']
     lines += [f'{p.severity.upper()} {name}: {p.what}' for name, p in report.problems]
     lines += [''] if report.problems else []

@@ -19,8 +19,8 @@ from otf_core.cli.arguments import (
 )
 from otf_core.cli.exporting import add_exporting_verbs, add_keeping_verbs
 from otf_core.cli.options import Handler
-from otf_core.cli.output import LONGEST_MESSAGE, OutputFull, answer, logged, note
-from otf_core.cli.parser import Parser, asked
+from otf_core.cli.output import LONGEST_MESSAGE, OutputFull, answer, log_to_stderr, note
+from otf_core.cli.parser import Parser, parse_arguments
 from otf_core.cli.simulating import add_closing_verbs, add_plant_verbs
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.errors import OtfError
@@ -73,9 +73,9 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
-    arguments = asked(_parser(), _joined(sys.argv[1:] if argv is None else argv))
+    arguments = parse_arguments(_parser(), _joined(sys.argv[1:] if argv is None else argv))
     try:
-        with logged(quiet=arguments.quiet):
+        with log_to_stderr(quiet=arguments.quiet):
             return int(arguments.handler(arguments))
     except OutputFull as error:
         note(f'otf {arguments.verb}: {error}')

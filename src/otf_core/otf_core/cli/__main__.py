@@ -36,7 +36,7 @@ def _end_in(seconds: float, kind: type[BaseException]) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _heard(unraisable: sys.UnraisableHookArgs) -> None:
+def _raise_pending_end(unraisable: sys.UnraisableHookArgs) -> None:
     """Raise again, a moment later, an end that came where Python passes exceptions over.
 
     That is in finalizers, and in what is called around a fork.
@@ -50,7 +50,7 @@ def _heard(unraisable: sys.UnraisableHookArgs) -> None:
 def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
-    sys.unraisablehook = _heard
+    sys.unraisablehook = _raise_pending_end
     seldom_look_for_cycles()
     # read when NumPy is loaded; idle threads of its library take processor time (otf_core.threads)
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import AddVerb, add_out, output_folder, refuse_rotary
-from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, note, report_files
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
@@ -95,10 +95,10 @@ def run_export(arguments: argparse.Namespace) -> int:
         f'written: {", ".join(map(str, data["files"]))}',
     ]
     answer(arguments, '\n'.join(lines), data)
-    return _judged(content)
+    return _exit_code(content)
 
 
-def _judged(content: TablesFile) -> int:
+def _exit_code(content: TablesFile) -> int:
     """Exit code by the quality gates of the calibration that the tables come from."""
     failed = content.extra.get('failed_gates')
     for gate in failed if isinstance(failed, list) else []:
@@ -134,7 +134,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     )
     written = [Path(arguments.out) / 'error_tables.json']
     data = {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))}
-    answer(arguments, words + listed(written, arguments.out), data)
+    answer(arguments, words + report_files(written, arguments.out), data)
     return 0
 
 
@@ -217,7 +217,7 @@ def run_history(arguments: argparse.Namespace) -> int:
             names = [f.name for f in write_history(histories, folder)]
             if len(histories) == 1 and not _machine_of(histories[0]).rotary_names:
                 names.append(_interim_path(histories[0], folder))
-        words += listed([out.path / n for n in names], arguments.out)
+        words += report_files([out.path / n for n in names], arguments.out)
     data = store_to_dict(histories)
     if arguments.interim is None:
         answer(arguments, words, data)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import given_of, output_folder, parameters, refuse_rotary
+from otf_core.cli.options import output_folder, parameters, reading_options, refuse_rotary
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from otf_core.calibration.calibration_result import CalibrationResult
     from otf_core.files.output_folder import OutputFolder
     from otf_core.pieces.runs import Recording
-    from otf_core.reports.calibration_facts import Facts
+    from otf_core.reports.calibration_facts import CalibrationFacts
 
 
 # Verbs that work on recorded bags and on tables: calibrate, diagnose, noise, predict, compare.
@@ -44,7 +44,7 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
     paths = _for_each(arguments.path or [None], runs, '--path')
     return [
-        read_recording(parts, machine, given_of(arguments, path))
+        read_recording(parts, machine, reading_options(arguments, path))
         for parts, machine, path in zip(runs, machines, paths, strict=True)
     ]
 
@@ -91,7 +91,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
             )
     _note_missing(out)
     _answer_calibration(arguments, facts, files)
-    return _judged(arguments, result)
+    return _exit_code(arguments, result)
 
 
 def _calibrate_axes(
@@ -109,7 +109,7 @@ def _calibrate_axes(
         verdicts_of,
         write_calibration,
     )
-    from otf_core.rotary.calibrate import calibrate_axes
+    from otf_core.rotary.axis_calibration import calibrate_axes
 
     for option in ('residuals_csv', 'certificate'):
         if getattr(arguments, option):
@@ -139,7 +139,9 @@ def _note_missing(out: OutputFolder) -> None:
         note(f'otf: warning: {out.missing_words}')
 
 
-def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
+def _answer_calibration(
+    arguments: argparse.Namespace, facts: CalibrationFacts, files: list[Path]
+) -> None:
     """Print a calibration."""
     from otf_core.reports.calibration import calibration_sections
     from otf_core.reports.calibration_sections.first_screen import calibration_summary
@@ -157,7 +159,7 @@ def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list
     answer_from(arguments, words, files, TABLES, report=report)
 
 
-def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
+def _exit_code(arguments: argparse.Namespace, result: CalibrationResult) -> int:
     """Exit code of a calibration; with --quiet a verdict that is not good stands on stderr."""
     verdicts = result.verdicts
     if arguments.quiet and verdicts.exit_code:
@@ -193,7 +195,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
             )
     _note_missing(out)
     _answer_calibration(arguments, facts_of(calibration.result), files)
-    return _judged(arguments, calibration.result)
+    return _exit_code(arguments, calibration.result)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
@@ -240,7 +242,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
     with progress_of(arguments, 'looking at standstills'):
-        reading = open_reading(arguments.bag, given_of(arguments))
+        reading = open_reading(arguments.bag, reading_options(arguments))
         samples = points_of(reading, arguments.bag)
         try:
             report = noise_report(samples, speed)
@@ -357,7 +359,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     machine = load_machine(arguments.machine) if arguments.machine else None
     path = arguments.path[-1] if arguments.path else None
     with progress_of(arguments, 'checking'):
-        report = check(arguments.bag, machine, config, given_of(arguments, path))
+        report = check(arguments.bag, machine, config, reading_options(arguments, path))
     answer(arguments, format_check(report), report.to_dict())
     return 0 if report.usable else InputError.exit_code
 

@@ -12,7 +12,7 @@ from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from otf_core.files.output_folder import OutputFolder
-    from otf_core.inputs.recordings import Given
+    from otf_core.inputs.recordings import ReadingOptions
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""
@@ -102,11 +102,11 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     group.add_argument('--recover', action='store_true', help='skip damaged parts inside a bag')
 
 
-def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
+def reading_options(arguments: argparse.Namespace, path: str | None = None) -> ReadingOptions:
     """How recordings are read, by the options."""
-    from otf_core.inputs.recordings import Given
+    from otf_core.inputs.recordings import ReadingOptions
 
-    return Given(
+    return ReadingOptions(
         path=path,
         topic=arguments.topic,
         path_topic=getattr(arguments, 'path_topic', None),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from otf_core.errors import OtfError
 from otf_core.files.message_text import with_micro_sign
-from otf_core.live.stages import Progress, TimeLeft, about, of_whole
+from otf_core.live.stages import Progress, TimeLeft, approximate_time, of_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +37,7 @@ class OutputFull(OtfError):
     """Standard output takes no more."""
 
 
-def as_shown(text: str, stream: TextIO) -> str:
+def typeset_units(text: str, stream: TextIO) -> str:
     """Text with um and urad as µm and µrad on a terminal that has the sign.
 
     Pipes and files get the ASCII that other programs look for.
@@ -69,7 +69,7 @@ def say(text: str) -> None:
 def note(text: str) -> None:
     """Print a line beside the result: progress, warnings, errors."""
     own_line('')
-    print(as_shown(text, sys.stderr), file=sys.stderr, flush=True)
+    print(typeset_units(text, sys.stderr), file=sys.stderr, flush=True)
 
 
 _shown: list[str] = []
@@ -88,7 +88,7 @@ def own_line(text: str) -> None:
 
 
 @contextmanager
-def logged(*, quiet: bool) -> Iterator[None]:
+def log_to_stderr(*, quiet: bool) -> Iterator[None]:
     """Print what the core logs to stderr: how inputs were read, what was left out."""
     import logging
 
@@ -124,7 +124,7 @@ def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -
             note(words)
         say(json.dumps({'verb': arguments.verb, **data}, indent=1, allow_nan=False))
     elif not arguments.quiet:
-        say(as_shown(words, sys.stdout))
+        say(typeset_units(words, sys.stdout))
 
 
 def answer_from(
@@ -154,7 +154,7 @@ def answer_from(
         data = dict(read_json(Path(arguments.out) / main))
         data.pop(BULKY, None)
         data |= {**more, 'out': arguments.out, 'files': _places(files, arguments.out)}
-    answer(arguments, words + listed(files, arguments.out), data)
+    answer(arguments, words + report_files(files, arguments.out), data)
 
 
 def _places(files: Sequence[Path], folder: str) -> list[str]:
@@ -162,7 +162,7 @@ def _places(files: Sequence[Path], folder: str) -> list[str]:
     return [str(f.relative_to(folder)) if f.is_relative_to(folder) else f.name for f in files]
 
 
-def listed(files: Sequence[Path], folder: str) -> str:
+def report_files(files: Sequence[Path], folder: str) -> str:
     """State which files were written."""
     return f'\nwritten: {", ".join(_places(files, folder))} in {folder}'
 
@@ -228,8 +228,8 @@ class _Line:
         time_left = self._left.estimate('job', share, now)
         if share > 0:
             words += f'  {100 * share:.0f} %'
-        if about(time_left):
-            words += f'  {about(time_left)}'
+        if approximate_time(time_left):
+            words += f'  {approximate_time(time_left)}'
         own_line(words[: shutil.get_terminal_size().columns - 1])
 
 

@@ -47,7 +47,7 @@ class Parser(argparse.ArgumentParser):
         return [o for o in self._option_string_actions if o.startswith('--')]
 
 
-def asked(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
+def parse_arguments(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
     """Parse a command line; mistakes point to the help of the verb they were made in."""
     verbs = parser.verbs
     word = next(iter(argv), '')

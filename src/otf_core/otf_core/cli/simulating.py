@@ -24,9 +24,9 @@ from otf_core.cli.output import (
     QUALITY_GATE_FAILED,
     answer,
     answer_from,
-    listed,
     note,
     progress_of,
+    report_files,
 )
 from otf_core.config import ForecastConfig, LoopConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
@@ -239,8 +239,8 @@ def _plan_rotary(
     from otf_core.planning.nc import DIALECTS
     from otf_core.planning.plan_report import read_place
     from otf_core.planning.rotary_paths import (
-        beside,
         check_side,
+        default_tracker_place,
         duration_of,
         forecast_parts,
         sights,
@@ -253,7 +253,7 @@ def _plan_rotary(
                 f'--{option.replace("_", "-")}: not available for machines with rotary axes'
             )
     given = arguments.tracker_place
-    place = beside(machine) if given is None else np.array(read_place(given))
+    place = default_tracker_place(machine) if given is None else np.array(read_place(given))
     check_side(machine, place)
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
@@ -292,10 +292,10 @@ def run_validate(arguments: argparse.Namespace) -> int:
     with out.filled('validate') as folder:
         files = write_validation(comparisons, direct, folder)
     answer_from(arguments, format_rows(comparisons.rows) + '\n', files, 'validation.json')
-    return told_limits(comparisons.rows)
+    return state_limits(comparisons.rows)
 
 
-def told_limits(rows: Sequence[Row]) -> int:
+def state_limits(rows: Sequence[Row]) -> int:
     """Name the rows beyond their limits; the exit code."""
     failed = [row.quantity for row in rows if row.passed is False]
     for quantity in failed:
@@ -482,7 +482,9 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
     files = write_fleet(verb, folder, outcomes)
     warnings = offset_warnings(verb, folder, outcomes)
-    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + listed(files, arguments.out)
+    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
+        files, arguments.out
+    )
     answer(arguments, words, fleet_to_dict(verb, outcomes) | {'warnings': warnings})
     exits = {o.exit for o in outcomes.values()} - {0}
     if not exits:
@@ -507,8 +509,10 @@ def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
         words = f'{format_rows(rows)}\n\n{words}'
     files.append(write_outcomes(VALIDATE, folder, outcomes))
     list_results(VALIDATE, folder)
-    answer(arguments, words + listed(files, arguments.out), fleet_to_dict(VALIDATE, outcomes))
-    beyond = told_limits(rows)
+    answer(
+        arguments, words + report_files(files, arguments.out), fleet_to_dict(VALIDATE, outcomes)
+    )
+    beyond = state_limits(rows)
     return QUALITY_GATE_FAILED if any(not o.done for o in outcomes.values()) else beyond
 
 

@@ -120,7 +120,7 @@ class Common:
     motions: tuple[ErrorMotion, ...]
 
 
-def _known(source: Source, motion: str) -> bool:
+def _is_identifiable(source: Source, motion: str) -> bool:
     return source.tables.motions[motion].identifiable
 
 
@@ -128,7 +128,7 @@ def _positions(sources: Sequence[Source], axis: str) -> Array:
     """Nodes of all sources within the range that all cover."""
     nodes = [
         s.tables.motions[m].position for s in sources for m in MOTIONS
-        if m.axis == axis and _known(s, m)
+        if m.axis == axis and _is_identifiable(s, m)
     ]  # fmt: skip
     if not nodes:
         return np.zeros(0)
@@ -166,11 +166,11 @@ def common_ground(sources: Sequence[Source]) -> Common:
     for source in sources:
         own, (low, high) = source.tables.machine, table_ranges(source.tables)
         for m in rotations:
-            if not _known(source, m) and has_constant_lever(own, m, low, high):
+            if not _is_identifiable(source, m) and has_constant_lever(own, m, low, high):
                 levers.setdefault(m, []).append(Lever(own, low))
     folded = {m: own[-1] for m, own in levers.items()}
     apart = tuple(m for m, own in levers.items() if _span(m, own) > SAME_LEVER)
-    motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
+    motions = tuple(m for m in MOTIONS if all(_is_identifiable(s, m) for s in sources))
     if not motions:
         raise ConfigError('the sources have no error motion in common')
     return Common(
@@ -204,7 +204,7 @@ def operator(source: Source, common: Common) -> Array:
         add(motion, np.ones(len(position)))
         if unit_of(motion) == 'm':
             for name, lever in common.folded.items():
-                if name.axis == axis and _known(source, name):
+                if name.axis == axis and _is_identifiable(source, name):
                     add(name, lever.influence(name, position)[:, motion.along])
         blocks.append(_zeroed(motion, position, rows))
     return np.concatenate(blocks)

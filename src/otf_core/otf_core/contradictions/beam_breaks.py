@@ -21,7 +21,7 @@ from otf_core.model.observation import Samples
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Run
-from otf_core.tracking.measured_track import broken
+from otf_core.tracking.measured_track import find_breaks
 
 MAX_COLUMNS = 400
 """Offsets that are solved for at most."""
@@ -64,10 +64,10 @@ def segment_of_samples(samples: Samples) -> Index:
     """Number of the uninterrupted segment of every sample, shape (n,), from 0."""
     if len(samples) < 3:
         return np.zeros(len(samples), dtype=np.int64)
-    return np.concatenate([[0], np.cumsum(broken(samples))])
+    return np.concatenate([[0], np.cumsum(find_breaks(samples))])
 
 
-def between(segment: Index) -> Index:
+def shift_to_middle(segment: Index) -> Index:
     """As many segments, begun in the middle of the given ones: the experiment beside."""
     begin = np.flatnonzero(np.diff(segment, prepend=-1))
     middle = (begin + np.append(begin[1:], len(segment))) // 2
@@ -101,7 +101,7 @@ def offset_columns(rows: Rows, share: Array, kind: str) -> Array:
     return np.stack(parts, axis=2).reshape(len(tiled), -1)
 
 
-def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
+def fit_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     """Estimate the offsets of segments from what a fit leaves.
 
     Parameters
@@ -147,7 +147,7 @@ KINDS = {'vector': 3, 'range': 1}
 
 
 @dataclass(frozen=True)
-class FoundAgain:
+class SegmentOffsets:
     """Offsets of the segments of one run.
 
     Attributes
@@ -161,7 +161,7 @@ class FoundAgain:
     offsets: Offsets
 
 
-def find_offsets(model: Model, run: int) -> FoundAgain | None:
+def find_offsets(model: Model, run: int) -> SegmentOffsets | None:
     """Find offsets of the segments of one run; None if there are none."""
     pieces, rows = model.runs[run].pieces, model.rows
     segment = segment_of_samples(model.runs[run].recording.samples)
@@ -173,24 +173,24 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
     def of(segments: Index, kind: str) -> Offsets:
         share = np.zeros((len(rows), int(segments.max()) + 1))
         share[mine] = membership(pieces, segments)[rows.piece[mine]]
-        return fitted_offsets(rows, model.fit, share, kind)
+        return fit_offsets(rows, model.fit, share, kind)
 
     kinds = [k for k, width in KINDS.items() if width * count <= MAX_COLUMNS]
     if not kinds:
         return None
     real = [of(segment, kind) for kind in kinds]
     best = max(real, key=lambda o: o.evidence)
-    beside = of(between(segment), best.kind)
+    beside = of(shift_to_middle(segment), best.kind)
     size = rows.deviation.shape[0] * len(mine)
     if (
         best.evidence < MIN_EVIDENCE_PER_ROW * size
         or best.evidence - beside.evidence < MIN_EVIDENCE_OVER_CONTROL * size
     ):
         return None
-    return FoundAgain(run, segment, best)
+    return SegmentOffsets(run, segment, best)
 
 
-def shifted(run: Run, again: FoundAgain) -> Run:
+def remove_offsets(run: Run, again: SegmentOffsets) -> Run:
     """Take the offsets of its segments off the samples and pieces of a run."""
     samples, pieces, value = run.samples, run.pieces, again.offsets.value
     if again.offsets.kind == 'range':
@@ -211,11 +211,11 @@ def settle_offsets(model: Model, *, repair: bool) -> tuple[Model, list[Finding]]
         again = find_offsets(model, k)
         if again is not None:
             findings.append(_finding(runs[k], again, repair=repair))
-            runs[k] = shifted(runs[k], again) if repair else runs[k]
+            runs[k] = remove_offsets(runs[k], again) if repair else runs[k]
     return (Model.of(runs) if findings and repair else model), findings
 
 
-def _finding(run: Run, again: FoundAgain, *, repair: bool) -> Finding:
+def _finding(run: Run, again: SegmentOffsets, *, repair: bool) -> Finding:
     name = f'{run.recording.name}: ' if run.recording.name else ''
     offsets, breaks = again.offsets, int(again.segment[-1])
     times = f'{breaks} times' if breaks > 1 else 'once'

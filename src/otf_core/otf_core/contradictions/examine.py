@@ -285,7 +285,7 @@ def _third(samples: Samples) -> tuple[Array, Array]:
     return (third[even], middle[even]) if even.sum() >= MIN_DIFFERENCES else (third, middle)
 
 
-def rounded_to(samples: Samples) -> float:
+def rounding_step(samples: Samples) -> float:
     """Coarsest of ``ROUNDING_STEPS`` that all coordinates are multiples of, m; else 0."""
     for step in ROUNDING_STEPS:
         if all(_multiples(part, step) for part in (samples.xyz[:MIN_DIFFERENCES], samples.xyz)):
@@ -337,7 +337,7 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
     above = max(ratios) > MAX_NOISE_RATIO
-    raster = rounded_to(run.recording.samples) if above else 0.0
+    raster = rounding_step(run.recording.samples) if above else 0.0
     if raster and max(level * _lever(run.recording.samples)) < raster:
         return Finding('rounded', WARNING, (
             f'{name}coordinates are rounded to {1e6 * raster:g} um, more than the noise of the '

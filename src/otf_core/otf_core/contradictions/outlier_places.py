@@ -53,7 +53,7 @@ MAX_USED_SAMPLES = 400_000
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class OutlierPlaces:
     """What was left out of a run.
 
     Attributes
@@ -150,7 +150,7 @@ class LeftOut:
         )
 
 
-def left_out(run: Run, without_outliers: Run) -> LeftOut:
+def locate_outliers(run: Run, without_outliers: Run) -> OutlierPlaces:
     """Where the samples lie that were left out of a run.
 
     Parameters
@@ -165,7 +165,7 @@ def left_out(run: Run, without_outliers: Run) -> LeftOut:
     gone[without_outliers.pieces.samples] = False
     lost = np.concatenate([np.flatnonzero(gone), run.pieces.far]).astype(np.int64)
     if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
-        return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
+        return OutlierPlaces(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
     step = max(1, len(without_outliers.pieces.samples) // MAX_USED_SAMPLES)
     stays = without_outliers.pieces.samples[::step].astype(np.int64)
     index = np.concatenate([stays, lost])
@@ -178,7 +178,7 @@ def left_out(run: Run, without_outliers: Run) -> LeftOut:
     )
     cell = _cells(run.shape.corners, leg, along, lines.length[leg])
     places = _places(lines.at(along[out], leg[out]), cell[out])
-    return LeftOut(
+    return OutlierPlaces(
         name=run.name,
         samples=len(lost),
         of=len(without_outliers.pieces.samples) + len(lost),
@@ -239,7 +239,7 @@ def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(round(v, 4)) for v in row) for row in places)
 
 
-def findings(runs: Sequence[LeftOut]) -> list[Finding]:
+def findings(runs: Sequence[OutlierPlaces]) -> list[Finding]:
     """Findings on samples that were left out."""
     notable = [r for r in runs if r.by_machine or r.samples > WARNING_SHARE * r.of]
     return [Finding('left out', WARNING, r.words()) for r in notable]

@@ -25,7 +25,7 @@ from otf_core.model.machine import Chain, Machine
 from otf_core.noise.noise_model import beam_shares, noise_covariance
 from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import Run
-from otf_core.solving.design import AxisPart, crossed, six_motions
+from otf_core.solving.design import AxisPart, cross_product, six_motions
 from otf_core.solving.design import Design as Motions
 from otf_core.solving.system import components, nominal_positions, row_directions
 from otf_core.solving.unknowns import Unknowns, layout, linear
@@ -146,7 +146,7 @@ def build_rows(runs: Sequence[Run]) -> Rows:
 
 def pose_columns(rows: Rows) -> Array:
     """Rows per unit of a rigid motion of the measured points, shape (c p, 6), 1 and m/rad."""
-    turned = crossed(rows.points, rows.axes)  # a . (e x point) = e . (point x a)
+    turned = cross_product(rows.points, rows.axes)  # a . (e x point) = e . (point x a)
     return np.concatenate([rows.axes, turned], axis=2).reshape(-1, 6)
 
 

@@ -6,18 +6,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from otf_core.calibration.calibrate import Examined
+from otf_core.calibration.calibrate import ExaminedRecordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import (
-    Corrected,
+    CorrectedCalibration,
     EffectsCalibration,
-    beside_plain,
-    calibrate_without,
-    listed,
+    calibrate_without_effects,
+    effect_names,
+    pair_with_plain,
 )
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
-from otf_core.effects.removable_effect import Taken, taken
+from otf_core.effects.removable_effect import RemovableEffect, removable_effect
 from otf_core.effects.stated_effect import FOUND
 from otf_core.solving.reversal import Reversal
 
@@ -26,7 +26,7 @@ SURE = 0.99
 
 
 @dataclass(frozen=True)
-class Told:
+class CauseWords:
     """What a diagnosis says of a cause.
 
     Attributes
@@ -42,7 +42,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class FoundCauses:
+class CausesToRemove:
     """Causes of a diagnosis, as a calibration takes them off.
 
     Attributes
@@ -55,13 +55,15 @@ class FoundCauses:
         Names of further causes, which the functions of the calibration follow.
     """
 
-    told: tuple[Told, ...]
+    told: tuple[CauseWords, ...]
     applied: tuple[tuple[AppliedEffect, ...], ...]
     followed: tuple[str, ...] = ()
 
-    def to_take(self, config: CalibrationConfig) -> tuple[list[Taken], list[str]]:
+    def to_take(self, config: CalibrationConfig) -> tuple[list[RemovableEffect], list[str]]:
         """What is taken off, and warnings."""
-        chosen = [taken(list(in_runs), FOUND) for in_runs in zip(*self.applied, strict=True)]
+        chosen = [
+            removable_effect(list(in_runs), FOUND) for in_runs in zip(*self.applied, strict=True)
+        ]
         return _to_take(chosen, self.told, config)
 
     def stays(self, config: CalibrationConfig, plain: CalibrationResult) -> list[str]:
@@ -73,7 +75,7 @@ class FoundCauses:
             With nothing taken off.
         """
         words = [f'{name} is in the error tables, which follow it' for name in self.followed]
-        held_by_tables = _left(config)
+        held_by_tables = _kinds_held(config)
         for one, description in zip(self.applied[0], self.told, strict=True):
             if one.effect.belongs_to not in held_by_tables:
                 continue
@@ -90,18 +92,18 @@ class FoundCauses:
         return words
 
 
-def without_causes(
-    examined: Examined, causes: FoundCauses, config: CalibrationConfig
-) -> Corrected | None:
+def calibrate_without_causes(
+    examined: ExaminedRecordings, causes: CausesToRemove, config: CalibrationConfig
+) -> CorrectedCalibration | None:
     """Calibrate with causes taken off; None if none is."""
     taking, _ = causes.to_take(config)
-    return calibrate_without(examined, taking, config) if taking else None
+    return calibrate_without_effects(examined, taking, config) if taking else None
 
 
-def with_causes(
+def pair_with_corrected(
     plain: CalibrationResult,
-    corrected: Corrected | None,
-    causes: FoundCauses,
+    corrected: CorrectedCalibration | None,
+    causes: CausesToRemove,
     config: CalibrationConfig,
     sentence: str,
 ) -> EffectsCalibration:
@@ -110,13 +112,13 @@ def with_causes(
     Parameters
     ----------
     corrected : Corrected, optional
-        See ``without_causes``.
+        See ``calibrate_without_causes``.
     sentence : str
         What the diagnosis says.
     """
     taking, warnings = causes.to_take(config)
     words = f'{sentence} {_done_words(taking, causes.stays(config, plain))}'
-    return beside_plain(plain, corrected, taking, words, warnings)
+    return pair_with_plain(plain, corrected, taking, words, warnings)
 
 
 def in_reversal_tables(reversal: Reversal, axes: Sequence[str]) -> str:
@@ -134,25 +136,29 @@ def in_reversal_tables(reversal: Reversal, axes: Sequence[str]) -> str:
     )
 
 
-def _done_words(taking: Sequence[Taken], stays: Sequence[str]) -> str:
+def _done_words(taking: Sequence[RemovableEffect], stays: Sequence[str]) -> str:
     """What was taken off, and what holds the rest."""
     held = '; '.join(stays)
     held = held[:1].upper() + held[1:]
     if taking:
-        return f'Removed: {listed(taking).replace("_", " ")}.' + (f' {held}.' if held else '')
+        return f'Removed: {effect_names(taking).replace("_", " ")}.' + (
+            f' {held}.' if held else ''
+        )
     return f'{held}; nothing else to remove.' if held else 'No effect was removed.'
 
 
-def _left(config: CalibrationConfig) -> set[BelongsTo]:
+def _kinds_held(config: CalibrationConfig) -> set[BelongsTo]:
     """Kinds of effects that a calibration holds by itself."""
     return {BelongsTo.TABLES} | ({BelongsTo.REVERSAL} if config.reversal != 'none' else set())
 
 
 def _to_take(
-    removable: Sequence[Taken], descriptions: Sequence[Told], config: CalibrationConfig
-) -> tuple[list[Taken], list[str]]:
+    removable: Sequence[RemovableEffect],
+    descriptions: Sequence[CauseWords],
+    config: CalibrationConfig,
+) -> tuple[list[RemovableEffect], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    held_by_tables = _left(config)
+    held_by_tables = _kinds_held(config)
     names = {name for kind in held_by_tables for name in names_of(kind)}
     taking, warnings = [], []
     for one, about in zip(removable, descriptions, strict=True):

@@ -17,14 +17,24 @@ import numpy as np
 
 from otf_core.ahead import Ahead
 from otf_core.arrays import Array
-from otf_core.calibration.calibrate import Examined, SolvedRecordings, assemble, solve_recordings
+from otf_core.calibration.calibrate import (
+    ExaminedRecordings,
+    SolvedRecordings,
+    assemble,
+    solve_recordings,
+)
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.outlier_places import left_out
+from otf_core.contradictions.outlier_places import locate_outliers
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, qualify_moves, sentence_of
 from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
-from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, with_causes, without_causes
+from otf_core.diagnosis.corrected_calibration import (
+    CausesToRemove,
+    CauseWords,
+    calibrate_without_causes,
+    pair_with_corrected,
+)
 from otf_core.diagnosis.engine.diagnosed_rows import (
     held_by,
     remove_steady_vibration,
@@ -34,19 +44,19 @@ from otf_core.diagnosis.engine.diagnosed_rows import (
 from otf_core.diagnosis.engine.gap_sizes import Twin, simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
-    Found,
+    SearchResult,
     Visibility,
     search_catalogue,
     spectral_lines,
 )
 from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
-from otf_core.diagnosis.result import AxisEffects, Diagnosis, Gap, NamedCause, Shown
+from otf_core.diagnosis.result import AxisEffects, Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.rotary_rows import rows_of_axes, simulated_um
 from otf_core.diagnosis.weighing import (
     Explanation,
-    Judged,
     Unnamed,
+    WeighedExplanation,
     explain,
     judge,
     run_views,
@@ -57,11 +67,11 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding
-from otf_core.pieces.runs import Recording, Run, reduced
-from otf_core.rotary.calibrate import calibrate_axes
+from otf_core.pieces.runs import Recording, Run, reduce_recording
+from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
 from otf_core.solving.unknowns import Basis
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 
 ALL_SAMPLES = 100.0
 """Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""
@@ -74,7 +84,7 @@ PER_NODE = 3.0
 """Pieces between two table nodes at least, so that waves between nodes are seen."""
 
 
-@in_one_thread
+@limit_to_one_thread
 def diagnose(
     recordings: Sequence[Recording],
     twin: Twin,
@@ -130,10 +140,10 @@ def diagnose(
         plain = ahead(assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
     causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
-    corrected = without_causes(solved, causes, config) if weighed.fitted else None
+    corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
     return _answer(
         recordings, solved, searched, weighed,
-        lambda sentence: with_causes(plain, corrected, causes, config, sentence),
+        lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
     )  # fmt: skip
 
 
@@ -225,7 +235,7 @@ def _without_reversal(
     plain = replace(config, reversal='none', piece_length=length)
     whole = len(solved.runs) == len(recordings)
     pairs = zip(solved.runs, observed.runs, strict=True)
-    if any(left_out(run, without_outliers).by_machine for run, without_outliers in pairs):
+    if any(locate_outliers(run, without_outliers).by_machine for run, without_outliers in pairs):
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
         same = length == config.piece_length
@@ -237,7 +247,7 @@ def _in_longer_pieces(observed: _WithoutReversal, config: CalibrationConfig) -> 
     """The same runs in pieces of ``config``, solved with the same functions of the motions."""
     joint, nodes = observed.solution, observed.nodes
     runs = [
-        replace(reduced(run.recording, run.alignment, nodes, config), late=run.late)
+        replace(reduce_recording(run.recording, run.alignment, nodes, config), late=run.late)
         for run in observed.runs
     ]
     start = Start.after(runs[0].machine, joint)
@@ -249,7 +259,7 @@ class _Searched:
     """Rows, what is found in them, and the residual of their simulation."""
 
     rows: Rows
-    found: Found
+    found: SearchResult
     simulated_um: float
 
 
@@ -285,7 +295,7 @@ def _search(
 class _Weighed:
     """Causes after what else could be, and where the gap lies."""
 
-    judged: Judged
+    judged: WeighedExplanation
     fitted: tuple[FittedCause, ...]
     gap: Gap
     causes: tuple[NamedCause, ...]
@@ -315,14 +325,16 @@ def _weigh(
 
 
 def _causes_to_take_off(
-    fitted: Sequence[FittedCause], bases: dict[str, Basis], examined: Examined
-) -> FoundCauses:
+    fitted: Sequence[FittedCause], bases: dict[str, Basis], examined: ExaminedRecordings
+) -> CausesToRemove:
     """Causes with their parameters, for every examined run, less what fine functions hold."""
     followed = [held_by(part.cause.option, bases) for part in fitted]
     off = [part for part, held in zip(fitted, followed, strict=True) if not held]
-    return FoundCauses(
+    return CausesToRemove(
         tuple(
-            Told(part.cause.confidence, part.cause.indistinguishable, _name_words(part), part.axes)
+            CauseWords(
+                part.cause.confidence, part.cause.indistinguishable, _name_words(part), part.axes
+            )
             for part in off
         ),
         tuple(tuple(part.applied(k) for part in off) for k in examined.source),
@@ -338,7 +350,7 @@ def _name_words(part: FittedCause) -> str:
 
 def _answer(
     recordings: Sequence[Recording],
-    examined: Examined,
+    examined: ExaminedRecordings,
     searched: _Searched,
     weighed: _Weighed,
     beside: Callable[[str], EffectsCalibration],
@@ -404,7 +416,7 @@ def _stated(
         ),
         calibration=calibration,
         origin=calibration.plain.origin,
-        shown=Shown(_shown_views(rows, explained), conditions),
+        shown=FigureData(_shown_views(rows, explained), conditions),
     )
 
 
@@ -431,7 +443,7 @@ def _table_change_um(calibration: EffectsCalibration) -> float:
     return 1e6 * mean_length(without_rigid_motion(change, points))
 
 
-def _conditions(examined: Examined, plain: CalibrationResult) -> dict[str, str]:
+def _conditions(examined: ExaminedRecordings, plain: CalibrationResult) -> dict[str, str]:
     first = examined.runs[0]
     return {
         'machine': first.machine.name,

@@ -15,7 +15,7 @@ from otf_core.effects import AppliedEffect
 from otf_core.model.machine import Machine
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.solving.reversal import Reversal
 
 
@@ -103,7 +103,7 @@ class NamedCause:
 
 
 @dataclass(frozen=True)
-class Shown:
+class FigureData:
     """What figures show: arrays of every run, and the conditions in words."""
 
     views: tuple[RunView, ...]
@@ -159,7 +159,7 @@ class Diagnosis:
     applied: tuple[tuple[AppliedEffect, ...], ...]
     calibration: EffectsCalibration | AxisEffects
     origin: tuple[Origin, ...]
-    shown: Shown
+    shown: FigureData
     unnamed: Unnamed | None = None
 
     @property

@@ -24,10 +24,10 @@ from otf_core.noise.departure import noise_departure
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
+from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun, tables_of
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.rows import AxisRows
-from otf_core.rotary.solution import AxisSolution, SolvedAxisRun, tables_of
 from otf_core.solving.joint import SolvedRun
 from otf_core.solving.residuals import fold_of, leg_numbers
 from otf_core.solving.solution import free_columns, identifiable_blocks

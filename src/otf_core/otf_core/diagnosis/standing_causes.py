@@ -40,7 +40,7 @@ MOST_STRUCTURES = 3
 
 
 @dataclass(frozen=True)
-class Standing:
+class StandingCauses:
     """Causes that stand, and the structures beside them.
 
     Attributes
@@ -73,7 +73,7 @@ class Standing:
         causes: Sequence[Cause],
         structures: Sequence[Structure],
         variance: float = np.inf,
-    ) -> Standing:
+    ) -> StandingCauses:
         """Weigh causes and structures together, for the noise that they leave, or for less."""
         every = [*causes, *(s.cause for s in structures)]
         options = [c.option for c in every]
@@ -85,7 +85,7 @@ class Standing:
         price = sum(s.price for s in structures)
         return cls(tuple(causes), tuple(structures), whole - price, added, residuals, variance)
 
-    def confidence(self, number: int, other: Standing | None) -> float:
+    def confidence(self, number: int, other: StandingCauses | None) -> float:
         """Probability of a cause among the effects, given the others.
 
         Parameters
@@ -97,7 +97,7 @@ class Standing:
         against = np.logaddexp.reduce([0.0, odds, NEEDED_EVIDENCE - self.added[number]])
         return self.causes[number].confidence * float(np.exp(-against))
 
-    def with_names(self, exclude: Sequence[str]) -> Standing:
+    def with_names(self, exclude: Sequence[str]) -> StandingCauses:
         """Give structures that depend and act as an effect of the catalogue its name."""
         used = {*exclude, *(c.option.effect.name for c in self.causes)}
         own = self.added[len(self.causes) :]
@@ -118,7 +118,7 @@ class Standing:
         )
 
 
-def standing_causes(rows: Rows, causes: Sequence[Cause], least_um: float) -> Standing | None:
+def standing_causes(rows: Rows, causes: Sequence[Cause], least_um: float) -> StandingCauses | None:
     """Keep the causes that stand beside each other and what has no name; None if none does.
 
     Parameters
@@ -138,10 +138,10 @@ def standing_causes(rows: Rows, causes: Sequence[Cause], least_um: float) -> Sta
     return None
 
 
-def stand_beside(rows: Rows, causes: Sequence[Cause]) -> Standing:
+def stand_beside(rows: Rows, causes: Sequence[Cause]) -> StandingCauses:
     """Causes with the structures of what they leave."""
     rest = rows.without(_displacement(rows, causes))
-    return Standing.of(rows, causes, structures_of(rest))
+    return StandingCauses.of(rows, causes, structures_of(rest))
 
 
 def structures_of(rows: Rows, tried: Structures | None = None) -> list[Structure]:
@@ -164,7 +164,7 @@ def structures_of(rows: Rows, tried: Structures | None = None) -> list[Structure
     return structures
 
 
-def _weakest(rows: Rows, standing: Standing, least_um: float) -> Cause | None:
+def _weakest(rows: Rows, standing: StandingCauses, least_um: float) -> Cause | None:
     """The cause that adds least, if that is too little; None if all stand."""
     every = [*standing.causes, *(s.cause for s in standing.structures)]
     worst, weak = 0.0, None

@@ -10,7 +10,7 @@ from itertools import takewhile
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.cause_parameters import Curve, curves_of, fitted_causes, range_words
 from otf_core.diagnosis.engine.empirical_structure import (
@@ -39,14 +39,14 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     Cause,
     fit_jointly,
-    fit_out,
     noise_variance,
     places_of,
+    remove_option,
 )
 from otf_core.diagnosis.engine.time_courses import DECOY_NAMES
 from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import EVERYWHERE, NO_STRUCTURE, describe_structure
-from otf_core.diagnosis.standing_causes import Standing, standing_causes, structures_of
+from otf_core.diagnosis.standing_causes import StandingCauses, standing_causes, structures_of
 from otf_core.effects import AppliedEffect, Effect
 from otf_core.effects.action import (
     RIGID_TABLE,
@@ -289,7 +289,7 @@ def noise_level(rows: Rows, causes_found: Sequence[Cause]) -> float:
     """
     residual = rows.residual
     for cause in causes_found:
-        residual = fit_out(cause.option, residual)
+        residual = remove_option(cause.option, residual)
     structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - len(rows.use))
     if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
@@ -381,7 +381,7 @@ class Unnamed:
 
 
 @dataclass(frozen=True)
-class Nameless:
+class UnnamedCause:
     """A cause without a name, and the empirical effects that reproduce it in every run."""
 
     said: Unnamed
@@ -393,7 +393,7 @@ class Nameless:
 
 def find_unnamed(
     rows: Rows, explained: Explanation, verdict: str, tried: Structures, rival: Rival
-) -> Nameless | None:
+) -> UnnamedCause | None:
     """Look for a cause without a name where the named ones leave a gap.
 
     Parameters
@@ -427,28 +427,28 @@ def find_unnamed(
 
 def _with_more(
     rows: Rows, explained: Explanation, tried: Structures, first: Structure
-) -> Nameless:
+) -> UnnamedCause:
     """Add to a structure those that take enough of the gap besides."""
     structures = [first]
-    nameless = _said(rows, explained, structures)
+    nameless = _describe_structures(rows, explained, structures)
     least = LEAST_BESIDES * nameless.said.before_um**2
     while len(structures) < MOST and nameless.said.after_um**2 > least:
         other = find_another(tried, structures)
         if other is None:
             break
-        more = _said(rows, explained, [*structures, other])
+        more = _describe_structures(rows, explained, [*structures, other])
         if nameless.said.after_um**2 - more.said.after_um**2 < least:
             break
         structures, nameless = [*structures, other], more
     return nameless
 
 
-def _said(
+def _describe_structures(
     rows: Rows,
     explained: Explanation,
     structures: Sequence[Structure],
     known: Sequence[Cause] = (),
-) -> Nameless:
+) -> UnnamedCause:
     """Structures beside known causes, in words and as effects."""
     causes = [*known, *(s.cause for s in structures)]
     before, after = explained.steps[len(known)], residuals_with(rows, causes)
@@ -470,7 +470,7 @@ def _said(
     )
     runs = range(len(rows.states))
     applied = tuple(tuple(part.applied(k) for part in parts) for k in runs)
-    return Nameless(said, applied, simulated, tuple(structures))
+    return UnnamedCause(said, applied, simulated, tuple(structures))
 
 
 def input_words(name: str) -> str:
@@ -510,7 +510,7 @@ def _direction_words(acts: Along) -> str:
 
 
 @dataclass(frozen=True)
-class Judged:
+class WeighedExplanation:
     """What a search gave, after what else could be.
 
     Attributes
@@ -525,7 +525,7 @@ class Judged:
     explained: Explanation
     noise: NoiseFinding | None
     left: str
-    nameless: Nameless | None
+    nameless: UnnamedCause | None
 
     @property
     def noise_cause(self) -> NoiseFinding | None:
@@ -535,11 +535,11 @@ class Judged:
 
 def judge(
     rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
-) -> Judged:
+) -> WeighedExplanation:
     """Weigh the causes found against noise, and against what has no name."""
     gap = matters(explained.after_um, explained.simulated_um)
     noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
-    remainder, has_place = _what_is_left(rows, explained)
+    remainder, has_place = _shape_of_rest(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     weighed = _or_something_else(rows, explained, verdict, exclude)
     explained, nameless = weighed.explained, weighed.nameless
@@ -548,7 +548,7 @@ def judge(
         explained = explained.without_causes(known)
     elif noise and weighed.verdict == 'none':
         weighed = replace(weighed, verdict='explained')
-    return Judged(weighed.verdict, explained, noise, remainder, nameless)
+    return WeighedExplanation(weighed.verdict, explained, noise, remainder, nameless)
 
 
 @dataclass(frozen=True)
@@ -557,7 +557,7 @@ class _Weighed:
 
     verdict: str
     explained: Explanation
-    nameless: Nameless | None = None
+    nameless: UnnamedCause | None = None
 
 
 def _or_something_else(
@@ -598,7 +598,7 @@ def _without_small(rows: Rows, explained: Explanation) -> Rows:
 def _standing(
     rows: Rows,
     explained: Explanation,
-    alone: Nameless | None,
+    alone: UnnamedCause | None,
     tried: Structures,
     verdict: str,
     exclude: Sequence[str],
@@ -606,10 +606,10 @@ def _standing(
     """Causes that stand beside what has no name; None where the gap has no name at all."""
     least = MATERIAL_SHARE * explained.before_um
     standing = standing_causes(rows, explained.causes, least)
-    without = Standing.of(rows, (), structures_of(rows, tried)) if alone else None
+    without = StandingCauses.of(rows, (), structures_of(rows, tried)) if alone else None
     if standing and without:  # both for the noise that the better of them leaves
         standing, without = (
-            Standing.of(rows, s.causes, s.structures, t.variance)
+            StandingCauses.of(rows, s.causes, s.structures, t.variance)
             for s, t in ((standing, without), (without, standing))
         )
     if standing is None or (without and without.evidence > standing.evidence):
@@ -631,7 +631,11 @@ def _standing(
         fitted=residuals_with(rows, every, held_out=False),
         besides=standing.residuals,
     )
-    nameless = _said(rows, explained, standing.structures, causes) if standing.structures else None
+    nameless = (
+        _describe_structures(rows, explained, standing.structures, causes)
+        if standing.structures
+        else None
+    )
     if nameless and nameless.said.shrink_percent < LEAST_SHRINK:  # not worth stating
         if verdict == 'unknown' or _leaves_most(explained, explained.steps[-1]):
             return None
@@ -639,7 +643,7 @@ def _standing(
     return _Weighed(_verdict_beside(explained, nameless), explained, nameless)
 
 
-def _describes(standing: Standing, explained: Explanation, verdict: str) -> bool:
+def _describes(standing: StandingCauses, explained: Explanation, verdict: str) -> bool:
     """Return whether causes and what has no name describe the gap well enough to be believed.
 
     A right cause leaves the other cause, which has a structure of its own. What imitates a cause
@@ -656,7 +660,7 @@ def _leaves_most(explained: Explanation, rest: Residuals) -> bool:
     return gap_um(rest.rms_um, explained.simulated_um) > known
 
 
-def _verdict_beside(explained: Explanation, nameless: Nameless | None) -> str:
+def _verdict_beside(explained: Explanation, nameless: UnnamedCause | None) -> str:
     """Whether causes that stand explain the gap to the end."""
     remainder = explained.after_um if matters(explained.after_um, explained.simulated_um) else 0.0
     if nameless or remainder > EXPLAINED_SHARE * explained.before_um:
@@ -664,7 +668,7 @@ def _verdict_beside(explained: Explanation, nameless: Nameless | None) -> str:
     return 'explained'
 
 
-def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
+def _shape_of_rest(rows: Rows, explained: Explanation) -> tuple[str, bool]:
     """Shape of what the causes leave, and whether what all that is known leaves has a place."""
     if not explained.causes:
         return NO_STRUCTURE, False
@@ -675,7 +679,7 @@ def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
 
     same = explained.known_rest is explained.fitted
     looked = [explained.fitted] if same else [explained.fitted, explained.known_rest]
-    shape_left, rest = (shared_out(shape, looked) * 2)[:2]
+    shape_left, rest = (share_out(shape, looked) * 2)[:2]
     return shape_left, rest not in (NO_STRUCTURE, EVERYWHERE)
 
 

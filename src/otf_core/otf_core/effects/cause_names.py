@@ -36,7 +36,7 @@ def _of_axis(*heads: str) -> Callable[[Sequence[str]], bool]:
 
 
 @dataclass(frozen=True)
-class Named:
+class NameRule:
     """One line of the table.
 
     Attributes
@@ -61,19 +61,19 @@ class Named:
 
 
 NAMES = (
-    Named('table_tilt', _positions(1), RIGID, False,
+    NameRule('table_tilt', _positions(1), RIGID, False,
           'the tilt is not proportional to the position'),
-    Named('tracker_pose_drift', _course, RIGID, False,
+    NameRule('tracker_pose_drift', _course, RIGID, False,
           'the drift does not follow an exponential in time'),
-    Named('cross_coupling', _positions(2), (VECTOR, 'direction'), False,
+    NameRule('cross_coupling', _positions(2), (VECTOR, 'direction'), False,
           'the error is not a low-order polynomial of the positions'),
-    Named('backlash', _of_axis('sense_'), ('direction',), True,
+    NameRule('backlash', _of_axis('sense_'), ('direction',), True,
           'it differs between the senses of travel'),
-    Named('backlash', _of_axis('since_reversal_'), ('direction',), True,
+    NameRule('backlash', _of_axis('since_reversal_'), ('direction',), True,
           'the backlash is traversed over some distance after a reversal'),
-    Named('direction_dependent_tables', _of_axis('sense_', ''), ('direction',), True,
+    NameRule('direction_dependent_tables', _of_axis('sense_', ''), ('direction',), True,
           'the reversal depends on the position'),
-    Named('thermal_axis_expansion', lambda inputs: 'time' in inputs and len(inputs) == 2
+    NameRule('thermal_axis_expansion', lambda inputs: 'time' in inputs and len(inputs) == 2
           and set(inputs) - {'time'} <= set(POSITIONS), ('direction',), True,
           'the expansion is not proportional to the distance from the zero position of the axis'),
 )  # fmt: skip

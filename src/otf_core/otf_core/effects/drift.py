@@ -68,7 +68,7 @@ def drift_shapes(state: State) -> Sequence[Shape]:
     return (*simple, {'tau': LINEAR * until, 'until': until, 'order': float(ORDER)})
 
 
-def reached(name: str, shape: Shape) -> dict[str, float]:
+def value_reached(name: str, shape: Shape) -> dict[str, float]:
     """Sum of the coefficients of one quantity that it has reached at ``until``."""
     odd = range(3, round(shape.get('order', 1.0)) + 1, 2)  # P_k(1) - P_k(-1): 0 for an even k
     return {name: 1.0, **{f'{name}_{k}': 2.0 for k in odd}}

@@ -18,13 +18,13 @@ from typing import Any
 import yaml
 
 from otf_core.effects import EVERY, AppliedEffect, Effect, catalogue
-from otf_core.effects.empirical import EMPIRICAL, Empirical, Kept
+from otf_core.effects.empirical import EMPIRICAL, Empirical, OwnCause
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
-from otf_core.files.strict_yaml import Fields, read_yaml, shown
+from otf_core.files.strict_yaml import Fields, read_yaml, value_text
 from otf_core.files.writing import write_text
 from otf_core.model.machine import Machine
 
@@ -33,7 +33,7 @@ FORMULA = 'formula'
 
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ConfigError(f'{where}: expected a plain number in SI units, got {shown(value)}')
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {value_text(value)}')
     try:
         number = float(value)
     except OverflowError:
@@ -45,7 +45,7 @@ def _number(value: Any, where: str) -> float:
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigError(f'{where}: expected names and values, got {shown(value)}')
+        raise ConfigError(f'{where}: expected names and values, got {value_text(value)}')
     return {str(k): v for k, v in value.items()}
 
 
@@ -57,7 +57,7 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     offered = catalogue(machine)
     if name not in offered:
         known = ', '.join((*offered, EMPIRICAL))
-        fields.fail('effect', f'{shown(name)} is unknown; possible: {known}')
+        fields.fail('effect', f'{value_text(name)} is unknown; possible: {known}')
     given = _mapping(fields.take('parameters'), f'{where}: {name}: parameters')
     effect, where = _form(name, fields, machine, list(given)), f'{where}: {name}'
     parameters = {k: _number(v, f'{where}: {shortened(k)}') for k, v in given.items()}
@@ -71,7 +71,9 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         if key not in units:
             raise ConfigError(f'{where}: units: {shortened(key)}: not among the parameters')
         if unit != units[key]:
-            raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
+            raise ConfigError(
+                f"{where}: units: {key}: {value_text(unit)}; its unit is '{units[key]}'"
+            )
     return AppliedEffect(effect, parameters)
 
 
@@ -79,7 +81,7 @@ def _form(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> 
     """The formula of an effect, or its free form where the entry says so."""
     form = fields.text('form') if fields.has('form') else FORMULA
     if form not in (FORMULA, FREE):
-        fields.fail('form', f'{shown(form)} is unknown; possible: {FORMULA}, {FREE}')
+        fields.fail('form', f'{value_text(form)} is unknown; possible: {FORMULA}, {FREE}')
     return free_form_of(name, fields, machine, given) if form == FREE else EVERY[name]
 
 
@@ -111,7 +113,7 @@ def read_effects(path: str | Path, machine: Machine) -> tuple[AppliedEffect, ...
     return effects_from_data(read_yaml(path), str(path), machine)
 
 
-def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
+def read_own_causes(folder: str | Path, machine: Machine) -> tuple[OwnCause, ...]:
     """Read causes of one's own: every named empirical effect of the .yaml files of a folder.
 
     Raises
@@ -119,7 +121,7 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
     ConfigError
         If the folder holds none, one has no name or the name of another, or a file is wrong.
     """
-    causes: dict[str, Kept] = {}
+    causes: dict[str, OwnCause] = {}
     for file in sorted(Path(folder).glob('*.yaml')):
         for one in read_effects(file, machine):
             name = one.effect.name
@@ -133,7 +135,7 @@ def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
                 raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')
             if name in causes or name in EVERY:
                 raise ConfigError(f'{file}: {name}: this name is taken; choose another one')
-            causes[name] = Kept(one)
+            causes[name] = OwnCause(one)
     if not causes:
         raise ConfigError(f'{folder}: no .yaml file with an empirical effect in this folder')
     return tuple(causes.values())
@@ -144,7 +146,7 @@ def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[
     probe = probe_state(machine)
 
     def entry(one: AppliedEffect) -> dict[str, Any]:
-        if isinstance(one.effect, Kept):
+        if isinstance(one.effect, OwnCause):
             one = one.effect.sized(one.parameters)
         if isinstance(one.effect, FreeForm):
             return free_entry(one, machine)

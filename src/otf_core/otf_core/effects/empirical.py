@@ -56,7 +56,7 @@ class Empirical(Effect):
         return Terms((), (), (), np.zeros((len(state), 3, 0)))
 
 
-def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
+def node_table(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
     """Nodes of every input, SI, and the values of every term on their grid.
 
     Parameters
@@ -133,7 +133,7 @@ def of_table(
     return AppliedEffect(FreeForm(Empirical(name), form, spans), parameters)
 
 
-class Kept(Empirical):
+class OwnCause(Empirical):
     """A cause of one's own: an empirical effect with a name, its size free.
 
     Its free form depends on the same inputs in the same way.

@@ -90,7 +90,7 @@ def follower(acts: Acting, signal: str, order: int = 1) -> Free:
     return Free((signal,), (order,), words, (1,), acts, zero_at=-1.0, own_per_run=False)
 
 
-def switched(acts: Acting, switching: Switching, order: int = 1) -> Free:
+def declare_switching(acts: Acting, switching: Switching, order: int = 1) -> Free:
     """Declare what drifts after something that switches: alike each time, or up to an order."""
     words = switching.words + ('' if order == 1 else ', and not the same each time')
     return Free((switching.name,), (order,), words, (1,), acts)

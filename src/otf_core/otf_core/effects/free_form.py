@@ -88,7 +88,7 @@ class FreeForm(Effect):
         if free.shaped:
             first = {wave.parameter: wave.probe} if wave else parent.shapes(states[0])[0]
             shape = parent.complete_shape(first)
-        terms = acting(parent, free)(states[0].part(slice(0, 1)), shape)
+        terms = multipliers(parent, free)(states[0].part(slice(0, 1)), shape)
         return cls(parent, free, {name: span_of(states, name) for name in free.names(terms)})
 
     def loose(self, shape: Shape) -> dict[str, float]:
@@ -134,7 +134,7 @@ class FreeForm(Effect):
 
     def factors(self, state: State, shape: Shape) -> tuple[Terms, list[Array]]:
         """What it acts with, and the functions (n, k) that each term of that is times."""
-        base = acting(self.parent, self.form)(state, shape)
+        base = multipliers(self.parent, self.form)(state, shape)
         by_input: dict[tuple[str, ...], Array] = {}
         factors = []
         for term, axis in zip(base.names, base.axes, strict=True):
@@ -166,7 +166,7 @@ class FreeForm(Effect):
         return np.stack(products, axis=1)
 
 
-def acting(parent: Effect, free: Free) -> Acting:
+def multipliers(parent: Effect, free: Free) -> Acting:
     """What the function of a free form is multiplied with."""
     return parent.terms if free.acts is None else free.acts
 

@@ -25,13 +25,13 @@ from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
 from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Effect
-from otf_core.effects.empirical import EMPIRICAL, of_table, tabulated
-from otf_core.effects.free import Free, follower, switched
+from otf_core.effects.empirical import EMPIRICAL, node_table, of_table
+from otf_core.effects.free import Free, declare_switching, follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL, Span, known_input
 from otf_core.effects.state import probe_state
 from otf_core.effects.switching import Switching
-from otf_core.files.strict_yaml import Fields, shown
+from otf_core.files.strict_yaml import Fields, value_text
 from otf_core.model.machine import Machine
 
 FREE = 'free'
@@ -52,7 +52,7 @@ def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
     ranges = {}
     for name, own in value.items():
         if not known_input(str(name)):
-            fields.fail(key, f'input {shown(str(name))} is unknown')
+            fields.fail(key, f'input {value_text(str(name))} is unknown')
         ranges[str(name)] = _numbers(own, fields, f'{key}: {name}')
         if ranges[str(name)] != sorted(ranges[str(name)]):
             fields.fail(f'{key}: {name}', 'the numbers must be ascending')
@@ -100,7 +100,11 @@ def _ways(effect: Effect, inputs: tuple[str, ...]) -> list[Free]:
         return [follower(acts, name, order) for order in (1, 2) for acts in effect.follows]
     if switching := Switching.of(name):
         orders = (1, len(switching.moments))
-        return [switched(acts, switching, order) for order in orders for acts in effect.switches]
+        return [
+            declare_switching(acts, switching, order)
+            for order in orders
+            for acts in effect.switches
+        ]
     return []
 
 
@@ -117,14 +121,16 @@ def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
     acts = _acts_of(fields)
     nodes, table = _ranges(fields, 'nodes'), fields.take('table')
     if switching := next((n for n in nodes if Switching.of(n)), None):
-        fields.fail('nodes', f'{shown(switching)} is not an input of a table; write time')
+        fields.fail('nodes', f'{value_text(switching)} is not an input of a table; write time')
     fields.done()
     if not isinstance(table, dict) or not table:
         fields.fail('table', 'expected the values of each direction or rotation')
     known = acts(probe_state(machine), {}).names
     for term in table:
         if term not in known:
-            fields.fail('table', f'{shown(str(term))} is unknown; possible: {", ".join(known)}')
+            fields.fail(
+                'table', f'{value_text(str(term))} is unknown; possible: {", ".join(known)}'
+            )
     shape = tuple(len(v) for v in nodes.values())
     values = {}
     for term, own in table.items():
@@ -152,7 +158,7 @@ def _acts_of(fields: Fields) -> Acting:
         return Along((x, y, z))
     if acts_as not in ACTING:
         known = ', '.join((*ACTING, DIRECTION))
-        fields.fail('acts_as', f'{shown(acts_as)} is unknown; possible: {known}')
+        fields.fail('acts_as', f'{value_text(acts_as)} is unknown; possible: {known}')
     return ACTING[acts_as]
 
 
@@ -161,7 +167,7 @@ def free_entry(one: AppliedEffect, machine: Machine) -> dict[str, Any]:
     effect = one.effect
     assert isinstance(effect, FreeForm)
     if effect.is_structure:
-        nodes, values = tabulated(one)
+        nodes, values = node_table(one)
         entry: dict[str, Any] = {'effect': EMPIRICAL}
         if effect.name != EMPIRICAL:
             entry['name'] = effect.name

@@ -29,7 +29,7 @@ LEAST_SPREAD = {FOUND: 0.0, FILE: 1e-6}
 
 
 @dataclass(frozen=True)
-class Taken:
+class RemovableEffect:
     """One effect that is taken off.
 
     Attributes
@@ -85,7 +85,7 @@ class Taken:
             columns[:, :, self.values.size + k] = change / (2.0 * step)
         return columns
 
-    def moved(self, step: Array) -> Taken:
+    def moved(self, step: Array) -> RemovableEffect:
         """The same with parameters moved by ``step`` (size,), those of the shape not far."""
         count = self.values.size
         shape = dict(self.shape)
@@ -118,7 +118,7 @@ class Taken:
         )
 
 
-def taken(applied: Sequence[AppliedEffect], how: str) -> Taken:
+def removable_effect(applied: Sequence[AppliedEffect], how: str) -> RemovableEffect:
     """Set up an effect to be taken off.
 
     Parameters
@@ -135,4 +135,4 @@ def taken(applied: Sequence[AppliedEffect], how: str) -> Taken:
     values = np.array([[float(a.parameters.get(n, 0.0)) for n in names] for a in rows])
     widths = effect.loose(shape) if how == FOUND else {}
     start = {n: shape[n] for n in widths}
-    return Taken(effect, shape, names, values, values.copy(), widths, start, how)
+    return RemovableEffect(effect, shape, names, values, values.copy(), widths, start, how)

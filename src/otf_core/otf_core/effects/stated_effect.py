@@ -32,7 +32,7 @@ class StatedEffect:
 
 
 @dataclass(frozen=True)
-class TakenOff:
+class RemovedEffects:
     """Effects that were taken off, and what the unknowns are uncertain by for them.
 
     Attributes

@@ -128,7 +128,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportedFiles:
     """Files of an export.
 
     Attributes
@@ -177,7 +177,7 @@ class Format(ABC):
         """State what the values are, as a sentence."""
 
     @abstractmethod
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the files; ConfigError if the format cannot hold these tables."""
 
     def check(self, request: Request) -> None:
@@ -274,7 +274,7 @@ def printable(text: str) -> str:
     return ''.join(c if c.isprintable() else ' ' for c in text)
 
 
-def asked_sign_words(request: Request) -> str:
+def named_sign_words(request: Request) -> str:
     """State the sign that the user has named."""
     if request.sign == CORRECTION:
         return 'values are corrections (nominal minus actual), as named by --sign correction'
@@ -300,7 +300,7 @@ ROTARY_BETWEEN = 6
 
 
 @dataclass(frozen=True)
-class Remaining:
+class RemainingError:
     """Volumetric error on the points on which a calibration states it, rigid motion removed.
 
     Attributes
@@ -348,7 +348,7 @@ class Remaining:
 
 def remaining_error(
     tables: ErrorTables, held: Field, headline: Mapping[str, Any] | None = None
-) -> Remaining:
+) -> RemainingError:
     """Forecast what compensation by a file leaves.
 
     Parameters
@@ -372,7 +372,7 @@ def remaining_error(
     after = lengths(error - held(q), q)
     between = lengths(displacement(tables, finer) - held(finer), finer)
     wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
-    return Remaining(
+    return RemainingError(
         len(q),
         float(before.mean()),
         float(before.max()),

@@ -14,11 +14,11 @@ import numpy as np
 
 from otf_core.exports.format import (
     TABLE_WORDS,
-    Exported,
+    ExportedFiles,
     Format,
     Request,
-    asked_sign_words,
     lever_words,
+    named_sign_words,
     rotary_words,
     rounded_tables,
 )
@@ -41,9 +41,9 @@ class Heidenhain(Format):
 
     def sign_words(self, request: Request) -> str:
         """State what the values are."""
-        return asked_sign_words(request) + '; positions and C1-C3 in mm, C4-C6 in rad'
+        return named_sign_words(request) + '; positions and C1-C3 in mm, C4-C6 in rad'
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the CSV."""
         self.check(request)
         tables = rounded_tables(request.content.tables)
@@ -60,7 +60,7 @@ class Heidenhain(Format):
             )
         for axis in machine.axis_names:
             lines += _rows(tables, axis, request.factor)
-        return Exported(
+        return ExportedFiles(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
             (

@@ -16,11 +16,11 @@ import numpy as np
 from otf_core.exports.format import (
     TABLE_WORDS,
     WORKPIECE_WORDS,
-    Exported,
+    ExportedFiles,
     Format,
     Request,
-    asked_sign_words,
     lever_words,
+    named_sign_words,
     rotary_words,
     rounded_tables,
 )
@@ -41,9 +41,9 @@ class Isg(Format):
 
     def sign_words(self, request: Request) -> str:
         """State what the values are."""
-        return asked_sign_words(request) + '; lengths in mm, angles in rad, right-handed'
+        return named_sign_words(request) + '; lengths in mm, angles in rad, right-handed'
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the CSV; its configuration is in the remarks."""
         self.check(request)
         tables = rounded_tables(request.content.tables)
@@ -64,7 +64,7 @@ class Isg(Format):
         ]
         for axis in machine.axis_names:
             lines += ['#', *_block(tables, axis, request.factor)]
-        return Exported(
+        return ExportedFiles(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
             (

@@ -205,7 +205,7 @@ def rotary_term(
     return LineTerm(at, np.radians(np.degrees(error).round(decimals)))
 
 
-def moved_by(machine: Machine, terms: Mapping[str, LineTerm], q: Array) -> Array:
+def displacement_by_terms(machine: Machine, terms: Mapping[str, LineTerm], q: Array) -> Array:
     """Displacement (n, 3), m, in the frame of the table, of axes that are off by their terms."""
     off = np.zeros_like(q)
     for axis, term in terms.items():
@@ -214,7 +214,7 @@ def moved_by(machine: Machine, terms: Mapping[str, LineTerm], q: Array) -> Array
     return np.asarray(np.einsum('nij,nj->ni', Sight.of_tool(machine).at(q).velocity, off))
 
 
-def without_table(tables: ErrorTables) -> tuple[str, ...]:
+def axes_without_table(tables: ErrorTables) -> tuple[str, ...]:
     """State which axes did not move, so that there is no table over their positions."""
     low, high = table_ranges(tables)
     still = [a for a, b, c in zip(tables.machine.axis_names, low, high, strict=True) if b == c]
@@ -225,7 +225,7 @@ def without_table(tables: ErrorTables) -> tuple[str, ...]:
     )
 
 
-def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
+def error_of_terms(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
     """Error (n, 3), m, that terms hold at positions (n, 3), m; constant beyond their ends."""
     total = np.zeros_like(q)
     for (i, j), term in terms.items():

@@ -9,9 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.exports.format import POINT_WORDS, Exported, Format, Request
+from otf_core.exports.format import POINT_WORDS, ExportedFiles, Format, Request
 from otf_core.exports.lattice import Lattice, sampled_lattice
-from otf_core.files.text_table import LENGTHS, fault_words, known_lengths, parted, read_text_table
+from otf_core.files.text_table import (
+    LENGTHS,
+    fault_words,
+    known_lengths,
+    read_text_table,
+    split_heading,
+)
 from otf_core.prediction.predict import predict
 
 HEADER = ('x', 'y', 'z', 'dx', 'dy', 'dz', 'u_dx', 'u_dy', 'u_dz')
@@ -35,7 +41,7 @@ class LatticeCsv(Format):
         """State what the values are."""
         return 'dx, dy, dz are errors (actual minus nominal), u standard uncertainties; all in m'
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the CSV."""
         self.check(request)
         lattice, remarks = sampled_lattice(request.content.tables, request.points)
@@ -45,7 +51,9 @@ class LatticeCsv(Format):
         rows = np.hstack([q.round(DECIMALS) + 0.0, rounded.error.reshape(-1, 3), u]).tolist()
         lines = [f'# {line}' for line in request.header(self)]
         lines += [','.join(HEADER), *(','.join(map(repr, row)) for row in rows)]
-        return Exported({request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at, remarks)
+        return ExportedFiles(
+            {request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at, remarks
+        )
 
 
 def read_lattice_csv(path: str | Path) -> Lattice:
@@ -89,7 +97,7 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         raise ConfigError(f'{error}; expected the header {",".join(wanted)}') from None
     if table.names is None:
         raise ConfigError(f'{path}: expected the header {",".join(wanted)}, in m')
-    headings = [parted(name) for name in table.names]
+    headings = [split_heading(name) for name in table.names]
     names = [name for name, _ in headings]
     places = [names.index(name) for name in wanted]
     read = table.numbers({place: table.names[place] for place in places})
@@ -115,7 +123,7 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_head(fields: Sequence[str]) -> bool:
-    return set(HEADER[:6]) <= {parted(field)[0] for field in fields}
+    return set(HEADER[:6]) <= {split_heading(field)[0] for field in fields}
 
 
 FORMAT = LatticeCsv()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.exports.format import POINT_WORDS, Exported, Format, Request
+from otf_core.exports.format import POINT_WORDS, ExportedFiles, Format, Request
 from otf_core.exports.lattice import lattice_covariance, sampled_lattice
 from otf_core.prediction.predict import predict
 
@@ -36,7 +36,7 @@ class LatticeNpz(Format):
             'error.ravel(): Z fastest of the points, then the components'
         )
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the archive."""
         self.check(request)
         lattice, remarks = sampled_lattice(request.content.tables, request.points)
@@ -55,7 +55,7 @@ class LatticeNpz(Format):
         # not compressed: the words stand readable at the beginning of the file
         about = np.array('\n'.join(request.header(self)).encode())
         np.savez(packed, about=about, x=x, y=y, z=z, **held)
-        return Exported({request.name: packed.getvalue()}, lattice.at, remarks)
+        return ExportedFiles({request.name: packed.getvalue()}, lattice.at, remarks)
 
 
 FORMAT = LatticeNpz()

@@ -15,13 +15,13 @@ from pathlib import PurePath
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
+from otf_core.exports.format import LINE_WORDS, ExportedFiles, Format, Request
 from otf_core.exports.lattice import (
     OWN_PAIRS,
     LineTerm,
     axis_positions,
+    error_of_terms,
     half_reversal,
-    held_by,
     line_terms,
 )
 from otf_core.model.tables import ErrorTables
@@ -46,7 +46,7 @@ class LinuxCnc(Format):
             'position in column 1 (actual = nominal + error), for forward and backward travel'
         )
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the INI piece and a file per joint."""
         self.check(request)
         tables, stem = request.content.tables, PurePath(request.name).stem
@@ -65,9 +65,9 @@ class LinuxCnc(Format):
             reversals.append(f'{axis} {2e6 * half.mean() + 0.0:.2f} um')
             piece += [f'[JOINT_{k}]', f'COMP_FILE = {name}', 'COMP_FILE_TYPE = 0']
         files[ini] = ('\n'.join(piece) + '\n').encode()
-        return Exported(
+        return ExportedFiles(
             files,
-            lambda q: held_by(terms, q),
+            lambda q: error_of_terms(terms, q),
             (
                 'put the lines of the .ini file into the sections of that name in the INI file of '
                 'the machine (a section that comes twice is read once); BACKLASH of a joint with '

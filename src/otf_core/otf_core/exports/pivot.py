@@ -22,7 +22,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.exports.format import Exported, Format, Request, rounded_tables
+from otf_core.exports.format import ExportedFiles, Format, Request, rounded_tables
 from otf_core.model.joints import rotations
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -53,7 +53,7 @@ class Pivot(Format):
             'the target offset; changes stand beside the new values'
         )
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the text.
 
         Raises
@@ -66,14 +66,14 @@ class Pivot(Format):
         machine = tables.machine
         if not machine.rotary_names:
             raise ConfigError(f'--format pivot: the chain {machine.chain} has no rotary axis')
-        moved = moved_lines(tables)
+        moved = correct_axis_lines(tables)
         lines = [f'# {line}' for line in request.header(self)]
         lines += [f'# {line}' for line in UNCHECKED]
         lines += ['', *_numbers(machine, moved, tables)]
         for words in (_linuxcnc, _sinumerik, _heidenhain, _fanuc):
             lines += ['', *words(machine, moved)]
         only = _location_only(tables)
-        return Exported(
+        return ExportedFiles(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(only, q),
             (
@@ -93,7 +93,7 @@ UNCHECKED = (
 )
 
 
-def moved_lines(tables: ErrorTables) -> Machine:
+def correct_axis_lines(tables: ErrorTables) -> Machine:
     """Machine whose rotary axes stand where the location errors say, all else unchanged."""
     machine = tables.machine
     axes = dict(machine.axes)

@@ -18,7 +18,7 @@ import numpy as np
 
 from otf_core.exports.format import (
     TABLE_WORDS,
-    Exported,
+    ExportedFiles,
     Format,
     Request,
     lever_words,
@@ -59,12 +59,12 @@ class Qif(Format):
             'as tangent, positive where the angle is above 90 degrees'
         )
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the document."""
         self.check(request)
         tables = rounded_tables(request.content.tables)
         text = '\n'.join(_document(tables, [*request.header(self), *_convention(tables)])) + '\n'
-        return Exported(
+        return ExportedFiles(
             {request.name: text.encode()},
             lambda q: displacement(tables, q),
             (

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.exports.format import LINE_WORDS, Exported, Format, Request, asked_sign_words
+from otf_core.exports.format import LINE_WORDS, ExportedFiles, Format, Request, named_sign_words
 from otf_core.exports.lattice import (
     CROSS_PAIRS,
     LineTerm,
     Pair,
+    axes_without_table,
+    error_of_terms,
     even_terms,
-    held_by,
     pair_name,
-    without_table,
 )
 
 MAX_POINTS = 200
@@ -45,9 +45,9 @@ class SinumerikCec(Format):
 
     def sign_words(self, request: Request) -> str:
         """State what the values are."""
-        return asked_sign_words(request) + ', mm'
+        return named_sign_words(request) + ', mm'
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the file."""
         self.check(request)
         tables = request.content.tables
@@ -57,14 +57,14 @@ class SinumerikCec(Format):
         for number, (pair, term) in enumerate(terms.items()):
             lines += _table(number, pair, axes, term, request.factor)
         most = max(len(term.position) for term in terms.values())
-        return Exported(
+        return ExportedFiles(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
-            lambda q: held_by(terms, q),
+            lambda q: error_of_terms(terms, q),
             (
                 f'needs {len(terms)} tables of at least {most} points (MD18342); load with '
                 f'MD32710 = 0, then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
                 *((_MOST_WORDS,) if request.points is None and most == MAX_POINTS else ()),
-                *without_table(tables),
+                *axes_without_table(tables),
             ),
         )
 

@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
+from otf_core.exports.format import LINE_WORDS, ExportedFiles, Format, Request
 from otf_core.exports.lattice import (
     OWN_PAIRS,
     LineTerm,
+    axes_without_table,
+    displacement_by_terms,
     even_terms,
     linear_tables,
-    moved_by,
     rotary_term,
-    without_table,
 )
 from otf_core.model.machine import FULL_TURN, Machine
 
@@ -47,7 +47,7 @@ class SinumerikEnc(Format):
             'the negative direction'
         )
 
-    def export(self, request: Request) -> Exported:
+    def export(self, request: Request) -> ExportedFiles:
         """Make the file."""
         self.check(request)
         tables = request.content.tables
@@ -63,14 +63,14 @@ class SinumerikEnc(Format):
         for axis, term in terms.items():
             lines += _table(machine, axis, term)
         counts = ', '.join(f'{axis}1 {len(term.position)}' for axis, term in terms.items())
-        return Exported(
+        return ExportedFiles(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
-            lambda q: moved_by(machine, terms, q),
+            lambda q: displacement_by_terms(machine, terms, q),
             (
                 f'needs MD38000 of at least {counts}; load with MD32700 = 0, then set it to 1 '
                 f'and reference; axis names are those of the manual (X1, Y1, Z1)',
                 *_rotary_words(machine),
-                *without_table(tables),
+                *axes_without_table(tables),
             ),
         )
 

@@ -49,7 +49,7 @@ def write_manifest(
     write_text(manifest, json.dumps(data, indent=1) + '\n')
 
 
-def listed(manifest: Path) -> dict[Path, str]:
+def listed_files(manifest: Path) -> dict[Path, str]:
     """Files that a manifest lists, with their hashes; empty if there is none or it is damaged."""
     try:
         data: Any = json.loads(manifest.read_text(encoding='utf-8'))
@@ -63,7 +63,7 @@ def listed(manifest: Path) -> dict[Path, str]:
     return {manifest.parent / name: str(digest) for name, digest in entries.items()}
 
 
-def is_as_listed(path: Path, entries: dict[Path, str]) -> bool:
+def is_unchanged(path: Path, entries: dict[Path, str]) -> bool:
     """Return whether a file is listed and still what it was then."""
     return path in entries and path.is_file() and file_digest(path) == entries[path]
 
@@ -74,14 +74,14 @@ def written_files(folder: Path) -> list[Path]:
     return sorted(p for p in files if p.name != MANIFEST)
 
 
-def foreign(folder: Path) -> list[Path]:
+def foreign_files(folder: Path) -> list[Path]:
     """Files below a folder that no manifest in it lists as they are."""
     entries: dict[Path, str] = {}
     for manifest in folder.rglob(MANIFEST):
-        entries |= listed(manifest)
-    strange = [m for m in folder.rglob(MANIFEST) if not listed(m)]
+        entries |= listed_files(manifest)
+    strange = [m for m in folder.rglob(MANIFEST) if not listed_files(m)]
     return strange + [
-        p for p in written_files(folder) if p.is_symlink() or not is_as_listed(p, entries)
+        p for p in written_files(folder) if p.is_symlink() or not is_unchanged(p, entries)
     ]
 
 
@@ -216,7 +216,7 @@ class OutputFolder:
         try:
             if not any(final.iterdir()):
                 return
-            strange = foreign(final)
+            strange = foreign_files(final)
         except OSError as error:
             raise _refuse(self.path, f'cannot be read ({error.strerror})') from None
         if not strange and self._overwrite:

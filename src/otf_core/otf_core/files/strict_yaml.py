@@ -69,7 +69,7 @@ _NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
 """Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
 
 
-def shown(value: Any) -> str:
+def value_text(value: Any) -> str:
     """A value as text of bounded length, however large or nested it is."""
     try:
         text = _WORDS.repr(value)
@@ -155,7 +155,7 @@ class Fields:
         for key in data:
             if not isinstance(key, str):
                 raise ConfigError(
-                    f'{where}: {shown(key)} is not a key; decimals have a point, as in 0.3'
+                    f'{where}: {value_text(key)} is not a key; decimals have a point, as in 0.3'
                 )
         self._data = dict(data)
         self._where = where
@@ -197,14 +197,16 @@ class Fields:
         """Return a text that is not empty."""
         value = self.take(key)
         if not isinstance(value, str) or not value.strip():
-            self.fail(key, f'expected text, got {shown(value)}')
+            self.fail(key, f'expected text, got {value_text(value)}')
         return value
 
     def line(self, key: str) -> str:
         """Return a text that is not empty, in one line and without control characters."""
         value = self.text(key)
         if any(unicodedata.category(c) in _NOT_IN_A_LINE for c in value):
-            self.fail(key, f'expected one line without control characters, got {shown(value)}')
+            self.fail(
+                key, f'expected one line without control characters, got {value_text(value)}'
+            )
         return value
 
     def mapping(self, key: str) -> Fields:
@@ -226,7 +228,7 @@ class Fields:
         """Return a list of numbers of the given size."""
         value = self.take(key)
         if not isinstance(value, list) or len(value) != size:
-            self.fail(key, f'expected a list of {size} numbers, got {shown(value)}')
+            self.fail(key, f'expected a list of {size} numbers, got {value_text(value)}')
         return [self._finite(key, v) for v in value]
 
     def done(self, known: Iterable[str] = ()) -> None:
@@ -237,7 +239,7 @@ class Fields:
 
     def _finite(self, key: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            self.fail(key, f'expected a plain number in SI units, got {shown(value)}')
+            self.fail(key, f'expected a plain number in SI units, got {value_text(value)}')
         try:
             number = float(value)
         except OverflowError:

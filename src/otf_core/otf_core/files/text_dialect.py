@@ -15,7 +15,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.files.message_text import shortened
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import value_text
 from otf_core.files.text_moments import is_moment
 from otf_core.files.writing import refuse_pipe, unreadable
 
@@ -365,8 +365,8 @@ def _sure_mark(where: str, lines: Sequence[int], column: _Written) -> str | None
     if point and comma:
         raise InputError(
             f'{where}: {column.name}: line {_line_of(lines, column, point.start())} has '
-            f'{shown(point[0])}, with a decimal point, and line '
-            f'{_line_of(lines, column, comma.start())} has {shown(comma[0])}, with a decimal '
+            f'{value_text(point[0])}, with a decimal point, and line '
+            f'{_line_of(lines, column, comma.start())} has {value_text(comma[0])}, with a decimal '
             f'comma; write the column in one form'
         )
     return '.' if point else ',' if comma else None
@@ -385,7 +385,7 @@ def _open_mark(where: str, lines: Sequence[int], column: _Written, sure: set[str
         return '.' if sign == ',' else ','  # some are set off, those below 1000 are not
     raise InputError(
         f'{where}: line {_line_of(lines, column, match.start())}: {column.name}: '
-        f'{shown(match[0])} may hold a thousands separator or decimals, and nothing in the '
+        f'{value_text(match[0])} may hold a thousands separator or decimals, and nothing in the '
         f'column settles it; write the numbers without thousands separators'
     )
 
@@ -422,8 +422,8 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
             texts.append(text)
         elif is_number(text):
             raise InputError(
-                f'{where}: line {lines[row]}: {column.name}: {shown(text)} is not written as the '
-                f'other numbers of the column ({form or "with decimal points"}); thousands '
+                f'{where}: line {lines[row]}: {column.name}: {value_text(text)} is not written as '
+                f'the other numbers of the column ({form or "with decimal points"}); thousands '
                 f'separators and decimal marks have to be the same throughout'
             )
         else:
@@ -436,4 +436,4 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
 def _fault(name: str, text: str) -> str:
     if not text:
         return f'{name} is empty'
-    return f'{name} is {shown(text)}' if is_missing(text) else f'{name} is not a number'
+    return f'{name} is {value_text(text)}' if is_missing(text) else f'{name} is not a number'

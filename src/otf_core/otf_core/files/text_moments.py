@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import value_text
 
 Stamps = NDArray[np.int64]
 
@@ -89,7 +89,7 @@ class MomentError(ValueError):
 
 
 @dataclass(frozen=True)
-class Moments:
+class ColumnTimes:
     """Times of a column.
 
     Attributes
@@ -135,7 +135,7 @@ def is_moment(text: str) -> bool:
     return True
 
 
-def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
+def read_moments(texts: Sequence[str], order: str | None = None) -> ColumnTimes:
     """Times of a column to ns.
 
     Parameters
@@ -153,9 +153,9 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
         try:
             moments.append(_read(text))
         except ValueError as error:
-            raise MomentError(f'{shown(text)} {error}', row) from None
+            raise MomentError(f'{value_text(text)} {error}', row) from None
     if not moments:
-        return Moments(np.empty(0, np.int64), '')
+        return ColumnTimes(np.empty(0, np.int64), '')
     dated = [one.date is not None for one in moments]
     if len(set(dated)) > 1:
         row = dated.index(not dated[0])
@@ -164,11 +164,13 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
             if dated[0]
             else 'has a date, but the first has none'
         )
-        raise MomentError(f'{shown(texts[row])} {has}', row)
+        raise MomentError(f'{value_text(texts[row])} {has}', row)
     forms = {one.form for one in moments}
     if len(forms) > 1:
         row = next(k for k, one in enumerate(moments) if one.form != moments[0].form)
-        raise MomentError(f'{shown(texts[row])} has another form than {shown(texts[0])}', row)
+        raise MomentError(
+            f'{value_text(texts[row])} has another form than {value_text(texts[0])}', row
+        )
     seconds = np.array([one.seconds for one in moments], np.int64) * SECOND_NS
     words = moments[0].form or 'hours, minutes, seconds'
     if dated[0]:
@@ -178,7 +180,7 @@ def read_moments(texts: Sequence[str], order: str | None = None) -> Moments:
     stamps, repaired = _with_parts(seconds, [one.part for one in moments], moments[0].form)
     if not dated[0] and len(stamps) > 1:
         stamps[1:] += DAY_NS * np.cumsum(np.diff(stamps) < -DAY_NS // 2)  # past midnight
-    return Moments(stamps, f'{words}{repaired}')
+    return ColumnTimes(stamps, f'{words}{repaired}')
 
 
 def joined_without_zeros(whole_ns: Stamps, parts: Sequence[str]) -> tuple[Stamps, int] | None:

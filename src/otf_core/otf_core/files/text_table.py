@@ -11,7 +11,7 @@ from pathlib import Path
 
 from otf_core.errors import InputError
 from otf_core.files.message_text import shortened
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import value_text
 from otf_core.files.text_dialect import (
     COMMENT,
     MIN_NUMBER_COLUMNS,
@@ -80,7 +80,7 @@ def is_unit(text: str) -> bool:
     return any(text in known for known in (LENGTHS, ANGLES, TIMES, LONG_TIMES, OTHERS))
 
 
-def parted(heading: str) -> tuple[str, str | None]:
+def split_heading(heading: str) -> tuple[str, str | None]:
     """Name, in lower case, and unit of a heading; brackets without a unit stay in the name."""
     if len(heading) > MAX_HEADING_LETTERS:
         return heading[:MAX_HEADING_LETTERS].lower(), None
@@ -212,7 +212,7 @@ class TextTable:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class SkippedLines:
     """Lines that are left out for one reason: why, how many, and the number of the first."""
 
     reason: str
@@ -220,13 +220,13 @@ class LeftOut:
     first_line: int
 
 
-def counted(faults: Mapping[int, str]) -> list[LeftOut]:
+def reason_counts(faults: Mapping[int, str]) -> list[SkippedLines]:
     """Reasons for which lines are left out."""
     counts: dict[str, tuple[int, int]] = {}
     for line, reason in sorted(faults.items()):
         often, first = counts.get(reason, (0, line))
         counts[reason] = often + 1, first
-    return [LeftOut(reason, often, first) for reason, (often, first) in counts.items()]
+    return [SkippedLines(reason, often, first) for reason, (often, first) in counts.items()]
 
 
 def fault_words(faults: Mapping[int, str]) -> str:
@@ -235,7 +235,7 @@ def fault_words(faults: Mapping[int, str]) -> str:
         f'{group.lines} lines: {group.reason} (first line {group.first_line})'
         if group.lines > 1
         else f'1 line: {group.reason} (line {group.first_line})'
-        for group in counted(faults)
+        for group in reason_counts(faults)
     ]
     shown = (
         parts
@@ -504,7 +504,7 @@ class _Reader:
         width = self.dialect.width
         if len(fields) == width:
             missing = next((f for f in fields if f and not is_value(f)), '')
-            return f'{shown(missing)} in place of a number' if missing else 'an empty field'
+            return f'{value_text(missing)} in place of a number' if missing else 'an empty field'
         if len(fields) == 1:
             return f'no line of {width} columns'
         return f'{len(fields)} columns instead of {width}'

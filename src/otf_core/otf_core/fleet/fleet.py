@@ -24,7 +24,7 @@ from otf_core.files.message_text import shortened
 from otf_core.files.output_folder import file_digest, written_files
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, unreadable, write_text
-from otf_core.live.stages import StepsLeft
+from otf_core.live.stages import StepProgress
 from otf_core.threads import one_thread
 from otf_core.version import __version__
 
@@ -268,13 +268,15 @@ def read_list(path: str | Path) -> list[ListedRun]:
             )
         if name in runs:
             raise ConfigError(f'{path}: line {number}: the name {name} appears twice')
-        runs[name] = ListedRun(name, _found(path.parent, bag), _found(path.parent, machine))
+        runs[name] = ListedRun(
+            name, _absolute_path(path.parent, bag), _absolute_path(path.parent, machine)
+        )
     if not runs:
         raise ConfigError(f'{path}: lists no runs')
     return list(runs.values())
 
 
-def _found(folder: Path, word: str) -> Path:
+def _absolute_path(folder: Path, word: str) -> Path:
     """Absolute path of what a list names."""
     beside, here = folder / word, Path(word)
     return (here if here.exists() and not beside.exists() else beside).absolute()
@@ -455,7 +457,7 @@ def run_fleet(
     if outcomes:
         progress(f'{len(outcomes)} of {len(jobs)} runs are already done')
     remaining = [job for job in jobs if job.name not in outcomes]
-    to_go = StepsLeft(len(remaining))
+    to_go = StepProgress(len(remaining))
     for number, (job, outcome) in enumerate(workers(remaining), start=1 + len(outcomes)):
         outcomes[job.name] = outcome
         state = {'inputs': job.inputs, 'outcome': asdict(outcome)}

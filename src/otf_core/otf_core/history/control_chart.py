@@ -173,7 +173,7 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class Due:
+class DueDate:
     """When the drift reaches a limit, days after the last run.
 
     Attributes
@@ -278,7 +278,7 @@ def _scatter(series: Series, rate: Array, spread: Array) -> float:
     return float(np.sqrt(max(1.0, chi2 / max(free, 1.0))))
 
 
-def due(drift: Drift, last: Drift, limit: float) -> Due:
+def due_date(drift: Drift, last: Drift, limit: float) -> DueDate:
     """When the mean volumetric drift since the last run reaches a limit.
 
     Parameters
@@ -300,12 +300,12 @@ def due(drift: Drift, last: Drift, limit: float) -> Due:
     if drift.bent:
         pace = max(line, last.volume + COVERAGE_FACTOR * last.u_volume)
         why = f'a straight line does not describe {", ".join(drift.bent)}'
-        return Due(limit, None, limit / max(pace, 1e-300), None, why)
+        return DueDate(limit, None, limit / max(pace, 1e-300), None, why)
     earliest = limit / max(line, 1e-300)
     if not drift.significant:
-        return Due(limit, None, earliest, None)
+        return DueDate(limit, None, earliest, None)
     low = drift.volume - COVERAGE_FACTOR * drift.u_volume
-    return Due(limit, limit / drift.volume, earliest, limit / low if low > 0 else None)
+    return DueDate(limit, limit / drift.volume, earliest, limit / low if low > 0 else None)
 
 
 # The history of one machine: control chart, what changed when, drift, next calibration.
@@ -315,7 +315,7 @@ def due(drift: Drift, last: Drift, limit: float) -> Due:
 # followed.
 
 
-class Standing(Enum):
+class MachineStatus(Enum):
     """What is known of a machine; the value describes it."""
 
     STEADY = 'steady'
@@ -392,7 +392,7 @@ class History:
     reference: int
     drift: Drift | None
     last: Drift | None
-    due: Due | None
+    due: DueDate | None
 
     @property
     def open_events(self) -> tuple[StoredEvent, ...]:
@@ -400,19 +400,19 @@ class History:
         return tuple(e for e in self.events if e.at > self.series.runs[-1].at)
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> MachineStatus:
         """What is known of the machine now."""
         if self.open_events or len(self.series.runs) < 2:
-            return Standing.UNJUDGED
+            return MachineStatus.UNJUDGED
         if self.drift is None:
-            return Standing.CHANGED if self.steps[-1].significant else Standing.UNJUDGED
+            return MachineStatus.CHANGED if self.steps[-1].significant else MachineStatus.UNJUDGED
         if self.drift.bent:
-            return Standing.BENT
+            return MachineStatus.BENT
         if self.drift.runs > 2 and self.drift.significant:
-            return Standing.DRIFT
+            return MachineStatus.DRIFT
         if any(s.significant for s in self.steps[self.reference :]):
-            return Standing.CHANGED
-        return Standing.STEADY
+            return MachineStatus.CHANGED
+        return MachineStatus.STEADY
 
 
 def _between(store: Store, series: Series, run: int) -> tuple[StoredEvent, ...]:
@@ -465,5 +465,5 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
         reference,
         drift,
         last,
-        None if drift is None or last is None or open_ else due(drift, last, allowed),
+        None if drift is None or last is None or open_ else due_date(drift, last, allowed),
     )

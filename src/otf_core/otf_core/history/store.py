@@ -116,7 +116,7 @@ def read_moment(text: str, where: str) -> datetime:
     return moment.replace(tzinfo=moment.tzinfo or timezone.utc).astimezone(timezone.utc)
 
 
-def measured_at(content: TablesFile) -> str | None:
+def measurement_time(content: TablesFile) -> str | None:
     """When a calibration was measured by its own account, else when it was written."""
     block = content.extra.get('provenance')
     if not isinstance(block, dict):
@@ -149,7 +149,7 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
         If the tables cannot be read or nobody says when they were measured.
     """
     content = load_tables(tables)
-    moment = at or measured_at(content)
+    moment = at or measurement_time(content)
     if moment is None:
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
     read_moment(moment, '--at' if at else str(tables))

@@ -20,7 +20,7 @@ from otf_core.bags.bag_source import is_storage
 from otf_core.bags.rosbag2_metadata import PATH, POINT
 from otf_core.errors import ConfigError, OtfError
 from otf_core.exports.format import MARK, MARK_BYTES, is_export
-from otf_core.files.output_folder import MANIFEST, is_as_listed, listed
+from otf_core.files.output_folder import MANIFEST, is_unchanged, listed_files
 from otf_core.files.strict_yaml import read_json, read_yaml
 from otf_core.files.writing import unreadable
 from otf_core.inputs.columns import find_columns, read_table
@@ -36,7 +36,7 @@ from otf_core.prediction.absorbed import offset_words
 
 
 @dataclass(frozen=True)
-class Explained:
+class FileSummary:
     """What a file says.
 
     Attributes
@@ -52,7 +52,7 @@ class Explained:
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file or folder.
 
     Attributes
@@ -68,10 +68,10 @@ class Kind:
     name: str
     what: str
     is_one: Callable[[Path], bool]
-    explain: Callable[[Path], Explained]
+    explain: Callable[[Path], FileSummary]
 
 
-def begins(path: Path, *starts: str) -> bool:
+def begins_with(path: Path, *starts: str) -> bool:
     """Return whether the first line of a text file that is not a comment begins so."""
     try:
         with path.open(encoding='utf-8-sig') as file:
@@ -98,10 +98,10 @@ EXPORT_LINES = {
 """Beginnings of the further lines of a head, and what they are about."""
 
 
-def _explain_folder(path: Path) -> Explained:
-    entries = listed(path / MANIFEST)
+def _explain_folder(path: Path) -> FileSummary:
+    entries = listed_files(path / MANIFEST)
     verb = str(read_json(path / MANIFEST).get('verb'))
-    changed = [str(f.relative_to(path)) for f in entries if not is_as_listed(f, entries)]
+    changed = [str(f.relative_to(path)) for f in entries if not is_unchanged(f, entries)]
     names = sorted(f.name for f in entries)
     rows = [('by', f'otf {verb}'), ('files', ', '.join(names))]
     rows += [('CHANGED', f'{name}: has been modified') for name in changed]
@@ -112,13 +112,13 @@ def _explain_folder(path: Path) -> Explained:
             explanation = kind.explain(file)
             rows += [(file.name, kind.what), *((f'  {a}', b) for a, b in explanation.rows)]
             facts[file.name] = dict(explanation.facts)
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-FOLDER = Kind(
+FOLDER = FileKind(
     'folder of results',
     'what one command wrote, with the hash of every file',
-    lambda path: path.is_dir() and bool(listed(path / MANIFEST)),
+    lambda path: path.is_dir() and bool(listed_files(path / MANIFEST)),
     _explain_folder,
 )
 
@@ -143,7 +143,7 @@ def _provenance_rows(data: Data) -> Rows:
     return rows
 
 
-def _explain_tables(data: Data) -> Explained:
+def _explain_tables(data: Data) -> FileSummary:
     fit, machine = data.get('fit') or {}, data['machine']
     rows: Rows = [('machine', f'{machine.get("name")}, chain {machine.get("chain")}')]
     if 'path_mae_before' in fit:
@@ -193,10 +193,10 @@ def _explain_tables(data: Data) -> Explained:
         'verdicts': verdicts,
         'not_seen': unseen,
     }
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-def _explain_gap(data: Data) -> Explained:
+def _explain_gap(data: Data) -> FileSummary:
     gap = data['gap']
     rows: Rows = [('verdict', f'{data["verdict"]}: {data.get("sentence", "")}')]
     rows.append((
@@ -212,10 +212,10 @@ def _explain_gap(data: Data) -> Explained:
     ]
     rows += [('not visible', f'{n["effect"]}: needs {n["needs"]}') for n in data['not_visible']]
     keys = ('verdict', 'gap', 'causes', 'unexplained', 'not_visible')
-    return Explained(tuple(rows), {key: data[key] for key in keys})
+    return FileSummary(tuple(rows), {key: data[key] for key in keys})
 
 
-def _explain_plan(data: Data) -> Explained:
+def _explain_plan(data: Data) -> FileSummary:
     forecast = data.get('forecast') or {}
     rows: Rows = [(
         'path', f'{len(data["path"])} corner points, {data.get("length", 0.0):.2f} m, '
@@ -239,20 +239,20 @@ def _explain_plan(data: Data) -> Explained:
         'mean_grid_u': forecast.get('mean_grid_u'),
         'tracker_place': (data.get('assumed') or {}).get('tracker_place'),
     }
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-def _explain_noise(data: Data) -> Explained:
+def _explain_noise(data: Data) -> FileSummary:
     angle = ' and '.join(f'{1e6 * v:.3f}' for v in data['u_angle'])
     rows = (
         ('noise', f'{1e6 * data["u_range"]:.3f} um along the beam, {angle} urad across (k = 1)'),
         ('from', f'{data["standstills"]} standstills, {data["samples"]} samples'),
     )
     keys = ('u_range', 'u_angle', 'correlation_time', 'standstills', 'samples')
-    return Explained(rows, {key: data[key] for key in keys})
+    return FileSummary(rows, {key: data[key] for key in keys})
 
 
-def _explain_comparison(data: Data) -> Explained:
+def _explain_comparison(data: Data) -> FileSummary:
     volume = data['volume']
     within = 'neither source states an uncertainty'
     if volume['within'] is not None:
@@ -262,41 +262,41 @@ def _explain_comparison(data: Data) -> Explained:
         ('volume', f'differ by {1e6 * volume["mae_difference"]:.2f} um on average'),
         ('within', within),
     )
-    return Explained(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
+    return FileSummary(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
 
 
-def _explain_validation(data: Data) -> Explained:
+def _explain_validation(data: Data) -> FileSummary:
     failed = [r['quantity'] for r in data['rows'] if r.get('passed') is False]
     rows = (
         ('cells', ', '.join(map(str, data['cells']))),
         ('failed', ', '.join(failed) or 'nothing'),
     )
-    return Explained(rows, {'cells': data['cells'], 'failed': failed})
+    return FileSummary(rows, {'cells': data['cells'], 'failed': failed})
 
 
-def _explain_simulation(data: Data) -> Explained:
+def _explain_simulation(data: Data) -> FileSummary:
     effects = [e['effect'] for e in data['effects']]
     rows = (('seed', str(data['seed'])), ('effects', ', '.join(effects) or 'none'))
-    return Explained(rows, {'seed': data['seed'], 'effects': effects})
+    return FileSummary(rows, {'seed': data['seed'], 'effects': effects})
 
 
-def _explain_manifest(data: Data) -> Explained:
+def _explain_manifest(data: Data) -> FileSummary:
     files = list(data['sha256'])
     rows = (('by', f'otf {data["verb"]} {data["version"]}'), ('files', ', '.join(files)))
-    return Explained(rows, {'by': data['verb'], 'files': files})
+    return FileSummary(rows, {'by': data['verb'], 'files': files})
 
 
-def _explain_loop(data: Data) -> Explained:
+def _explain_loop(data: Data) -> FileSummary:
     keys = ('before_um', 'after_um', 'forecast_um')
     rows = tuple((key.removesuffix('_um'), f'{data[key]:.2f} um') for key in keys)
-    return Explained(rows, {key: data[key] for key in keys})
+    return FileSummary(rows, {key: data[key] for key in keys})
 
 
-def _explain_fleet(data: Data) -> Explained:
+def _explain_fleet(data: Data) -> FileSummary:
     failed = {name: run['message'] for name, run in data['runs'].items() if run['exit']}
     rows: Rows = [('runs', f'{data["done"]} done, {data["failed"]} failed')]
     rows += [('FAILED', f'{name}: {message}') for name, message in failed.items()]
-    return Explained(tuple(rows), {key: data[key] for key in ('done', 'failed', 'runs')})
+    return FileSummary(tuple(rows), {key: data[key] for key in ('done', 'failed', 'runs')})
 
 
 def _schema_of(path: Path) -> str:
@@ -304,15 +304,17 @@ def _schema_of(path: Path) -> str:
     return str(data.get('schema', '')) if isinstance(data, dict) else ''
 
 
-def _json_kind(schema: str, name: str, explain: Callable[[Data], Explained], what: str) -> Kind:
+def _json_kind(
+    schema: str, name: str, explain: Callable[[Data], FileSummary], what: str
+) -> FileKind:
     def is_one(path: Path) -> bool:
-        return begins(path, '{') and _schema_of(path) == schema
+        return begins_with(path, '{') and _schema_of(path) == schema
 
-    def of(path: Path) -> Explained:
+    def of(path: Path) -> FileSummary:
         data = read_json(path)
         try:
             explanation = explain(data)
-            return Explained(
+            return FileSummary(
                 (*explanation.rows, *_provenance_rows(data)),
                 {'schema': schema, **explanation.facts},
             )
@@ -320,10 +322,10 @@ def _json_kind(schema: str, name: str, explain: Callable[[Data], Explained], wha
             detail = f'{type(error).__name__}: {error}'
             raise ConfigError(f"{path}: is not a complete '{schema}' ({detail})") from None
 
-    return Kind(name, what, is_one, of)
+    return FileKind(name, what, is_one, of)
 
 
-JSON_KINDS: tuple[Kind, ...] = (
+JSON_KINDS: tuple[FileKind, ...] = (
     _json_kind(
         'otf-error-tables/1',
         'error tables',
@@ -380,24 +382,26 @@ JSON_KINDS: tuple[Kind, ...] = (
 
 
 def _is_other(path: Path) -> bool:
-    return begins(path, '{') and _schema_of(path).startswith('otf-')
+    return begins_with(path, '{') and _schema_of(path).startswith('otf-')
 
 
-def _explain_other(path: Path) -> Explained:
+def _explain_other(path: Path) -> FileSummary:
     data = read_json(path)
     rows: Rows = [
         ('schema', data['schema']),
         ('holds', ', '.join(k for k in data if k != 'schema')),
     ]
-    return Explained(
+    return FileSummary(
         (*rows, *_provenance_rows(data)), {'schema': data['schema'], 'keys': list(data)}
     )
 
 
-OTHER = Kind('other result', 'a file of otf that has no description', _is_other, _explain_other)
+OTHER = FileKind(
+    'other result', 'a file of otf that has no description', _is_other, _explain_other
+)
 
 
-def _explain_residuals(path: Path) -> Explained:
+def _explain_residuals(path: Path) -> FileSummary:
     try:
         with path.open('rb') as raw, np.load(raw, allow_pickle=False) as file:
             shapes = {name: list(file[name].shape) for name in file.files}
@@ -416,10 +420,10 @@ def _explain_residuals(path: Path) -> Explained:
         'pieces': len(rest), 'runs': runs, 'arrays': shapes,
         'mean_residual': float(rest.mean()), 'largest_residual': float(rest.max()),
     }  # fmt: skip
-    return Explained(rows, facts)
+    return FileSummary(rows, facts)
 
 
-RESIDUALS = Kind(
+RESIDUALS = FileKind(
     'residuals',
     'what a calibration leaves at every piece of the path',
     lambda path: path.suffix == '.npz' and path.is_file(),
@@ -431,7 +435,7 @@ def _is_export(path: Path) -> bool:
     return path.is_file() and is_export(path)
 
 
-def _explain_export(path: Path) -> Explained:
+def _explain_export(path: Path) -> FileSummary:
     content = path.read_bytes()
     both = (
         content
@@ -441,7 +445,9 @@ def _explain_export(path: Path) -> Explained:
     text = both.decode('utf-8', errors='replace')
     match = EXPORT_HEAD.search(text)
     if match is None:
-        return Explained((('export', 'its header has been changed: format and run are unknown'),))
+        return FileSummary(
+            (('export', 'its header has been changed: format and run are unknown'),)
+        )
     facts = match.groupdict()
     rows = [
         ('export', f'format {facts["format"]}'),
@@ -453,10 +459,10 @@ def _explain_export(path: Path) -> Explained:
         for start, name in EXPORT_LINES.items():
             if words.startswith(start) and name not in dict(rows):
                 rows.append((name, words.removeprefix(start)))
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-EXPORT = Kind(
+EXPORT = FileKind(
     'export',
     'error tables in the format of a control or another program, written by otf export',
     _is_export,
@@ -475,7 +481,7 @@ def _is_bag(path: Path) -> bool:
     return is_storage(path) or path.suffix == '.bag'
 
 
-def _explain_bag(path: Path) -> Explained:
+def _explain_bag(path: Path) -> FileSummary:
     reading = BagReading(path)
     rows = [('topic', f'{name}, {kind}') for name, kind in sorted(reading.topics.items())]
     facts: dict[str, object] = {'topics': dict(reading.topics)}
@@ -493,10 +499,10 @@ def _explain_bag(path: Path) -> Explained:
         facts |= {'path_points': points, 'path_length': path_driven.length}
     rows += [('INCOMPLETE', text) for text in reading.remarks]
     rows.append(('usable?', 'see otf check'))
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-BAG = Kind(
+BAG = FileKind(
     'recording', 'samples of a tracker; check, calibrate, diagnose read it', _is_bag, _explain_bag
 )
 
@@ -510,7 +516,7 @@ def _is_table(path: Path) -> bool:
         return False
 
 
-def _explain_table(path: Path) -> Explained:
+def _explain_table(path: Path) -> FileSummary:
     table = read_table(path)
     reading = TextReading(path, rate=None if find_columns(table, None).time else 1.0)
     raw = reading.received()
@@ -523,10 +529,10 @@ def _explain_table(path: Path) -> Explained:
         'upper': high.tolist(),
         'left_out': list(map(asdict, reading.left_out)),
     }
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-TABLE = Kind(
+TABLE = FileKind(
     'table of samples',
     'points of a tracker as text; check, calibrate, diagnose read it with --path',
     _is_table,
@@ -534,7 +540,7 @@ TABLE = Kind(
 )
 
 
-def _explain_direct(path: Path) -> Explained:
+def _explain_direct(path: Path) -> FileSummary:
     with path.open(encoding='utf-8-sig', newline='') as file:
         lines = [line for line in file if line.strip() and not line.startswith('#')]
     table = list(csv.DictReader(lines))
@@ -544,34 +550,34 @@ def _explain_direct(path: Path) -> Explained:
         ('readings', ', '.join(f'{n} along {axis}' for axis, n in counts.items()) or 'none'),
         ('columns', ', '.join(columns)),
     )
-    return Explained(rows, {'readings': dict(counts), 'columns': columns})
+    return FileSummary(rows, {'readings': dict(counts), 'columns': columns})
 
 
-def _explain_points(path: Path) -> Explained:
+def _explain_points(path: Path) -> FileSummary:
     points = read_points(path)[0]
     low, high = points.min(axis=0), points.max(axis=0)
     rows = [('points', str(len(points)))]
     ends = zip('xyz', low, high, strict=True)
     rows += [(axis, f'{1e3 * a:g} to {1e3 * b:g} mm') for axis, a, b in ends]
     facts = {'points': len(points), 'lower': low.tolist(), 'upper': high.tolist()}
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-DIRECT = Kind(
+DIRECT = FileKind(
     'direct measurement',
     'readings of an instrument along single axes; otf compare reads it',
-    lambda path: path.suffix.lower() == '.csv' and begins(path, 'axis,run,direction,'),
+    lambda path: path.suffix.lower() == '.csv' and begins_with(path, 'axis,run,direction,'),
     _explain_direct,
 )
-POINTS = Kind(
+POINTS = FileKind(
     'points',
     'positions x,y,z in m; otf predict, plan --path and simulate --path read it',
-    lambda path: path.suffix.lower() == '.csv' and begins(path, 'x,y,z'),
+    lambda path: path.suffix.lower() == '.csv' and begins_with(path, 'x,y,z'),
     _explain_points,
 )
 
 
-def _explain_program(path: Path) -> Explained:
+def _explain_program(path: Path) -> FileSummary:
     program = read_program(path)
     points = program.points
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -587,10 +593,10 @@ def _explain_program(path: Path) -> Explained:
         'lines': program.lines, 'arcs': program.arcs, 'positions_in': list(program.frames),
         'lower': low.tolist(), 'upper': high.tolist(),
     }  # fmt: skip
-    return Explained(tuple(rows), facts)
+    return FileSummary(tuple(rows), facts)
 
 
-PROGRAM = Kind(
+PROGRAM = FileKind(
     'NC program',
     'a path; check, calibrate, diagnose, plan, simulate read it with --path',
     is_program,
@@ -607,7 +613,7 @@ def _is_yaml_of(path: Path, kind: type) -> bool:
         return kind is dict  # whoever reads it as machine.yaml says what is wrong
 
 
-def _explain_machine(path: Path) -> Explained:
+def _explain_machine(path: Path) -> FileSummary:
     machine = load_machine(path)
     level = 1e6 * machine.tracker.u_range, 1e6 * machine.tracker.u_angle
     rows = [('machine', f'{machine.name}, chain {machine.chain}')]
@@ -625,10 +631,10 @@ def _explain_machine(path: Path) -> Explained:
         ('uncertainty', 'declared' if machine.uncertainty else
          'only the noise of the tracker is declared: u will be too small'),
     ]  # fmt: skip
-    return Explained(tuple(rows), machine.to_dict())
+    return FileSummary(tuple(rows), machine.to_dict())
 
 
-def _explain_effects(path: Path) -> Explained:
+def _explain_effects(path: Path) -> FileSummary:
     data = read_yaml(path)
     rows = []
     for entry in data:
@@ -636,16 +642,16 @@ def _explain_effects(path: Path) -> Explained:
         values = named.get('parameters') or {}
         shown = ', '.join(f'{k} = {v}' for k, v in values.items())
         rows.append((str(named.get('effect', '?')), shown or 'no parameters'))
-    return Explained(tuple(rows), {'effects': data})
+    return FileSummary(tuple(rows), {'effects': data})
 
 
-MACHINE = Kind(
+MACHINE = FileKind(
     'machine description',
     'axes, chain, target and tracker of a machine; every verb with --machine reads it',
     lambda path: _is_yaml_of(path, dict),
     _explain_machine,
 )
-EFFECTS = Kind(
+EFFECTS = FileKind(
     'effects',
     'effects with their parameters; otf simulate --effects and calibrate --effects read it',
     lambda path: _is_yaml_of(path, list),
@@ -653,7 +659,7 @@ EFFECTS = Kind(
 )
 
 
-KINDS: tuple[Kind, ...] = (
+KINDS: tuple[FileKind, ...] = (
     BAG,
     FOLDER,
     EXPORT,
@@ -670,7 +676,7 @@ KINDS: tuple[Kind, ...] = (
 """The first that fits counts."""
 
 
-def explain(name: str | Path) -> tuple[Kind, Explained]:
+def explain(name: str | Path) -> tuple[FileKind, FileSummary]:
     """State what a file is and says.
 
     Raises

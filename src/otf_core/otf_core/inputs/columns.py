@@ -22,8 +22,8 @@ from otf_core.files.text_table import (
     TIMES,
     TextTable,
     is_unit,
-    parted,
     read_text_table,
+    split_heading,
 )
 
 # Words of headings: which coordinate, and whether measured, nominal or no position at all.
@@ -227,7 +227,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Offer:
+class PointColumns:
     """A point that a head names."""
 
     point: tuple[Column, Column, Column]
@@ -245,16 +245,16 @@ class AmbiguousPointError(InputError):
 
 
 def _column(place: int, heading: str) -> Column:
-    return Column(place, parted(heading)[1], shortened(' '.join(heading.split())))
+    return Column(place, split_heading(heading)[1], shortened(' '.join(heading.split())))
 
 
-def offers(headings: Sequence[str]) -> list[Offer]:
+def offers(headings: Sequence[str]) -> list[PointColumns]:
     """Points that headings name, Cartesian; positions only."""
     points = _offers(headings, keep_fillers=True)
     return points or _offers(headings, keep_fillers=False)
 
 
-def _with_last_unit(offer: Offer) -> Offer:
+def _with_last_unit(offer: PointColumns) -> PointColumns:
     """Take a unit that is stated once, after z, for all three: 'X, Y, Z (mm)'."""
     x, y, z = offer.point
     if x.unit is None and y.unit is None and z.unit is not None:
@@ -262,12 +262,12 @@ def _with_last_unit(offer: Offer) -> Offer:
     return offer
 
 
-def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
+def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[PointColumns]:
     groups: dict[tuple[tuple[str, ...], str], dict[str, list[Column]]] = defaultdict(
         lambda: defaultdict(list)
     )
     for place, heading in enumerate(headings):
-        name = parted(heading)[0]
+        name = split_heading(heading)[0]
         if name in FIXED:
             groups[('dval',), ''][FIXED[name]].append(_column(place, heading))
             continue
@@ -280,13 +280,13 @@ def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
     for (_, role), axes in groups.items():
         count = min(len(axes[axis]) for axis in AXES)
         for k in range(count):
-            points.append(Offer((axes['x'][k], axes['y'][k], axes['z'][k]), role))
+            points.append(PointColumns((axes['x'][k], axes['y'][k], axes['z'][k]), role))
     return sorted(points, key=lambda offer: offer.point[0].place)
 
 
 def _named(heading: str) -> str:
     """Heading without its unit, in its own case."""
-    name, unit = parted(heading)
+    name, unit = split_heading(heading)
     if unit is None and name != heading.strip().lower().strip('[](){}'):
         return ' '.join(heading.split())
     text = ' '.join(heading.split()).strip('%')
@@ -298,7 +298,7 @@ def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str]
     groups: dict[str, list[tuple[str, Column]]] = defaultdict(list)
     kinds = {'hz': 'h', 'az': 'h', 'v': 'v', 'zenith': 'v', 'el': 'v', 'd': 'd'}
     for place, heading in enumerate(headings):
-        words = words_of(parted(heading)[0])
+        words = words_of(split_heading(heading)[0])
         what = POLAR.get(''.join(words)) or (POLAR.get(words[-1]) if words else None)
         if what is not None:
             groups[kinds[what]].append((what, _column(place, heading)))
@@ -322,7 +322,7 @@ def _times(headings: Sequence[str]) -> tuple[Column, ...]:
     """The best time: of the measurement rather than of its reception; s and ns together."""
     columns = []
     for place, heading in enumerate(headings):
-        name, unit = parted(heading)
+        name, unit = split_heading(heading)
         words = words_of(name.replace('time stamp', 'timestamp').replace('date time', 'datetime'))
         if not words or set(words) & set(OTHER_TIMES) or coordinate_of(name) is not None:
             continue
@@ -382,7 +382,7 @@ def columns_of(
 
 
 def _choice(
-    headings: Sequence[str], offered: Sequence[Offer], time: Sequence[Column], nominal: bool
+    headings: Sequence[str], offered: Sequence[PointColumns], time: Sequence[Column], nominal: bool
 ) -> str:
     """State how to choose: options that work as they stand."""
     if nominal:
@@ -595,7 +595,7 @@ def _wanted(table: TextTable, wanted: str) -> Columns:
 
 
 def _is_known(heading: str) -> bool:
-    name = parted(heading)[0]
+    name = split_heading(heading)[0]
     return bool(_times([heading])) or name in POLAR or (
         coordinate_of(name) is not None and len(name) <= MAX_NAME_LETTERS
     )  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 from otf_core.bags.bag import BagContent, content_of
 from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.bag_signals import read_signals
-from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, called
+from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, rename_topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
@@ -23,7 +23,7 @@ AnyReading = BagReading | TextReading
 
 
 @dataclass(frozen=True)
-class Given:
+class ReadingOptions:
     """How a recording is to be read, where it does not say so itself.
 
     Attributes
@@ -60,10 +60,10 @@ class Given:
             raise ConfigError(f'--rate: {self.rate:g} is out of range (0, 100000] Hz')
 
 
-AS_IT_IS = Given()
+AS_IT_IS = ReadingOptions()
 
 
-def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
+def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyReading:
     """Read what a recording holds.
 
     Raises
@@ -82,8 +82,8 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
         for option, value in (('--columns', given.columns), ('--rate', given.rate)):
             if value is not None and Path(source).exists():
                 raise ConfigError(f'{option}: {source} is a bag; this option is for text tables')
-        path = None if given.path is not None else called(PATH, given.path_topic)
-        reading = BagReading(source, called(POINT, given.topic), path, recover=given.recover)
+        path = None if given.path is not None else rename_topic(PATH, given.path_topic)
+        reading = BagReading(source, rename_topic(POINT, given.topic), path, recover=given.recover)
     reading.publisher = given.publisher
     if given.path is not None:
         corners, words = read_path(given.path)
@@ -93,7 +93,7 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
     return reading
 
 
-def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagContent:
+def read_content(sources: Sequence[str | Path], given: ReadingOptions = AS_IT_IS) -> BagContent:
     """Read samples and path of a run; the log says what was left out or taken for what.
 
     Parameters
@@ -106,7 +106,7 @@ def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagC
 
 
 def read_recording(
-    sources: Sequence[str | Path], machine: Machine | str | Path, given: Given = AS_IT_IS
+    sources: Sequence[str | Path], machine: Machine | str | Path, given: ReadingOptions = AS_IT_IS
 ) -> Recording:
     """Read a recorded run of a machine, see ``read_content``.
 

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.bags.bag_reading import Received
+from otf_core.bags.bag_reading import ReceivedPoints
 from otf_core.bags.rosbag2_metadata import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import value_text
 from otf_core.files.text_dialect import NOT_FINITE, NumberColumn, is_missing, is_number
 from otf_core.files.text_moments import (
     GLUED,
     ORDERS,
     SECOND_NS,
+    ColumnTimes,
     MomentError,
-    Moments,
     joined_without_zeros,
     read_moments,
     zeros_words,
@@ -36,9 +36,9 @@ from otf_core.files.text_table import (
     LONG_TIMES,
     TIMES,
     TextTable,
-    counted,
     fault_words,
     known_lengths,
+    reason_counts,
 )
 from otf_core.inputs.columns import (
     SUGGESTED,
@@ -79,7 +79,7 @@ def is_decimal(text: str) -> bool:
         return False
 
 
-def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: bool) -> Moments:
+def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: bool) -> ColumnTimes:
     """Times of a column.
 
     Parameters
@@ -103,7 +103,7 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
     if unit in TIMES:
         return _decimals(texts, TIMES[unit], unit or '')
     if unit in LONG_TIMES:
-        return Moments(scaled_ns(texts, LONG_TIMES[unit]), unit or '')
+        return ColumnTimes(scaled_ns(texts, LONG_TIMES[unit]), unit or '')
     if unit is not None and unit not in ORDERS:
         raise InputError(
             f'{unit!r} is not a supported unit of time; possible: s, ms, us, ns, min, h, days'
@@ -111,13 +111,13 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
     written = _written_as_one(texts) if alone else None
     if written is not None:
         return written
-    guess = _guessed(since_first(texts), xyz) if alone else 's'
+    guess = _guessed(subtract_first(texts), xyz) if alone else 's'
     if guess == 'days':
         return _days(texts)
     return _decimals(texts, TIMES[guess], f'{guess} (not stated, by the speed)')
 
 
-def _decimals(texts: Sequence[str], power: int, words: str) -> Moments:
+def _decimals(texts: Sequence[str], power: int, words: str) -> ColumnTimes:
     """Numbers of a unit; seconds whose parts have lost their leading zeros are repaired."""
     if power == 0 and all('.' in text for text in texts[:9]):
         parts = [text.partition('.')[::2] for text in texts]
@@ -127,11 +127,11 @@ def _decimals(texts: Sequence[str], power: int, words: str) -> Moments:
                 whole_ns = seconds.astype(np.int64)
                 repaired = joined_without_zeros(whole_ns, [part for _, part in parts])
                 if repaired is not None:
-                    return Moments(repaired[0], f'{words}{zeros_words(repaired[1])}')
-    return Moments(decimals_ns(texts, power), words)
+                    return ColumnTimes(repaired[0], f'{words}{zeros_words(repaired[1])}')
+    return ColumnTimes(decimals_ns(texts, power), words)
 
 
-def _written_as_one(texts: Sequence[str]) -> Moments | None:
+def _written_as_one(texts: Sequence[str]) -> ColumnTimes | None:
     """Dates and times of day, or times of day, that are written as one number; None: not so."""
     if all(GLUED.fullmatch(text) for text in texts):
         return read_moments(texts)
@@ -149,14 +149,14 @@ def _written_as_one(texts: Sequence[str]) -> Moments | None:
         return None
     clock = (3600 * hours + 60 * minutes + seconds) * SECOND_NS
     digits = np.array([int(part[:9].ljust(9, '0')) if part else 0 for _, part in parts], np.int64)
-    return Moments(clock + digits, 'hours, minutes and seconds as one number')
+    return ColumnTimes(clock + digits, 'hours, minutes and seconds as one number')
 
 
 FULL_MINUTE = 60
 """Seconds: where a minute is full, the number of hours, minutes and seconds jumps by 40 more."""
 
 
-def _days(texts: Sequence[str]) -> Moments:
+def _days(texts: Sequence[str]) -> ColumnTimes:
     """Days and their parts, with a date where a spreadsheet or MATLAB counts them."""
     first = Decimal(texts[0])
     for (low, high), epoch, name in (
@@ -164,18 +164,18 @@ def _days(texts: Sequence[str]) -> Moments:
         (MATLAB, MATLAB_1970, 'MATLAB'),
     ):
         if low <= first < high:
-            return Moments(scaled_ns(texts, 86_400, epoch), f'days as {name} counts them')
-    return Moments(scaled_ns(texts, 86_400), 'days (not stated, by the speed)')
+            return ColumnTimes(scaled_ns(texts, 86_400, epoch), f'days as {name} counts them')
+    return ColumnTimes(scaled_ns(texts, 86_400), 'days (not stated, by the speed)')
 
 
-def _as_seen(moments: Moments, xyz: Array) -> Moments:
+def _as_seen(moments: ColumnTimes, xyz: Array) -> ColumnTimes:
     """Two numbers with a colon are minutes and seconds, or hours and minutes, by the speed."""
     if not moments.words.startswith('minutes and seconds'):
         return moments
     speed = _speed(1e-9 * (moments.stamp_ns - moments.stamp_ns[0]), xyz)
     if speed > 60.0**0.5 * USUAL_SPEED:
-        return Moments(60 * moments.stamp_ns, 'hours and minutes (not stated, by the speed)')
-    return Moments(moments.stamp_ns, f'{moments.words} (not stated, by the speed)')
+        return ColumnTimes(60 * moments.stamp_ns, 'hours and minutes (not stated, by the speed)')
+    return ColumnTimes(moments.stamp_ns, f'{moments.words} (not stated, by the speed)')
 
 
 def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
@@ -209,7 +209,7 @@ def scaled_ns(texts: Sequence[str], seconds: int, epoch: int = 0) -> Stamps:
         raise MomentError(TOO_LARGE) from None
 
 
-def since_first(texts: Sequence[str]) -> Array:
+def subtract_first(texts: Sequence[str]) -> Array:
     """Decimal numbers less the first of them, in their own unit; MomentError if one is none."""
     numbers = _numbers(texts)
     try:
@@ -227,9 +227,9 @@ def _numbers(texts: Sequence[str]) -> list[Decimal]:
         try:
             numbers.append(Decimal(text))
         except InvalidOperation:
-            raise MomentError(f'{shown(text)} is not a time', row) from None
+            raise MomentError(f'{value_text(text)} is not a time', row) from None
         if not numbers[-1].is_finite():
-            raise MomentError(f'{shown(text)} is not a time', row)
+            raise MomentError(f'{value_text(text)} is not a time', row)
     return numbers
 
 
@@ -332,7 +332,7 @@ class TextReading:
         chosen = _chosen(table, columns_found)
         self._xyz, unit, factor = _points(chosen, columns_found)
         self._stamp_ns, time_words = _stamps(chosen, columns_found, self._xyz, rate)
-        self.left_out = counted(chosen.faults)
+        self.left_out = reason_counts(chosen.faults)
         if chosen.faults:
             self.remarks.append(
                 f'left out {len(chosen.faults)} of {len(chosen.lines) + len(chosen.faults)} lines '
@@ -357,9 +357,9 @@ class TextReading:
                 f'--path plan.json, or a CSV of its corner points x,y,z'
             )
 
-    def received(self) -> Received:
+    def received(self) -> ReceivedPoints:
         """Return the points in the order of the file."""
-        return Received(self._stamp_ns, self._xyz, self._stamp_ns)
+        return ReceivedPoints(self._stamp_ns, self._xyz, self._stamp_ns)
 
 
 @dataclass(frozen=True)
@@ -400,7 +400,7 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
         times.append(texts[c.place])
         for row, text in enumerate(texts[c.place]):
             if not text or is_missing(text):
-                bad.setdefault(row, f'{c.name} is {shown(text) if text else "empty"}')
+                bad.setdefault(row, f'{c.name} is {value_text(text) if text else "empty"}')
     faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
     _refuse_many(table, faults, len(table.lines) - len(bad))
     if not bad:

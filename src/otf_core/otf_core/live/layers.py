@@ -222,7 +222,7 @@ def driven_part(path: NominalPath, travelled: float) -> Array:
     return np.vstack([path.points[:last], end])
 
 
-def thinned(points: Array, most: int = DRAWN_POINTS) -> Array:
+def thin(points: Array, most: int = DRAWN_POINTS) -> Array:
     """Leave out points evenly so that about ``most`` are left, the last among them."""
     step = -(-len(points) // most)
     return points if step == 1 else np.vstack([points[::step], points[-1]])
@@ -231,7 +231,7 @@ def thinned(points: Array, most: int = DRAWN_POINTS) -> Array:
 def scene(path: NominalPath, volume: VolumeErrors | None) -> list[Layer]:
     """Layers that stay: the path, and the errors that tables predict."""
     size = size_of(path)
-    layers = [Layer('path', STRIP, thinned(path.points), GREY, LINE * size)]
+    layers = [Layer('path', STRIP, thin(path.points), GREY, LINE * size)]
     if volume is None or not len(volume.points):
         return layers
     factor = enlargement(volume.errors, size)
@@ -264,7 +264,7 @@ def moving(
         Deviations are enlarged so many times; 0: so that they are seen.
     """
     size = size_of(path)
-    layers = [Layer('driven', STRIP, thinned(driven_part(path, travelled)), BLUE, 2 * LINE * size)]
+    layers = [Layer('driven', STRIP, thin(driven_part(path, travelled)), BLUE, 2 * LINE * size)]
     if pose is None:
         return layers
     tracker = pose.translation

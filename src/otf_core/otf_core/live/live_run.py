@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.live.layers import Track, driven_part, enlargement, size_of, thinned
+from otf_core.live.layers import Track, driven_part, enlargement, size_of, thin
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
@@ -61,7 +61,7 @@ class RunProgress:
 
 
 @dataclass(frozen=True)
-class Solved:
+class LiveSolution:
     """What samples say of machine and set-up.
 
     Attributes
@@ -114,7 +114,7 @@ class LiveRun:
         self.pose: RigidTransform | None = None
         self.track = Track()
         self.progress = RunProgress()
-        self.solved: Solved | None = None
+        self.solved: LiveSolution | None = None
         self.volume: VolumeErrors | None = None
         self.rate = math.nan
         self._counted: deque[tuple[float, int]] = deque()
@@ -141,7 +141,7 @@ class LiveRun:
         if now > began:
             self.rate = (progress.samples - count) / (now - began)
 
-    def set_solved(self, solved: Solved, pose: RigidTransform | None) -> None:
+    def set_solved(self, solved: LiveSolution, pose: RigidTransform | None) -> None:
         """Take what was solved, and the place of the tracker unless that failed."""
         self.solved = solved
         if pose is not None:
@@ -179,7 +179,7 @@ def scene(run: LiveRun) -> dict[str, Any]:
     """Return path, errors on the grid and what is solved; lengths in m, errors in um and urad."""
     data: dict[str, Any] = {'path': None, 'volume': None, 'solved': None}
     if run.path is not None:
-        data['path'] = _rounded(thinned(run.path.points, PAGE_POINTS), 5)
+        data['path'] = _rounded(thin(run.path.points, PAGE_POINTS), 5)
     volume = run.volume
     if volume is not None and run.path is not None:
         data['volume'] = {
@@ -221,14 +221,12 @@ def now(run: LiveRun) -> dict[str, Any]:
         'scale': 1.0,
     }
     if run.path is not None:
-        data['driven'] = _rounded(
-            thinned(driven_part(run.path, progress.travelled), PAGE_POINTS), 5
-        )
+        data['driven'] = _rounded(thin(driven_part(run.path, progress.travelled), PAGE_POINTS), 5)
         data['scale'] = enlargement(deviations, size_of(run.path))
     return data
 
 
-def _solved(solved: Solved) -> dict[str, Any]:
+def _solved(solved: LiveSolution) -> dict[str, Any]:
     micro = {
         name: [_number(UM * value), _number(UM * u)]
         for names in (solved.motions, solved.squareness, solved.location)

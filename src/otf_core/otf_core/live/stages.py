@@ -112,7 +112,7 @@ class TimeLeft:
         return self._end - now if self._end >= now else math.nan
 
 
-def about(seconds: float) -> str:
+def approximate_time(seconds: float) -> str:
     """A time that is not known exactly, in words; empty for NaN."""
     if not math.isfinite(seconds):
         return ''
@@ -123,7 +123,7 @@ def about(seconds: float) -> str:
     return f'about {seconds / 60:.0f} min left'
 
 
-class StepsLeft:
+class StepProgress:
     """Says after each of some steps, that take alike, how long the others will take."""
 
     def __init__(self, steps: int) -> None:
@@ -134,5 +134,5 @@ class StepsLeft:
         """Count a step; ', about ... left' or nothing."""
         self._done += 1
         share = min(self._done / max(self._steps, 1), 1.0)
-        words = about(self._left.estimate('steps', share, time.monotonic()))
+        words = approximate_time(self._left.estimate('steps', share, time.monotonic()))
         return f', {words}' if words and share < 1.0 else ''

@@ -18,11 +18,11 @@ from otf_core.exports import export_format
 from otf_core.exports.format import Field, Request
 from otf_core.loop.control import (
     LATTICE,
-    Driven,
+    DrivenProgram,
     Program,
     drive,
     ini_text,
-    with_piece,
+    insert_piece,
     written_files,
 )
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -36,12 +36,12 @@ from otf_core.pieces.runs import Recording, prepare_runs, rigid_pose
 from otf_core.planning.forecast import drive_times
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.nc.linuxcnc import LinuxCnc
-from otf_core.planning.nc.programs import on_increment, program
+from otf_core.planning.nc.programs import program, round_to_increment
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.predict import predict
 from otf_core.sim.cell import random_tables
 from otf_core.sim.tracker import place_tracker
-from otf_core.sim.watched import watched
+from otf_core.sim.watched import sample_moving_target
 
 # Lines to prove a compensation on: drawn in the volume, none of them one that was fitted.
 
@@ -100,7 +100,7 @@ INCREMENT = 1e-7
 """m; of these positions."""
 
 
-def in_parts(plan: Plan) -> Plan:
+def cut_legs(plan: Plan) -> Plan:
     """Cut every leg into parts of at most ``LONGEST_PART``; only corners of the plan dwell."""
     points, feed, dwell = [plan.path.points[0]], [], [plan.dwell[0]]
     for k, length in enumerate(plan.path.leg_lengths):
@@ -113,13 +113,13 @@ def in_parts(plan: Plan) -> Plan:
     return Plan(NominalPath(np.array(points)), np.array(feed), np.array(dwell))
 
 
-def corrected(parts: Plan, held: Field) -> Plan:
+def correct_points(parts: Plan, held: Field) -> Plan:
     """Move the points of a plan by minus the error, to the increment of a program.
 
     Parameters
     ----------
     parts : Plan
-        See ``in_parts``.
+        See ``cut_legs``.
     held : callable
         Error at positions, m.
     """
@@ -152,7 +152,7 @@ DETOUR = 1e-4
 
 
 @dataclass(frozen=True)
-class OnPath:
+class CommandedPositions:
     """Moments spread evenly along a path.
 
     Attributes
@@ -170,7 +170,7 @@ class OnPath:
     share: Array
 
 
-def start_row(driven: Driven, point: Array) -> int:
+def start_row(driven: DrivenProgram, point: Array) -> int:
     """First servo period in which the control stands at the start of the path."""
     there = np.flatnonzero(np.linalg.norm(driven.believed - point, axis=1) < POSITION_TOLERANCE)
     if not len(there):
@@ -178,7 +178,9 @@ def start_row(driven: Driven, point: Array) -> int:
     return int(there[0])
 
 
-def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None = None) -> OnPath:
+def commanded_positions(
+    driven: DrivenProgram, programmed: NominalPath, nominal: NominalPath | None = None
+) -> CommandedPositions:
     """Find what the control was to drive at each moment.
 
     Parameters
@@ -203,13 +205,15 @@ def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None
     wanted = np.arange(ERROR_STEP, corners[-1], ERROR_STEP)
     row = np.minimum(np.searchsorted(reach, wanted), len(reach) - 1)
     if nominal is None:
-        return OnPath(first + row, driven.believed[first + row], wanted / corners[-1])
+        return CommandedPositions(first + row, driven.believed[first + row], wanted / corners[-1])
     at = reach[row]
     points = np.stack([np.interp(at, corners, nominal.points[:, k]) for k in range(3)], axis=1)
-    return OnPath(first + row, points, wanted / corners[-1])
+    return CommandedPositions(first + row, points, wanted / corners[-1])
 
 
-def by_line(error: Array, at: OnPath, path: NominalPath) -> tuple[tuple[float, float], ...]:
+def by_line(
+    error: Array, at: CommandedPositions, path: NominalPath
+) -> tuple[tuple[float, float], ...]:
     """Mean and largest length of the errors on each line, best rigid motion of all taken out.
 
     Parameters
@@ -235,7 +239,7 @@ def volumetric(error: Array, q: Array) -> float:
     return mean_length(without_rigid_motion(error, q))
 
 
-def seen_from_lines(recording: Recording) -> float:
+def distance_from_lines(recording: Recording) -> float:
     """Mean distance of tracker samples from the lines, rigidly aligned, m.
 
     What a real machine shows: without a common clock nothing is seen along the line.
@@ -339,16 +343,18 @@ class Cell:
         truth = random_tables(machine, config.error_size, rngs[0])
         return cls(machine, truth, RigidTransform(rotation.T, place), config)
 
-    def actual(self, driven: Driven) -> Array:
+    def actual(self, driven: DrivenProgram) -> Array:
         """Where the target really is, a row per servo period, m."""
         return exact_position(self.truth, driven.motor)
 
-    def recording(self, name: str, driven: Driven, start: Array, path: NominalPath) -> Recording:
+    def recording(
+        self, name: str, driven: DrivenProgram, start: Array, path: NominalPath
+    ) -> Recording:
         """What the tracker records of a drive, from the standstill at the start on."""
         first = start_row(driven, start)
         number = (FIT, CHECK, PROOF).index(name)
         rng = np.random.default_rng([self.config.seed, 10 + number])
-        samples = watched(
+        samples = sample_moving_target(
             driven.time[first:], self.actual(driven)[first:], self.pose, self.machine,
             self.config, rng,
         )  # fmt: skip
@@ -418,9 +424,9 @@ def go_round(
         If it did not do what was asked, or the calibration is not possible.
     """
     cell, feed = Cell.drawn(machine, config), float(plan.feed.max())
-    plan = on_increment(plan, machine.lower, machine.upper)
+    plan = round_to_increment(plan, machine.lower, machine.upper)
     rng = np.random.default_rng([config.seed, 2])
-    check = on_increment(check_plan(machine, feed, rng), machine.lower, machine.upper)
+    check = round_to_increment(check_plan(machine, feed, rng), machine.lower, machine.upper)
     rate = config.acceleration
     texts = {FIT: _nc(plan, 'FITTED PATH'), CHECK: _nc(check, 'LINES NOT FITTED')}
     jobs = [_program(n, p, texts[n], rate) for n, p in ((FIT, plan), (CHECK, check))]
@@ -438,17 +444,20 @@ def go_round(
     proof_plan, nominal = check, None
     texts[PROOF] = texts[CHECK]
     if way == PROGRAM:
-        parts = in_parts(check)
-        proof_plan, nominal = corrected(parts, loaded.held), parts.path
+        parts = cut_legs(check)
+        proof_plan, nominal = correct_points(parts, loaded.held), parts.path
         texts[PROOF] = corrected_program(proof_plan, ['LINES NOT FITTED, CORRECTED'])
     files = written_files(
-        with_piece(ini, loaded.ini_piece), {}, loaded.files, volume=way == VOLUME
+        insert_piece(ini, loaded.ini_piece), {}, loaded.files, volume=way == VOLUME
     )
     job = _program(PROOF, check, texts[PROOF], rate)
     progress(f'LinuxCNC drives the check compensated by {way}, {_seconds([job]):.0f} s')
     (after,) = drive(files, [job])
     recordings['proof'] = cell.recording(PROOF, after, proof_plan.path.points[0], check.path)
-    at = (on_path(before, check.path), on_path(after, proof_plan.path, nominal))
+    at = (
+        commanded_positions(before, check.path),
+        commanded_positions(after, proof_plan.path, nominal),
+    )
     proof = _proof(cell, (before, after), at, result, loaded.held, recordings, way)
     texts_as_bytes = {name: text.encode() for name, text in texts.items()}
     return Circle(way, proof, result, cell.truth, recordings, {**files, **texts_as_bytes})
@@ -461,8 +470,8 @@ def _seconds(jobs: list[Program]) -> float:
 
 def _proof(
     cell: Cell,
-    driven: tuple[Driven, Driven],
-    at: tuple[OnPath, OnPath],
+    driven: tuple[DrivenProgram, DrivenProgram],
+    at: tuple[CommandedPositions, CommandedPositions],
     result: CalibrationResult,
     held: Field,
     recordings: Mapping[str, Recording],
@@ -484,8 +493,8 @@ def _proof(
         of_tables=volumetric(displacement(cell.truth, q) - displacement(tables, q), q),
         of_export=of_export,
         of_control=volumetric(errors[1] - brought, at[1].nominal),
-        seen_before=seen_from_lines(recordings['check']),
-        seen_after=seen_from_lines(recordings['proof']),
+        seen_before=distance_from_lines(recordings['check']),
+        seen_after=distance_from_lines(recordings['proof']),
         lag_mean=float(lag.mean()),
         lag_max=float(lag.max()),
         lost=max(d.lost for d in driven),
@@ -494,7 +503,7 @@ def _proof(
     )
 
 
-def _lag(driven: Driven, at: OnPath, held: Field) -> Array:
+def _lag(driven: DrivenProgram, at: CommandedPositions, held: Field) -> Array:
     """Length of what external offsets miss of the correction wanted, shape (n,), m."""
     believed = driven.believed[at.row]
     lacking = (driven.motor - driven.believed)[at.row] + held(believed)

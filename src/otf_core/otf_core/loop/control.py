@@ -86,7 +86,7 @@ def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def with_piece(ini: str, piece: str) -> str:
+def insert_piece(ini: str, piece: str) -> str:
     """Put the lines of an INI piece into its sections: a section that comes twice counts once."""
     lines, at = ini.splitlines(), 0
     for line in piece.splitlines():
@@ -186,7 +186,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Driven:
+class DrivenProgram:
     """What the control did in one program, a row per servo period.
 
     Attributes
@@ -264,7 +264,7 @@ def _place_files(folder: Path, files: Mapping[str, bytes], user: str | None) -> 
             os.chown(path, entry.pw_uid, entry.pw_gid)
 
 
-def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[Driven]:
+def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[DrivenProgram]:
     """Start LinuxCNC, drive programs one after the other, end it.
 
     Parameters
@@ -340,7 +340,7 @@ def _check(folder: Path, said: str) -> None:
         raise InputError(f'LinuxCNC: {problem}; its last output: {last}')
 
 
-def _read_samples(path: Path) -> Driven:
+def _read_samples(path: Path) -> DrivenProgram:
     """Read what halsampler printed: number of the sample and nine values, mm."""
     lines = [line.split() for line in path.read_text().splitlines()]
     table = np.array([words for words in lines if len(words) == COLUMNS + 1], dtype=float)
@@ -351,6 +351,6 @@ def _read_samples(path: Path) -> Driven:
         table = table[gaps[0] + 1 :]  # what stood in the queue since before the program
     number = table[:, 0] - table[0, 0]
     motor, believed, offset = believed_positions(table[:, 1:])
-    return Driven(
+    return DrivenProgram(
         SERVO_PERIOD * number, motor, believed, offset, int(number[-1]) + 1 - len(number)
     )

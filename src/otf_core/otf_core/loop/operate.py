@@ -17,11 +17,11 @@ POLL_PERIOD = 0.02
 """s between two looks at the control."""
 
 
-class Failed(Exception):
+class ControlError(Exception):
     """The control did not do what was asked."""
 
 
-def until(stat: Any, reached: Callable[[Any], bool], seconds: float, what: str) -> None:
+def wait_until(stat: Any, reached: Callable[[Any], bool], seconds: float, what: str) -> None:
     """Wait until the control tells something."""
     end = time.monotonic() + seconds
     while True:
@@ -29,25 +29,27 @@ def until(stat: Any, reached: Callable[[Any], bool], seconds: float, what: str) 
         if reached(stat):
             return
         if time.monotonic() > end:
-            raise Failed(f'{what} not within {seconds:.0f} s')
+            raise ControlError(f'{what} not within {seconds:.0f} s')
         time.sleep(POLL_PERIOD)
 
 
-def switched_on(command: Any, stat: Any) -> None:
+def switch_on(command: Any, stat: Any) -> None:
     """Release the stop, switch on, home all joints."""
     command.state(linuxcnc.STATE_ESTOP_RESET)
     command.wait_complete()
     command.state(linuxcnc.STATE_ON)
     command.wait_complete()
-    until(stat, lambda s: s.task_state == linuxcnc.STATE_ON, 10, 'machine on')
+    wait_until(stat, lambda s: s.task_state == linuxcnc.STATE_ON, 10, 'machine on')
     command.mode(linuxcnc.MODE_MANUAL)
     command.wait_complete()
     for joint in range(3):
         command.home(joint)
-    until(stat, lambda s: all(s.homed[:3]), 20, 'homing')
+    wait_until(stat, lambda s: all(s.homed[:3]), 20, 'homing')
 
 
-def driven(command: Any, stat: Any, errors: Any, name: str, samples: str, seconds: float) -> None:
+def drive_program(
+    command: Any, stat: Any, errors: Any, name: str, samples: str, seconds: float
+) -> None:
     """Drive one program and sample every servo period."""
     command.mode(linuxcnc.MODE_AUTO)
     command.wait_complete()
@@ -57,16 +59,16 @@ def driven(command: Any, stat: Any, errors: Any, name: str, samples: str, second
     try:
         time.sleep(0.3)
         command.auto(linuxcnc.AUTO_RUN, 0)
-        until(stat, lambda s: s.interp_state != linuxcnc.INTERP_IDLE, 10, f'{name}: start')
+        wait_until(stat, lambda s: s.interp_state != linuxcnc.INTERP_IDLE, 10, f'{name}: start')
         end = time.monotonic() + seconds
         while stat.interp_state != linuxcnc.INTERP_IDLE:
             message = errors.poll()
             if message:
-                raise Failed(f'{name}: {message[1]}')
+                raise ControlError(f'{name}: {message[1]}')
             if stat.interp_state == linuxcnc.INTERP_PAUSED:
                 command.auto(linuxcnc.AUTO_RESUME)  # the program waits for the recording
             if time.monotonic() > end:
-                raise Failed(f'{name}: not done within {seconds:.0f} s')
+                raise ControlError(f'{name}: not done within {seconds:.0f} s')
             time.sleep(POLL_PERIOD)
             stat.poll()
         time.sleep(0.3)
@@ -82,11 +84,11 @@ def main() -> None:
     report: dict[str, Any] = {'done': [], 'error': None}
     command, stat, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
     try:
-        switched_on(command, stat)
+        switch_on(command, stat)
         for item in order:
-            driven(command, stat, errors, item['program'], item['samples'], item['seconds'])
+            drive_program(command, stat, errors, item['program'], item['samples'], item['seconds'])
             report['done'].append(item['program'])
-    except (Failed, linuxcnc.error) as error:
+    except (ControlError, linuxcnc.error) as error:
         report['error'] = str(error)
     with open('told.json', 'w', encoding='utf-8') as file:
         json.dump(report, file)

@@ -177,7 +177,7 @@ class Sight:
             return tuple(target) if self.link == SPINDLE else tuple(table[::-1])
         return (*table, *target)
 
-    def at(self, q: Array) -> Seen:
+    def at(self, q: Array) -> ReflectorView:
         """Position and its derivatives at axis positions (n, k), m and rad."""
         q = np.asarray(q, dtype=float)
         if q.ndim != 2 or q.shape[1] != len(self.machine.axis_names):
@@ -185,14 +185,14 @@ class Sight:
                 f'positions of {", ".join(self.machine.axis_names)} need shape '
                 f'(n, {len(self.machine.axis_names)}), got {q.shape}'
             )
-        return Seen(self, q)
+        return ReflectorView(self, q)
 
     def nominal(self, q: Array) -> Array:
         """Nominal position of the reflector, shape (n, 3), m."""
         return self.at(q).position
 
 
-class Seen:
+class ReflectorView:
     """A reflector at axis positions, nominal, and how errors move it.
 
     Parameters

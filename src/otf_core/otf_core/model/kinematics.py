@@ -68,7 +68,7 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
     unit = _UNIT[motion.along]
     if motion.is_translation:
         return np.broadcast_to(unit, q.shape)
-    return turned(motion.along, lever(machine, motion.axis, q))
+    return turn_arms(motion.along, lever(machine, motion.axis, q))
 
 
 def has_constant_lever(machine: Machine, motion: ErrorMotion, low: Points, high: Points) -> bool:
@@ -82,7 +82,7 @@ def has_constant_lever(machine: Machine, motion: ErrorMotion, low: Points, high:
     return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
 
 
-def turned(along: int, arm: Points) -> Points:
+def turn_arms(along: int, arm: Points) -> Points:
     """Vector product of a unit vector of the machine frame with lever arms (n, 3).
 
     Several times faster than ``numpy.cross``, which counts where positions come one by one.

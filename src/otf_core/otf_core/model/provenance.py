@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.output_folder import file_digest
-from otf_core.files.text_table import LeftOut
+from otf_core.files.text_table import SkippedLines
 from otf_core.files.writing import unreadable
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -63,7 +63,7 @@ class Origin:
     last_ns: int
     sha256: str
     machine: Machine | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SkippedLines, ...] = ()
 
 
 def _raw(values: NDArray[Any], kind: str) -> memoryview:
@@ -83,7 +83,7 @@ def origin_of(
     return Origin(name, len(samples), first, last, digest.hexdigest(), machine)
 
 
-class Recorded(Protocol):
+class RecordingOrigin(Protocol):
     """What a recording has to tell of itself, such as ``runs.Recording``."""
 
     @property
@@ -103,11 +103,11 @@ class Recorded(Protocol):
         """The machine as set up in this run."""
 
     @property
-    def left_out(self) -> tuple[LeftOut, ...]:
+    def left_out(self) -> tuple[SkippedLines, ...]:
         """Lines that are not samples."""
 
 
-def origins(recordings: Iterable[Recorded]) -> tuple[Origin, ...]:
+def origins(recordings: Iterable[RecordingOrigin]) -> tuple[Origin, ...]:
     """State what recordings are; they go by the last part of their names."""
     return tuple(
         replace(

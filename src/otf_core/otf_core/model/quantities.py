@@ -6,7 +6,7 @@ from __future__ import annotations
 from otf_core.model.expanded import COVERAGE_FACTOR, with_expanded
 
 
-def scaled(unit: str, size: float) -> tuple[float, str]:
+def readable_unit(unit: str, size: float) -> tuple[float, str]:
     """Factor and unit in which a value is easy to read."""
     if unit == 'm':
         return (1e3, 'mm') if size >= 1e-3 else (1e6, 'um')
@@ -34,6 +34,6 @@ def quantity(value: float, u: float | None, unit: str) -> str:
     unit : str
         SI unit of the value.
     """
-    factor, name = scaled(unit, abs(value))
+    factor, name = readable_unit(unit, abs(value))
     wide = COVERAGE_FACTOR * factor * u if u is not None else 0.0
     return f'{with_expanded(factor * value, wide)} {name}'.rstrip()

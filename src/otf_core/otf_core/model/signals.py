@@ -46,14 +46,14 @@ class Signal:
         own = np.asarray((self.stamp_ns - stamp_ns) * 1e-9, dtype=np.float64)
         if not lag:
             return np.interp(time, own, self.value)
-        followed = lagged(own, self.value, lag)
+        followed = first_order_response(own, self.value, lag)
         place = np.clip(np.searchsorted(own, time, side='right') - 1, 0, len(own) - 1)
         after = np.maximum(time - own[place], 0.0)
         rest = followed[place] - self.value[place]
         return np.asarray(self.value[place] + rest * np.exp(-after / lag))
 
 
-def lagged(time: Array, value: Array, lag: float) -> Array:
+def first_order_response(time: Array, value: Array, lag: float) -> Array:
     """Response of first order to a signal that stays between its samples, shape (n,)."""
     filtered = np.empty_like(value)
     filtered[0] = value[0]

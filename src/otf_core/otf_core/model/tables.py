@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
-from otf_core.files.strict_yaml import read_json, shown
+from otf_core.files.strict_yaml import read_json, value_text
 from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 
@@ -222,7 +222,7 @@ def _number(value: Any, where: str) -> float:
     except OverflowError:
         number = math.nan
     if isinstance(value, bool) or not math.isfinite(number):
-        raise ConfigError(f'{where}: expected a finite number, got {shown(value)}')
+        raise ConfigError(f'{where}: expected a finite number, got {value_text(value)}')
     return number
 
 
@@ -235,14 +235,14 @@ def _not_negative(value: Any, where: str) -> float:
 
 def _flag(value: Any, where: str) -> bool:
     if not isinstance(value, bool):
-        raise ConfigError(f'{where}: expected true or false, got {shown(value)}')
+        raise ConfigError(f'{where}: expected true or false, got {value_text(value)}')
     return value
 
 
 def _members(values: Any, where: str, check: Check, size: int = 0) -> list[Any]:
     """Members of a list, each checked; as many as ``size`` says if that is above 0."""
     if not isinstance(values, list) or not values:
-        raise ConfigError(f'{where}: expected a list, got {shown(values)}')
+        raise ConfigError(f'{where}: expected a list, got {value_text(values)}')
     if size and len(values) != size:
         raise ConfigError(f'{where}: has length {len(values)}, expected {size}')
     return [check(value, f'{where}: entry {k}') for k, value in enumerate(values)]
@@ -262,11 +262,11 @@ def _array(
 
 def _motion(entry: Any, name: ErrorMotion, machine: Machine, where: str) -> MotionTable:
     if not isinstance(entry, Mapping):
-        raise ConfigError(f'{where}: expected position, value and u, got {shown(entry)}')
+        raise ConfigError(f'{where}: expected position, value and u, got {value_text(entry)}')
     along = machine.axes[name.axis].unit
     for key, right in (('unit', name.unit), ('axis', name.axis), ('position_unit', along)):
         if entry.get(key, right) != right:
-            raise ConfigError(f"{where}: {key}: must be '{right}', got {shown(entry[key])}")
+            raise ConfigError(f"{where}: {key}: must be '{right}', got {value_text(entry[key])}")
     position = _array(entry, 'position', where)
     if np.any(np.diff(position) <= 0):
         raise ConfigError(f'{where}: position: must ascend strictly')
@@ -303,7 +303,7 @@ def _mapping(data: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]
     if mapping is None:
         return {}
     if not isinstance(mapping, Mapping):
-        raise ConfigError(f'{where}: {key}: expected a mapping, got {shown(mapping)}')
+        raise ConfigError(f'{where}: {key}: expected a mapping, got {value_text(mapping)}')
     return mapping
 
 
@@ -385,7 +385,7 @@ def _check_fit(entry: Mapping[str, Any], where: str) -> None:
     for key in FIT_COUNTS:
         value = entry.get(key, 0)
         if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            raise ConfigError(f'{where}: {key}: expected a count, got {shown(value)}')
+            raise ConfigError(f'{where}: {key}: expected a count, got {value_text(value)}')
     for key in FIT_LENGTHS:
         _not_negative(entry.get(key, 0.0), f'{where}: {key}')
 

@@ -115,7 +115,7 @@ def _tails(windows: list[Array], step: float) -> tuple[float, float]:
     return float(FREEDOMS[np.argmax(student)]), float(1.0 / (1.0 + np.exp(specified - beyond)))
 
 
-def as_simulated(noise: NoiseModel, spec: TrackerSpec) -> NoiseModel:
+def simulated_noise(noise: NoiseModel, spec: TrackerSpec) -> NoiseModel:
     """Noise of a run as its simulation has it.
 
     Levels that pass as specified are those of the run; what is louder has the specified one, so

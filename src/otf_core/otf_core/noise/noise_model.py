@@ -24,7 +24,7 @@ import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.errors import ConfigError
-from otf_core.files.strict_yaml import read_json, shown
+from otf_core.files.strict_yaml import read_json, value_text
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
@@ -163,7 +163,7 @@ WHITE, SLOW, TIME, INDEPENDENT, LASTING = range(5)
 its correlation times, variances of the misfit (m^2)."""
 
 
-def scaled(noise: NoiseModel, logs: Array) -> NoiseModel:
+def scale_noise(noise: NoiseModel, logs: Array) -> NoiseModel:
     """Noise with its white and slow variances and its correlation times multiplied."""
     white, slow, time = (float(f) for f in np.exp(logs[:INDEPENDENT]))
     return NoiseModel(*(c.times(white, slow, time) for c in noise))
@@ -308,7 +308,7 @@ def misfit_covariance(misfit: Misfit, windows: Windows) -> tuple[Array, Array]:
     return np.full(time.shape, misfit.independent**2), lasting
 
 
-def with_diagonal(matrices: Array, *values: Array) -> Array:
+def add_to_diagonal(matrices: Array, *values: Array) -> Array:
     """Add values (..., m) to the diagonals of matrices (..., m, m), in place."""
     place = np.arange(matrices.shape[-1])
     for value in values:
@@ -407,4 +407,4 @@ def read_noise(path: str | Path) -> NoiseModel:
     try:
         return noise_from_fields(read_json(path))
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        raise ConfigError(f'{path}: not a noise.json ({shown(error)})') from None
+        raise ConfigError(f'{path}: not a noise.json ({value_text(error)})') from None

@@ -26,16 +26,16 @@ from otf_core.noise.standstill import (
     MAX_REPEATED_DIFFERENCE,
     MIN_DURATION,
     Drift,
-    Lost,
+    LostSamples,
     MeasuredNoise,
     Step,
-    at_rest,
     find_drift,
     find_standstills,
     find_steps,
     lost_samples,
     noise_of_windows,
     quiet_windows,
+    trim_to_rest,
 )
 
 MIN_TOTAL = 1.0
@@ -88,7 +88,7 @@ class NoiseReport:
     rate: float
     distance: float
     peaks: tuple[Peak, ...]
-    lost: Lost
+    lost: LostSamples
     steps: tuple[Step, ...]
     drift: Drift | None
     variogram: Variogram
@@ -127,7 +127,7 @@ def _coarse(windows: list[Array]) -> str | None:
 
 
 def _warnings(
-    measured: MeasuredNoise, windows: list[Array], duration: float, lost: Lost, count: int
+    measured: MeasuredNoise, windows: list[Array], duration: float, lost: LostSamples, count: int
 ) -> tuple[str, ...]:
     coarse = _coarse(windows)
     warnings = [coarse] if coarse else []
@@ -213,7 +213,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
         peaks=find_peaks(seen, shape),
         lost=lost,
         steps=find_steps(samples, runs),
-        drift=find_drift(samples, at_rest(samples, runs)),
+        drift=find_drift(samples, trim_to_rest(samples, runs)),
         variogram=variogram(windows),
         spectrum=seen,
         warnings=_warnings(measured, windows, duration, lost, len(samples)),

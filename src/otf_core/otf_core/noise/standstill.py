@@ -108,7 +108,7 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Quiet:
+class QuietBlocks:
     """What blocks of a target at rest show.
 
     Attributes
@@ -126,7 +126,7 @@ class Quiet:
     away: Array
 
 
-def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> Quiet:
+def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> QuietBlocks:
     """Judge quiet blocks; standstills too short for it do not count."""
 
     def lowest(values: list[Array]) -> Array:
@@ -136,7 +136,7 @@ def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> Quiet:
 
     judged = [b for b in blocks if len(b[0]) >= MIN_BLOCKS]
     long = [mean for mean, _ in judged if len(mean) >= MIN_BLOCKS_FOR_MEDIAN]
-    return Quiet(
+    return QuietBlocks(
         lowest([deviation for _, deviation in judged]),
         lowest([np.abs(np.diff(mean, axis=0)) / NORMAL_PERCENTILE for mean, _ in judged]),
         lowest([np.abs(mean - np.median(mean, axis=0)) / NORMAL_PERCENTILE for mean in long]),
@@ -155,7 +155,7 @@ def _settled(mean: Array, away: Array) -> tuple[int, int]:
     return min(2 * lead, len(mean)), len(mean) - trail
 
 
-def at_rest(samples: Samples, runs: Index) -> Index:
+def trim_to_rest(samples: Samples, runs: Index) -> Index:
     """Shorten standstills to the part in which the target is at rest.
 
     Parameters
@@ -199,7 +199,7 @@ MIN_DRIFT_TIME = 5.0
 
 
 @dataclass(frozen=True)
-class Lost:
+class LostSamples:
     """Samples that are missing according to the stamps.
 
     Attributes
@@ -247,13 +247,13 @@ class Drift:
     change: Array
 
 
-def lost_samples(samples: Samples) -> Lost:
+def lost_samples(samples: Samples) -> LostSamples:
     """Count missing samples: pauses in multiples of the usual interval."""
     interval, usual = np.diff(samples.stamp_ns), samples.step_ns
     pauses = interval[interval >= 1.5 * usual]
     missing = np.rint(pauses / usual).astype(np.int64) - 1
     longest = float(pauses.max(initial=0)) * 1e-9
-    return Lost(int(missing.sum()), len(pauses), longest)
+    return LostSamples(int(missing.sum()), len(pauses), longest)
 
 
 def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
@@ -295,7 +295,7 @@ def find_drift(samples: Samples, rest: Index) -> Drift | None:
     Parameters
     ----------
     rest : ndarray of int64, shape (k, 2)
-        From ``at_rest``.
+        From ``trim_to_rest``.
     """
     if not len(rest):
         return None
@@ -520,7 +520,7 @@ def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     """Deviations of range and angles in windows of standstill.
 
-    Only the part at rest is taken (``at_rest``), and windows much louder than the quiet
+    Only the part at rest is taken (``trim_to_rest``), and windows much louder than the quiet
     ones are left out: there the target moves (a machine that settles or is shaken).
 
     Parameters
@@ -535,7 +535,7 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     left_out : int
         Number of louder windows, and of standstills without any rest.
     """
-    rest, step = at_rest(samples, runs), samples.step
+    rest, step = trim_to_rest(samples, runs), samples.step
     windows, louder = _usable(_windows(samples, rest, step), step)
     return windows, louder + len(runs) - len(rest)
 

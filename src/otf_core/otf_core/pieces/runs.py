@@ -21,7 +21,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
-from otf_core.files.text_table import LeftOut
+from otf_core.files.text_table import SkippedLines
 from otf_core.memory import BLOCK
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform, rigid_fit
@@ -30,10 +30,10 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
-from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scale_noise
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, Followed, align, line_step
+from otf_core.tracking.alignment import Alignment, FollowedTrack, align, line_step
 from otf_core.tracking.curves import Lines, PathShape
 from otf_core.tracking.leg_starts import leg_starts
 from otf_core.tracking.matching import OFF_PATH
@@ -87,7 +87,7 @@ class Observed:
         """Noise of single samples, and what the model leaves besides: as far as is known."""
         if self.fitted is None:
             return self.noise, Misfit()
-        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
+        return scale_noise(self.noise, self.fitted), misfit_of(self.fitted)
 
 
 AnyRun = TypeVar('AnyRun', bound=Observed)
@@ -135,8 +135,8 @@ class Recording:
     name: str = ''
     remarks: tuple[str, ...] = ()
     signals: Mapping[str, Signal] = field(default_factory=dict)
-    seen: Followed | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    seen: FollowedTrack | None = None
+    left_out: tuple[SkippedLines, ...] = ()
     axis_paths: tuple[AxisPath, ...] = ()
 
 
@@ -169,7 +169,7 @@ class Run(Observed):
     path: NominalPath
     alignment: Alignment
     read: tuple[str, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SkippedLines, ...] = ()
 
     @classmethod
     def of(
@@ -333,11 +333,11 @@ def prepare_runs(
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
         with errors_of(recording.name):
-            runs.append(reduced(recording, alignment, nodes, config))
+            runs.append(reduce_recording(recording, alignment, nodes, config))
     return runs, nodes
 
 
-def reduced(
+def reduce_recording(
     recording: Recording,
     alignment: Alignment,
     nodes: Mapping[str, Array],

@@ -17,7 +17,7 @@ from otf_core.planning.rotary_paths import (
     LEVER,
     TURN_RATE,
     PlannedPart,
-    beside,
+    default_tracker_place,
     duration_of,
 )
 
@@ -35,9 +35,9 @@ def planned_parts(
     Parameters
     ----------
     place : ndarray, shape (3,), m, optional
-        Beam origin in the frame of the tracker's link; ``beside`` the machine if not given.
+        Beam origin in the frame of the tracker's link; by default ``default_tracker_place``.
     """
-    at = beside(machine) if place is None else place
+    at = default_tracker_place(machine) if place is None else place
     judged = judged or ForecastConfig()
     chosen = choose_parts(machine, at, config, judged, noise, time_budget)
     return [on_axis_increment(machine, part) for part in chosen]

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.aside import share_out
+from otf_core.diagnosis.engine.effect_products import ShapeProducts, tried_shapes
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.diagnosis.engine.search import (
     Visibility,
@@ -41,7 +41,7 @@ _IMITATED_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Unseen:
+class UnseenError:
     """One error that a plan does not show, or not everywhere.
 
     Attributes
@@ -148,24 +148,26 @@ def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bo
     return bool(np.abs(influence).max() < 1e-9)
 
 
-def _unseen(result: Forecast, machine: Machine, error: str, others: tuple[str, ...]) -> Unseen:
+def _unseen(
+    result: Forecast, machine: Machine, error: str, others: tuple[str, ...]
+) -> UnseenError:
     motion = ErrorMotion.of(error) if error in MOTIONS else None
     if motion and len(result.nodes[motion.axis]) == 1:
         words = f'{error}: the path does not move {motion.axis}'
-        return Unseen(error, (), words, f'lines that move {motion.axis}')
+        return UnseenError(error, (), words, f'lines that move {motion.axis}')
     if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
         words = f'{error}: a rotation about an axis through the target does not move it'
-        return Unseen(error, (), words, _second_offset(XYZ[motion.along]))
+        return UnseenError(error, (), words, _second_offset(XYZ[motion.along]))
     if motion and not chain_shows(machine, error):
         about = XYZ[motion.along]
         names = ' and '.join(others) or f'the translations of {motion.axis}'
         words = f'{error}: cannot be distinguished from {names} {offset_in_words(machine)}'
-        return Unseen(error, others, words, _second_offset(about))
+        return UnseenError(error, others, words, _second_offset(about))
     if others:
         words = f'{error}: this path confounds it with {" and ".join(others)}'
     else:
         words = f'{error}: it acts only along the lines of this path, or where no line is driven'
-    return Unseen(error, others, words, 'face and space diagonals in several planes')
+    return UnseenError(error, others, words, 'face and space diagonals in several planes')
 
 
 def _second_offset(about: str) -> str:
@@ -173,7 +175,7 @@ def _second_offset(about: str) -> str:
     return f'a second run with a target offset that differs in {across}'
 
 
-def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Unseen:
+def _loose(name: ErrorMotion, positions: Array, nodes: int) -> UnseenError:
     needs = f'face and space diagonals across {name.axis} there'
     fixed = 2 if name.is_straightness else 1
     if len(positions) >= nodes - fixed:
@@ -181,10 +183,10 @@ def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Unseen:
     else:
         where = ', '.join(f'{p:g}' for p in positions)
         words = f'{name}: not determined at {name.axis} = {where} m; interpolated there'
-    return Unseen(name, (), words, needs)
+    return UnseenError(name, (), words, needs)
 
 
-def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, ...]:
+def findings(result: Forecast, machine: Machine, limit: float) -> tuple[UnseenError, ...]:
     """State what a plan does not show.
 
     Parameters
@@ -206,7 +208,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, 
     return tuple(unseen)
 
 
-def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
+def _not_driven(result: Forecast, machine: Machine) -> list[UnseenError]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
     gaps = []
     for axis in machine.axis_names:
@@ -218,7 +220,7 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
                 f'up to {1e3 * gap:.1f} mm, the tables are constant and this forecast does not '
                 f'apply'
             )
-            gaps.append(Unseen(axis, (), words, 'a smaller margin'))
+            gaps.append(UnseenError(axis, (), words, 'a smaller margin'))
     return gaps
 
 
@@ -253,7 +255,7 @@ class Trace:
     rich: Array
 
     @classmethod
-    def of(cls, first: Tried, last: Tried) -> Trace:
+    def of(cls, first: ShapeProducts, last: ShapeProducts) -> Trace:
         """For the first and the last shape of an effect."""
         simple = _columns(first)
         rich = simple if last is first else _columns(last)
@@ -279,16 +281,16 @@ def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
         own = traces[name]
         return tuple(n for n, other in traces.items() if n != name and own.imitated_by(other))
 
-    return dict(zip(traces, shared_out(others, list(traces)), strict=True))
+    return dict(zip(traces, share_out(others, list(traces)), strict=True))
 
 
-def _columns(tried: Tried) -> Array:
+def _columns(tried: ShapeProducts) -> Array:
     """What an effect with all terms adds beyond the tables, each of unit size where it acts."""
     option = tried.source.option(tried.takes[0])
     return np.asarray(option.own / option.size)
 
 
-def _seen(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
+def _visibility_of(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
     """How well an effect is seen, and its trace."""
     chosen, stand_in = shapes_of(rows, effect, {})
     tried = tried_shapes(rows, effect, chosen or stand_in)
@@ -319,7 +321,11 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     effects = effects_without(())
     longest = sorted(effects, key=lambda e: not e.many_alike)  # begun first, and not sent
     judged = dict(
-        zip(longest, shared_out(partial(_seen, rows), longest, (rows, *longest)), strict=True)
+        zip(
+            longest,
+            share_out(partial(_visibility_of, rows), longest, (rows, *longest)),
+            strict=True,
+        )
     )
     for effect in effects:
         sight, trace = judged[effect]

@@ -244,7 +244,7 @@ COMPARED_PATHS = 12
 
 
 @dataclass(frozen=True)
-class Question:
+class OpenQuestion:
     """What a diagnosis left open.
 
     Attributes
@@ -273,7 +273,7 @@ class Answer:
         ``NAMED_LOG_ODDS`` times 5 um over the smallest size found, at most twice that.
     """
 
-    question: Question
+    question: OpenQuestion
     log_odds: float
     words: str
 
@@ -295,7 +295,7 @@ class Answer:
         }
 
 
-def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
+def open_questions(folder: str | Path, machine: Machine) -> list[OpenQuestion]:
     """Questions that a diagnosis left open.
 
     Parameters
@@ -319,13 +319,13 @@ def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
     if any(rivals.values()):
         applied = {a.effect.name: a for a in read_effects(folder / 'effects.yaml', machine)}
         questions = [
-            Question(effect, rival, applied[effect])
+            OpenQuestion(effect, rival, applied[effect])
             for effect, others in rivals.items()
             for rival in others
             if effect in applied and rival in REGISTRY
         ]
     hidden = [e['effect'] for e in gap.get('not_visible', ()) if e['effect'] in REGISTRY]
-    questions += [Question(name) for name in hidden]
+    questions += [OpenQuestion(name) for name in hidden]
     if not questions:
         raise ConfigError(f'{folder}: this diagnosis left nothing open; plan without --after')
     return questions
@@ -337,7 +337,7 @@ def measured_runs(folder: str | Path) -> list[MeasuredRun]:
     return [MeasuredRun.of(entry, f'{folder}/gap.json') for entry in gap.get('measured', ())]
 
 
-def answered(rows: Rows, question: Question) -> Answer:
+def answer_of_pieces(rows: Rows, question: OpenQuestion) -> Answer:
     """What the pieces of a path, and of runs beside it, would say to a question."""
     if question.cause is None:
         return _seen(rows, question)
@@ -350,7 +350,9 @@ def answered(rows: Rows, question: Question) -> Answer:
         np.einsum('cpk,pk->cp', run.system.axes, own).reshape(-1, 1) for run, own in parts
     ])  # fmt: skip
     trace = rows.project(rows.whiten(plain))[:, 0]
-    remainder = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
+    remainder = min(
+        (_squares_left(own, trace) for own in _rival_columns(rows, question)), default=0.0
+    )
     log_odds = 0.5 * remainder
     words = (
         f'distinguishes {question.effect} from {question.rival}: '
@@ -359,7 +361,7 @@ def answered(rows: Rows, question: Question) -> Answer:
     return Answer(question, log_odds, words)
 
 
-def _rival_columns(rows: Rows, question: Question) -> Iterator[Array]:
+def _rival_columns(rows: Rows, question: OpenQuestion) -> Iterator[Array]:
     """What every form of the rival adds beyond tables and poses."""
     effect = REGISTRY[question.rival]
     chosen, stand_in = shapes_of(rows, effect, {})
@@ -371,7 +373,7 @@ def _rival_columns(rows: Rows, question: Question) -> Iterator[Array]:
             yield tried.source.option(tried.takes[0]).own
 
 
-def _left(columns: Array, trace: Array) -> float:
+def _squares_left(columns: Array, trace: Array) -> float:
     """Square of what is left of a trace by columns, (r, k)."""
     normal = columns.T @ columns
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -381,7 +383,7 @@ def _left(columns: Array, trace: Array) -> float:
     return float(trace @ trace - np.sum(pull[positive] ** 2 / values[positive]))
 
 
-def _seen(rows: Rows, question: Question) -> Answer:
+def _seen(rows: Rows, question: OpenQuestion) -> Answer:
     effect = REGISTRY[question.effect]
     chosen, stand_in = shapes_of(rows, effect, {})
     sight = best_sight([sight_of(t) for t in tried_shapes(rows, effect, chosen or stand_in)])
@@ -432,7 +434,7 @@ def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Set
 
 
 def plan_after(
-    questions: Sequence[Question],
+    questions: Sequence[OpenQuestion],
     setup: Setup,
     config: PlannerConfig,
     budget: float | None,
@@ -467,7 +469,7 @@ def plan_after(
         for there in _places(plan, setup, before):
             planned = planned_solution(plan, there, forecast(plan, there))
             rows = joint_rows(planned, known, limit)
-            answers = [answered(rows, q) for q in questions]
+            answers = [answer_of_pieces(rows, q) for q in questions]
             worth = sum(min(a.log_odds, NAMED_LOG_ODDS) for a in answers)
             options.append((worth, plan, answers, there))
         if all(a.sure for a in answers):

@@ -18,7 +18,7 @@ from otf_core.budget.budget import (
     systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
-from otf_core.calibration.calibration_result import Expected
+from otf_core.calibration.calibration_result import ExpectedRemainder
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError
@@ -173,7 +173,7 @@ class Setup:
         """Fill in defaults: tracker beside the volume, noise as specified."""
         return cls(
             machine,
-            beside(machine) if place is None else np.asarray(place, dtype=float),
+            default_tracker_place(machine) if place is None else np.asarray(place, dtype=float),
             noise or NoiseModel.from_spec(machine.tracker),
             config or ForecastConfig(),
             CalibrationConfig(),
@@ -254,7 +254,7 @@ class Forecast:
         return loose_by_motion
 
 
-def beside(machine: Machine) -> Array:
+def default_tracker_place(machine: Machine) -> Array:
     """Default place of the tracker: in front of the volume (-Y), at half height."""
     place = 0.5 * (machine.lower + machine.upper)
     place[1] = machine.lower[1] - PLACE_DISTANCE
@@ -285,7 +285,7 @@ def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cu
     return cut
 
 
-def as_needed(recorded: Cut, equal: Cut) -> Cut:
+def needed_pieces(recorded: Cut, equal: Cut) -> Cut:
     """Pieces of a recording, or equal ones if their number exceeds ``MAX_PIECE_RATIO``."""
 
     def cut(ends: Array) -> Array:
@@ -295,7 +295,7 @@ def as_needed(recorded: Cut, equal: Cut) -> Cut:
     return cut
 
 
-def as_recorded(nodes: Mapping[str, Array], setup: Setup) -> Cut:
+def recorded_pieces(nodes: Mapping[str, Array], setup: Setup) -> Cut:
     """Cut lines into the pieces that a recording is reduced to, for these table nodes, m."""
     tables, size = (
         tuple(nodes[a] for a in setup.machine.axis_names),
@@ -337,7 +337,7 @@ def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setu
     times : DriveTimes
         Of these legs.
     cut : callable
-        Such as ``as_recorded``.
+        Such as ``recorded_pieces``.
 
     Returns
     -------
@@ -386,7 +386,7 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     equal = equal_pieces(
         layout(smooth_bases(nodes)).knots, PIECE_SHARE, setup.calibration.piece_length
     )
-    pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
+    pieces = forecast_pieces(plan, needed_pieces(recorded_pieces(nodes, setup), equal), setup)
     duration = drive_times(plan, setup.config.acceleration).duration
     return forecast_of_pieces(pieces, tracker_pose(setup), nodes, points, setup, duration)
 
@@ -515,7 +515,7 @@ class PlannedSystematic:
     noise: float
     with_declared: float
     with_typical: float
-    expected: Expected
+    expected: ExpectedRemainder
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of plan.json."""
@@ -562,7 +562,7 @@ def planned_systematic(planned: Planned, forecast: Forecast) -> PlannedSystemati
     noise = np.linalg.norm(forecast.grid_u_free, axis=1)
     stated = lengths(own) if declared else noise
     whole = lengths(own + added(missing, typical_runs([run], keys))) if missing else stated
-    expected = Expected(
+    expected = ExpectedRemainder(
         expanded=length_sizes(COVERAGE_FACTOR * whole),
         observed=length_sizes(COVERAGE_FACTOR * noise),
         k=COVERAGE_FACTOR,

@@ -24,10 +24,10 @@ from otf_core.planning.forecast import (
     DriveTimes,
     Forecast,
     Setup,
-    as_recorded,
     forecast,
     lay_out,
     leg_time,
+    recorded_pieces,
     tracker_pose,
 )
 from otf_core.planning.path_creation import inner_range
@@ -109,7 +109,7 @@ def _line_matrices(
     # far apart in time: each line is driven on its own
     begin = np.arange(len(length)) * (moving.max() + 100.0)
     times = DriveTimes(length, peak, moving, begin, setup.config.acceleration, 0.0)
-    pieces = lay_out(starts, ends, times, as_recorded(unknowns.knots, setup), setup)
+    pieces = lay_out(starts, ends, times, recorded_pieces(unknowns.knots, setup), setup)
     system = build_system(setup.machine, pieces, tracker_pose(setup), unknowns, nodal_lever=nodal)
     whitener = Whitener.of(system, pieces, setup.noise)
     group = pieces.leg[[low for low, _ in whitener.bounds]]

@@ -16,10 +16,10 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.planning.findings import Unseen, findings, forecast_effects, forecast_rows
+from otf_core.planning.findings import UnseenError, findings, forecast_effects, forecast_rows
 from otf_core.planning.follow_up import (
     Answer,
-    Question,
+    OpenQuestion,
     TrackerPlace,
     advice,
     check_place,
@@ -37,7 +37,7 @@ from otf_core.planning.forecast import (
     planned_solution,
     planned_systematic,
 )
-from otf_core.planning.nc.programs import on_increment
+from otf_core.planning.nc.programs import round_to_increment
 from otf_core.planning.path_creation import plan_path
 from otf_core.planning.path_optimiser import PathOptimiser
 from otf_core.threads import one_thread
@@ -84,7 +84,7 @@ class PlanReport:
     how: str
     setup: Setup
     forecast: Forecast
-    findings: tuple[Unseen, ...]
+    findings: tuple[UnseenError, ...]
     places: tuple[TrackerPlace, ...]
     advice: tuple[str, ...]
     effects: tuple[EffectForecast, ...] = field(default=())
@@ -123,7 +123,7 @@ class PlanRequest:
     wanted_uncertainty: float | None = None
     tracker_place: tuple[float, float, float] | None = None
     noise: NoiseModel | None = None
-    questions: tuple[Question, ...] = ()
+    questions: tuple[OpenQuestion, ...] = ()
     before: tuple[MeasuredRun, ...] = ()
 
     def __post_init__(self) -> None:
@@ -197,7 +197,7 @@ def _chosen(
     return plan, how, answers, there
 
 
-def _judged(
+def _judge_places(
     plan: Plan, setup: Setup, forecast: Forecast, planned: Planned
 ) -> tuple[list[TrackerPlace], float, PlannedSystematic]:
     """Places of the tracker compared, what is left at the one chosen, what is systematic."""
@@ -229,17 +229,17 @@ def make_plan(
     progress('choosing lines', 0.0)
     with one_thread():
         plan, how, answers, setup = _chosen(request, setup, config)
-        plan = on_increment(plan, machine.lower, machine.upper)
+        plan = round_to_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
         progress('forecasting', 0.0)
         outlook: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
         planned = planned_solution(plan, setup, outlook)
         with Ahead() as ahead:
-            ahead.begin(_judged, plan, setup, outlook, planned)
+            ahead.begin(_judge_places, plan, setup, outlook, planned)
             progress('looking for effects', 0.0)
             effects = forecast_effects(forecast_rows(planned, limit))
-            places, own, systematic = ahead(_judged, plan, setup, outlook, planned)
+            places, own, systematic = ahead(_judge_places, plan, setup, outlook, planned)
     return PlanReport(
         plan,
         how,

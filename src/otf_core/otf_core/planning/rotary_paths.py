@@ -35,19 +35,19 @@ from otf_core.model.motions import AXES
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.path_creation import lap_of_box
-from otf_core.rotary.matching import Part, nominal_places
+from otf_core.rotary.axis_solution import AxisSolution, place_equations
+from otf_core.rotary.axis_unknowns import bases_of, layout
+from otf_core.rotary.curve_matching import Part, nominal_places
 from otf_core.rotary.reduction import TOGETHER, AxisPieces
 from otf_core.rotary.rows import AxisRun, build_rows
-from otf_core.rotary.solution import AxisSolution, place_equations
 from otf_core.rotary.tabulation import (
     PLACES,
-    determined,
+    determined_combinations,
     evenly_spread,
     field_rows,
     gauge_matrix,
     raw_rows,
 )
-from otf_core.rotary.unknowns import bases_of, layout
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.solution import solve
@@ -411,7 +411,7 @@ def _link(machine: Machine, first: Chain, second: Chain) -> Array:
     return np.concatenate([rows, second.corners[1:]])
 
 
-def beside(machine: Machine) -> Array:
+def default_tracker_place(machine: Machine) -> Array:
     """Default place of a tracker, shape (3,), m: high, on the side to which the table tilts.
 
     Tilting brings the table's normal to one side; on the other side the table hides its
@@ -624,7 +624,7 @@ def forecast_parts(
     solved = judge.solved(sum((judge.equations(p) for p in parts), judge.known))
     values = judge.values(solved)
     cover = values @ solved.solution.covariance @ values.T
-    seen = determined(solved, values, judge.limit)
+    seen = determined_combinations(solved, values, judge.limit)
     u, hidden = _by_name(machine, judge.nodes, np.sqrt(np.maximum(np.diag(cover), 0.0)), seen)
     field = judge.field(PLACES)
     variance = np.einsum('ij,ij->i', field @ cover, field).reshape(-1, 3).sum(axis=1)
@@ -664,7 +664,7 @@ def _by_name(
 def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str:
     """State by the rank condition why an error will not be seen, and what would show it."""
     axis = name[-1]
-    moved = [p for p in parts if axis in _seen(machine, p) and _travels(machine, p, axis)]
+    moved = [p for p in parts if axis in _axes_in_view(machine, p) and _travels(machine, p, axis)]
     if not moved:
         return f'no part moves {axis} between tracker and reflector'
     turns = axis in machine.rotary_names
@@ -688,7 +688,7 @@ def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str
     return 'all reflectors lie on the line about which it turns them'
 
 
-def _seen(machine: Machine, part: PlannedPart) -> set[str]:
+def _axes_in_view(machine: Machine, part: PlannedPart) -> set[str]:
     """Axes between the tracker and the reflector of a part."""
     return {j.name for j in Sight.of_target(machine, part.path.target).joints}
 
@@ -700,7 +700,7 @@ def _travels(machine: Machine, part: PlannedPart, axis: str) -> bool:
 def _combined(machine: Machine, part: PlannedPart, axis: str) -> bool:
     """Return whether a part turns an axis while another one in view moves."""
     steps = np.abs(np.diff(part.path.positions, axis=0)) > 0.0
-    others = [machine.column(a) for a in _seen(machine, part) if a != axis]
+    others = [machine.column(a) for a in _axes_in_view(machine, part) if a != axis]
     return bool(np.any(steps[:, machine.column(axis)] & steps[:, others].any(axis=1)))
 
 
@@ -776,7 +776,7 @@ def check_side(machine: Machine, place: Array) -> None:
     """
     for name, sight in sights(machine, place).items():
         if sight.open < LEAST_OPEN:
-            good = ', '.join(f'{v:.2f}' for v in beside(machine))
+            good = ', '.join(f'{v:.2f}' for v in default_tracker_place(machine))
             raise ConfigError(
                 f'tracker_place: the table hides {name} in {100 * (1 - sight.open):.0f} % of the '
                 f'positions of its rotary axes; stand on the side to which it tilts, such as '

@@ -19,7 +19,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.model.evaluation import rigid_columns
-from otf_core.model.kinematics import motion_influence, squareness_influence, turned
+from otf_core.model.kinematics import motion_influence, squareness_influence, turn_arms
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 
@@ -98,7 +98,7 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
     for rotation in (m for m in MOTIONS if m in hidden and not m.is_translation):
         arm = np.broadcast_to(machine.target_offset, q.shape)
         functions = _shapes(rotation, s[:, rotation.place])
-        moved = turned(rotation.along, arm)[:, :, None] * functions[:, None, :]
+        moved = turn_arms(rotation.along, arm)[:, :, None] * functions[:, None, :]
         moved = moved.reshape(3 * len(q), -1)
         if not np.abs(moved).max() > 0:
             continue

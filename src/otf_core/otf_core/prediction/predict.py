@@ -18,7 +18,7 @@ from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.predictor import Evaluated, Predictor
+from otf_core.prediction.predictor import PredictedErrors, Predictor
 from otf_core.prediction.table_prior import MotionPrior
 
 ABSURD = 10.0
@@ -26,7 +26,7 @@ ABSURD = 10.0
 
 
 @dataclass(frozen=True)
-class Prediction(Evaluated):
+class Prediction(PredictedErrors):
     """Predicted errors, and what is to be known of them.
 
     Attributes

@@ -34,7 +34,7 @@ REPEATED = 2
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class PredictedErrors:
     """Errors at positions.
 
     Attributes
@@ -125,7 +125,7 @@ class Predictor:
         offset = self.tables.machine.target_offset
         return unseen_columns(self.measured, self.not_seen, q, low, high, offset)
 
-    def at(self, q: Array) -> Evaluated:
+    def at(self, q: Array) -> PredictedErrors:
         """Evaluate at programmed axis positions (n, k), m and rad."""
         machine = self.tables.machine
         nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in machine.motions}
@@ -135,7 +135,7 @@ class Predictor:
             variance += growth_variance(self.tables, self.prior, q)
             variance += unseen_variance(self.unseen(q), self.prior, q)
         error = displacement(self.tables, q)
-        return Evaluated(error, np.sqrt(variance), inside(self.measured, self.driven, q))
+        return PredictedErrors(error, np.sqrt(variance), inside(self.measured, self.driven, q))
 
     def corrected(self, wanted: Array) -> Array:
         """Positions to command (n, 3), m, so that the target comes to the wanted ones."""

@@ -36,7 +36,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import lever, motion_influence, squareness_influence, turned
+from otf_core.model.kinematics import lever, motion_influence, squareness_influence, turn_arms
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
@@ -179,7 +179,7 @@ def unseen_columns(
             continue
         else:
             change = _lever_change(tables, motion.axis, q, low, high, offset)
-            columns = turned(motion.along, change)
+            columns = turn_arms(motion.along, change)
         if np.any(np.abs(columns) > NO_LEVER):
             columns_by_name[name] = columns
     return columns_by_name

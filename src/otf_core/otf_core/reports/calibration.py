@@ -41,11 +41,11 @@ from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.calibration_facts import (
     BudgetLine,
-    Facts,
+    CalibrationFacts,
     budget_lines,
     budget_to_dict,
-    expanded,
-    measured,
+    expanded_uncertainties,
+    measurement_dates,
 )
 from otf_core.reports.calibration_sections.error_motions import (
     motions_section,
@@ -102,7 +102,7 @@ from otf_core.reports.page import (
     place,
     sections_to_text,
 )
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 
 # Certificate of a calibration: two pages of A4 that a customer signs for and files.
 
@@ -117,7 +117,7 @@ NAMED_RECORDINGS = 3
 BETWEEN = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}
 
 
-def certificate_html(facts: Facts) -> str:
+def certificate_html(facts: CalibrationFacts) -> str:
     """Return the certificate as a page that prints on two sheets of A4."""
     number = facts.machine.stated.certificate.get('number')
     name = f'certificate {number}, ' if number else ''
@@ -131,7 +131,7 @@ def certificate_html(facts: Facts) -> str:
     return page_html(heading, sections)
 
 
-def _subject(facts: Facts) -> Section:
+def _subject(facts: CalibrationFacts) -> Section:
     stated, machine = facts.machine.stated, facts.machine
     ranges = ', '.join(
         f'{a} {1e3 * axis.min:g} to {1e3 * axis.max:g}' for a, axis in machine.axes.items()
@@ -148,7 +148,7 @@ def _subject(facts: Facts) -> Section:
         ('machine', f'{machine.name}, chain {machine.chain}'),
         ('calibrated volume', f'{ranges} mm'),
         ('target offset', '; '.join(dict.fromkeys(place(run.target_offset) for run in runs))),
-        ('measured', measured(facts.result.origin) or 'the stamps contain no date'),
+        ('measured', measurement_dates(facts.result.origin) or 'the stamps contain no date'),
     )
     own = stated.instrument
     instrument = [
@@ -175,7 +175,7 @@ def _subject(facts: Facts) -> Section:
     return Section('subject', '', tables=tables)
 
 
-def _volume(facts: Facts) -> Section:
+def _volume(facts: CalibrationFacts) -> Section:
     first = facts.result.headline
     rows = (
         ('as found', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
@@ -192,7 +192,7 @@ def _volume(facts: Facts) -> Section:
                    script=SCRIPT)  # fmt: skip
 
 
-def _errors(facts: Facts) -> Section:
+def _errors(facts: CalibrationFacts) -> Section:
     rows: list[tuple[Cell, ...]] = [_volume_limit(facts, name) for name in _volume_limits(facts)]
     rows += [_row(facts, one) for one in error_sizes(facts)]
     head = ('Error', 'Is', 'Value', 'U', 'Unit', 'Limit', 'State')
@@ -200,12 +200,12 @@ def _errors(facts: Facts) -> Section:
     return Section('certificate-errors', 'All 21 errors', tables=(table,))
 
 
-def _volume_limits(facts: Facts) -> list[str]:
+def _volume_limits(facts: CalibrationFacts) -> list[str]:
     limits = facts.machine.limits
     return [n for n in (VOLUMETRIC, UNCERTAINTY) if limits and n in limits.values]
 
 
-def _volume_limit(facts: Facts, name: str) -> tuple[Cell, ...]:
+def _volume_limit(facts: CalibrationFacts, name: str) -> tuple[Cell, ...]:
     verdict = facts.result.machine_verdict
     assert verdict is not None, 'limits are stated'
     one = next(j for j in verdict.judged if j.name == name)
@@ -215,7 +215,7 @@ def _volume_limit(facts: Facts, name: str) -> tuple[Cell, ...]:
             State(one.state, MOODS[one.state]))  # fmt: skip
 
 
-def _row(facts: Facts, one: ErrorSize) -> tuple[Cell, ...]:
+def _row(facts: CalibrationFacts, one: ErrorSize) -> tuple[Cell, ...]:
     limit: Cell = '' if one.limit is None else f'{1e6 * one.limit:g}'
     state: Cell = State(one.state, MOODS[one.state]) if one.state else ''
     if one.name in SQUARENESS:
@@ -234,7 +234,7 @@ def _row(facts: Facts, one: ErrorSize) -> tuple[Cell, ...]:
             limit, state)  # fmt: skip
 
 
-def _statement(facts: Facts) -> Section:
+def _statement(facts: CalibrationFacts) -> Section:
     first, about = facts.result.headline, facts.provenance
     words = [
         f'U is the expanded uncertainty by JCGM 100 (GUM): the combined standard uncertainty '
@@ -279,7 +279,7 @@ def _signatures() -> Section:
 # it for a reader), ``certificate.html`` (two pages for print, on request). With effects taken off:
 # ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
 
-SECTIONS: tuple[Callable[[Facts], Section | None], ...] = (
+SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
     overview_section,
     limits_section,
     motions_section,
@@ -311,13 +311,13 @@ PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
 
 
-def calibration_sections(facts: Facts) -> list[Section]:
+def calibration_sections(facts: CalibrationFacts) -> list[Section]:
     """All sections of one calibration; pictures are drawn when a page asks for them."""
     sections = (section(facts) for section in SECTIONS)
     return [section for section in sections if section is not None]
 
 
-def calibration_html(facts: Facts) -> str:
+def calibration_html(facts: CalibrationFacts) -> str:
     """Return the report as one page."""
     return page_html(heading(facts), calibration_sections(facts))
 
@@ -374,7 +374,7 @@ def _text_columns(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[str, Array
 
 
 def result_to_dict(
-    result: CalibrationResult, verb: str = 'calibrate', facts: Facts | None = None
+    result: CalibrationResult, verb: str = 'calibrate', facts: CalibrationFacts | None = None
 ) -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json.
 
@@ -382,7 +382,7 @@ def result_to_dict(
     """
     facts = facts or facts_of(result, verb)
     data, pose, lines = tables_to_dict(result.tables), result.T_machine_tracker, list(facts.lines)
-    for name, wide in expanded(result.tables, lines).items():
+    for name, wide in expanded_uncertainties(result.tables, lines).items():
         data['squareness' if name in SQUARENESS else 'motions'][name] |= wide
     data |= {
         'alignment': {
@@ -451,7 +451,7 @@ def _spacing_to_dict(result: CalibrationResult) -> dict[str, Any]:
 
 def _tidy_rows(result: CalibrationResult, budget: list[BudgetLine]) -> str:
     lines = ['motion,axis,position,value,unit,u,identifiable,U,k,U_with_typical,target_offset']
-    wide = expanded(result.tables, budget)
+    wide = expanded_uncertainties(result.tables, budget)
     for motion in MOTIONS:
         table = result.tables.motions[motion]
         known = table.node_identifiable
@@ -488,7 +488,7 @@ def _factor(k: float | None) -> str:
     return '' if k is None else repr(float(k))
 
 
-@in_one_thread
+@limit_to_one_thread
 def write_calibration(
     result: CalibrationResult,
     folder: str | Path,
@@ -498,7 +498,7 @@ def write_calibration(
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
-    facts: Facts | None = None,
+    facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write all files of a calibration, the most important first.
@@ -558,12 +558,12 @@ def write_calibration(
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
-def write_report(folder: Path, facts: Facts) -> None:
+def write_report(folder: Path, facts: CalibrationFacts) -> None:
     """Write report.html into a folder that is there; ConfigError if it cannot be written."""
     write_text(folder / REPORT_FILE, calibration_html(facts))
 
 
-def format_result(result: CalibrationResult, facts: Facts | None = None) -> str:
+def format_result(result: CalibrationResult, facts: CalibrationFacts | None = None) -> str:
     """Return summary.txt: a dozen lines, an empty one, then all numbers.
 
     ``facts`` are worked out if not given.
@@ -574,7 +574,7 @@ def format_result(result: CalibrationResult, facts: Facts | None = None) -> str:
 
 def facts_of(
     result: CalibrationResult, verb: str = 'calibrate', lines: Sequence[BudgetLine] | None = None
-) -> Facts:
+) -> CalibrationFacts:
     """What a report is made of; ``lines`` of the budget are worked out if not given."""
     about = provenance(
         verb,
@@ -583,7 +583,7 @@ def facts_of(
         coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
     )
     budget = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
-    return Facts(result, tuple(budget), about)
+    return CalibrationFacts(result, tuple(budget), about)
 
 
 def write_with_effects(

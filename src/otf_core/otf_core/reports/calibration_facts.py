@@ -26,7 +26,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import QUANTITIES
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import VolumetricError, table_places
-from otf_core.reports.page import Table, dof_words, listed, place, whole_dof
+from otf_core.reports.page import Table, dof_words, join_names, place, whole_dof
 from otf_core.threads import one_thread
 
 # The budget as data and as text: expanded uncertainties, sources, correlations.
@@ -105,7 +105,9 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
         return [*lines, _line(budget, GRID, 'm', budget.variances(free), components=3)]
 
 
-def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str, Any]]:
+def expanded_uncertainties(
+    tables: ErrorTables, lines: list[BudgetLine]
+) -> dict[str, dict[str, Any]]:
     """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
     values: dict[str, dict[str, Any]] = {}
     by_name = {line.name: line for line in lines}
@@ -211,7 +213,7 @@ def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) 
 
 
 @dataclass(frozen=True)
-class Facts:
+class CalibrationFacts:
     """A calibration, its budget and where it comes from.
 
     Attributes
@@ -277,7 +279,7 @@ class Facts:
 # Conditions and instrument of reports: what was driven, with what, what is not stated.
 
 
-def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
+def stated_tables(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
     """Tables of what machine.yaml states, and words about what it does not."""
     given = machine.stated
     instrument = [(words, given.instrument.get(key)) for key, words in INSTRUMENT.items()]
@@ -296,7 +298,7 @@ def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
     if not missing:
         return tables, ()
     sections = 'State it in the sections conditions and instrument of machine.yaml.'
-    return tables, (f'Not stated: {listed(missing)}. {sections}',)
+    return tables, (f'Not stated: {join_names(missing)}. {sections}',)
 
 
 def _specified(tracker: TrackerSpec) -> str:
@@ -307,7 +309,7 @@ def _specified(tracker: TrackerSpec) -> str:
     )
 
 
-def measured(origins: Iterable[Origin]) -> str:
+def measurement_dates(origins: Iterable[Origin]) -> str:
     """First and last stamp as dates, in words; empty if the stamps tell none."""
     dates = [moment(ns) for o in origins for ns in (o.first_ns, o.last_ns)]
     known = sorted(d for d in dates if d is not None)

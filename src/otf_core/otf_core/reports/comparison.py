@@ -26,12 +26,12 @@ from otf_core.reports.drawing.panel import (
     Key,
     Panel,
     Scale,
-    around,
     bars,
     heat_classes,
     heat_key,
     heat_step,
     heat_words,
+    scale_around,
     write_sheet,
 )
 from otf_core.reports.drawing.panel import words as svg_words
@@ -81,7 +81,7 @@ def motion_panel(
     rows = _reading_rows(comparison, motion, readings)
     reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
     reach += [e for _, middle, spread, _ in rows for e in (middle - spread, middle + spread)]
-    panel = Panel(_along(x, motion), around(np.concatenate(reach), f'{motion} ({unit})'))
+    panel = Panel(_along(x, motion), scale_around(np.concatenate(reach), f'{motion} ({unit})'))
     marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides]
     marks += [panel.line(x, v, kind) for v, _, kind in sides]
     for at, middle, spread, kind in rows:
@@ -98,7 +98,7 @@ def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
         return _empty_panel(motion, unit)
     value = 1e6 * pair.difference
     wide = 1e6 * COVERAGE_FACTOR * np.hypot(pair.u_a, pair.u_b)
-    scale = around(np.concatenate([value, wide, -wide]), f'b - a ({unit})')
+    scale = scale_around(np.concatenate([value, wide, -wide]), f'b - a ({unit})')
     x = 1e3 * pair.position
     panel = Panel(_along(x, motion), scale)
     marks = [panel.band(x, -wide, wide, 'noise band'), panel.level(0.0, 'soft'),
@@ -196,7 +196,7 @@ def difference_histogram(values: Array, reach: float, axis: str) -> str:
     share = 100.0 * np.histogram(values, edges)[0] / len(values)
     panel = Panel(
         Scale(-1.02 * reach, 1.02 * reach, f'b - a along {axis} (µm)'),
-        around(share, 'share of points (%)', zero=True),
+        scale_around(share, 'share of points (%)', zero=True),
     )
     heading = f'along {axis}: standard deviation {values.std():.2f} µm'
     marks = [panel.columns(edges, share, 'noise')]

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.result import AxisEffects, Diagnosis
 from otf_core.effects.effects_yaml import write_effects
@@ -35,7 +35,7 @@ from otf_core.reports.gap_sections.residual_views import (
     travel_section,
 )
 from otf_core.reports.page import Section, page_html, sections_to_text
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 
 SECTIONS: tuple[Callable[[Diagnosis], Section], ...] = (
     overview_section,
@@ -111,7 +111,7 @@ def effects_file(run: int) -> str:
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
-@in_one_thread
+@limit_to_one_thread
 def write_diagnosis(
     diagnosis: Diagnosis, folder: str | Path, report: str = REPORT_FILE
 ) -> list[Path]:
@@ -149,7 +149,7 @@ def write_diagnosis(
         else:
             write_text(folder / name, report_html(diagnosis))
 
-    shared_out(write, [report, *tables])
+    share_out(write, [report, *tables])
     content = diagnosis_to_dict(diagnosis)
     write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
     return [*written, folder / report, folder / 'gap.json']

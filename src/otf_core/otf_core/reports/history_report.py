@@ -15,7 +15,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.files.writing import write_text
-from otf_core.history.control_chart import Change, Due, History, Standing, Step
+from otf_core.history.control_chart import Change, DueDate, History, MachineStatus, Step
 from otf_core.history.store import StoredEvent
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
@@ -26,7 +26,7 @@ from otf_core.model.expanded import (
 )
 from otf_core.model.motions import unit_of
 from otf_core.prediction.absorbed import OffsetBound
-from otf_core.reports.drawing.panel import Panel, around, dates
+from otf_core.reports.drawing.panel import Panel, dates, scale_around
 from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, page_html
 
 SCHEMA = 'otf-history/1'
@@ -37,7 +37,7 @@ NAMED_MOTIONS = 6
 """Motions named in a line."""
 MONTH, YEAR = 30.0, 365.25
 """days; rates are stated per year where the runs span one, else per month."""
-BADGE = {Standing.STEADY: 'good'}
+BADGE = {MachineStatus.STEADY: 'good'}
 """Classes of badges; all other states are open questions."""
 
 
@@ -229,18 +229,18 @@ def state_words(history: History) -> str:
             f'{history.standing.value.capitalize()}: {change}. Drift cannot be assessed yet: '
             f'one run since then.'
         )
-    if history.standing is Standing.BENT:
+    if history.standing is MachineStatus.BENT:
         return (
             f'Not linear: a straight line does not describe {_most(drift.bent)} over the '
             f'{drift.runs} runs {since}. Last change: {change}{_pace(history)}.'
         )
     days, name = _period(history)
-    if history.standing is Standing.DRIFT:
+    if history.standing is MachineStatus.DRIFT:
         return (
             f'Drifts by {_pair(drift.volume, drift.u_volume, days)} {name} in the volume (95 %) '
             f'{since}, {drift.runs} runs. Last change: {change}.'
         )
-    if history.standing is Standing.CHANGED:
+    if history.standing is MachineStatus.CHANGED:
         words = (
             'two runs cannot distinguish a drift from a jump'
             if drift.runs < 3
@@ -278,7 +278,7 @@ def drift_words(history: History) -> list[str]:
     return [*lines, *([] if due is None else [_due_words(history, due)])]
 
 
-def _due_words(history: History, due: Due) -> str:
+def _due_words(history: History, due: DueDate) -> str:
     """When to calibrate again."""
     earliest, limit = _date(history, due.earliest), f'{1e6 * due.limit:.2f} um mean drift'
     if due.withheld:
@@ -320,7 +320,9 @@ def _chart(
     unit = 'um' if 'volum' in name or unit_of(name) == 'm' else 'urad'
     panel = Panel(
         dates(runs[0].at, max([runs[-1].at, *(e.at for e in history.events)])),
-        around(np.concatenate([size, *band]), unit.replace('u', '\N{MICRO SIGN}', 1), zero=True),
+        scale_around(
+            np.concatenate([size, *band]), unit.replace('u', '\N{MICRO SIGN}', 1), zero=True
+        ),
     )
     flagged = np.array([c.significant for c in changes])
     ends = [0, *(s.after for s in history.steps if s.events), len(runs)]
@@ -426,7 +428,7 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
     ]
 
 
-def _stated(history: History) -> tuple[float, str] | None:
+def _stated_uncertainty(history: History) -> tuple[float, str] | None:
     """Mean expanded uncertainty that the latest tables state first, m, and of what kind it is."""
     head = history.series.runs[-1].content.extra.get('headline')
     if not isinstance(head, dict):
@@ -445,7 +447,7 @@ def _offset_words(history: History) -> list[str]:
 
 def _undeclared(history: History) -> list[str]:
     """What the uncertainties leave out, where the latest tables do not declare all of it."""
-    stated = _stated(history)
+    stated = _stated_uncertainty(history)
     if stated is None or stated[1] == 'declared':
         return []
     share = micro_significant(math.sqrt(2.0) * stated[0])
@@ -459,7 +461,7 @@ def _undeclared(history: History) -> list[str]:
 
 def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:
     """Numbers of one machine: error, last change, next calibration."""
-    stated = _stated(history)
+    stated = _stated_uncertainty(history)
     error, remark = float(history.error[-1]), 'mean in the volume'
     shown = f'{1e6 * error:.1f} um'
     if stated is not None:
@@ -485,8 +487,8 @@ def _heading(histories: Sequence[History]) -> Heading:
         state, sentence = histories[0].standing, state_words(histories[0])
         title = f'History of {histories[0].machine}'
     else:
-        named = {s: [h.machine for h in histories if h.standing is s] for s in Standing}
-        state = max((s for s in Standing if named[s]), key=list(Standing).index)
+        named = {s: [h.machine for h in histories if h.standing is s] for s in MachineStatus}
+        state = max((s for s in MachineStatus if named[s]), key=list(MachineStatus).index)
         sentence = '; '.join(f'{s.value}: {", ".join(m)}' for s, m in named.items() if m) + '.'
         title = f'History of {len(histories)} machines'
     badge = State(state.value, BADGE.get(state, 'open'))

@@ -50,7 +50,7 @@ def millimetres(value: float) -> str:
     return f'{tidy(round(1e3 * value, 1)):g}'
 
 
-def listed(names: Iterable[str]) -> str:
+def join_names(names: Iterable[str]) -> str:
     """Names with commas and a last 'and'."""
     texts = list(names)
     return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)

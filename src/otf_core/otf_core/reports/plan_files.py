@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.calibration_result import Expected
+from otf_core.calibration.calibration_result import ExpectedRemainder
 from otf_core.files.writing import tidy, write_csv, write_text
 from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
@@ -46,7 +46,7 @@ from otf_core.reports.page import (
     Section,
     State,
     Table,
-    listed,
+    join_names,
     millimetres,
     page_html,
     place,
@@ -134,12 +134,12 @@ def plan_html(report: PlanReport, date: str) -> str:
     return page_html(_plan_heading(report, date), [s for s in sections if s is not None])
 
 
-def _expected_volume(report: PlanReport) -> Expected:
+def _expected_volume(report: PlanReport) -> ExpectedRemainder:
     """What a calibration from this plan would state first; of noise alone if no more is known."""
     if report.systematic is not None:
         return report.systematic.expected
     noise = length_sizes(COVERAGE_FACTOR * np.linalg.norm(report.forecast.grid_u_free, axis=1))
-    return Expected(noise, noise, COVERAGE_FACTOR, (), nothing_declared=True)
+    return ExpectedRemainder(noise, noise, COVERAGE_FACTOR, (), nothing_declared=True)
 
 
 def _plan_heading(report: PlanReport, date: str) -> Heading:
@@ -244,7 +244,7 @@ def _effects_section(report: PlanReport) -> Section | None:
         for e in report.effects
     )
     hidden = [e.effect.replace('_', ' ') for e in report.effects if not e.data.get('visible')]
-    words = (f'Not shown by this path: {listed(hidden)}.',) if hidden else ()
+    words = (f'Not shown by this path: {join_names(hidden)}.',) if hidden else ()
     table = Table(('Effect', 'Smallest size that a diagnosis would find'), rows, stacked=True)
     return Section('effects', 'Effects beyond the rigid body', words, tables=(table,))
 

@@ -24,7 +24,7 @@ from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.reports.calibration_sections.error_motions import squareness_words
-from otf_core.reports.drawing.panel import Panel, Scale, around, polyline, svg
+from otf_core.reports.drawing.panel import Panel, Scale, polyline, scale_around, svg
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import (
     Heading,
@@ -35,9 +35,9 @@ from otf_core.reports.page import (
     page_html,
     sections_to_text,
 )
-from otf_core.rotary.calibrate import AxisCalibration, first_pose
-from otf_core.rotary.reversal import CONSTANT, NONE
-from otf_core.rotary.tabulation import evenly_spread, without_rigid
+from otf_core.rotary.axis_calibration import AxisCalibration, first_pose
+from otf_core.rotary.axis_reversal import CONSTANT, NONE
+from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 
 GAUGE = (
     'linear axes: positioning and rotations zero at axis position 0, else at the minimum, '
@@ -99,7 +99,7 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'verdicts': verdicts_of(result).to_dict(),
         'volumetric_error': volume_sizes(result),
         'config': asdict(result.config),
-        'provenance': about(result),
+        'provenance': provenance_to_dict(result),
     }
     return data
 
@@ -131,7 +131,7 @@ def verdicts_of(result: AxisCalibration) -> Verdicts:
     return Verdicts(result.failed_gates, machine)
 
 
-def about(result: AxisCalibration) -> dict[str, Any]:
+def provenance_to_dict(result: AxisCalibration) -> dict[str, Any]:
     """The block ``provenance``."""
     return provenance('calibrate', method=result.method, runs=result.origin, coverage=STANDARD)
 
@@ -139,7 +139,7 @@ def about(result: AxisCalibration) -> dict[str, Any]:
 def volume_sizes(result: AxisCalibration) -> dict[str, Any]:
     """Size of the error vectors over the driven ranges, m, the best rigid motion taken out."""
     q = evenly_spread(*result.driven, count=2000)
-    field = without_rigid(result.machine, q, displacement(result.tables, q).reshape(-1, 1))
+    field = remove_rigid_motions(result.machine, q, displacement(result.tables, q).reshape(-1, 1))
     length = np.linalg.norm(field.reshape(-1, 3), axis=1)
     return {
         'points': len(q),
@@ -320,7 +320,7 @@ def _panel(result: AxisCalibration, motion: ErrorMotion) -> str:
             marks, f'{motion}: not identifiable', str(motion)
         )
     y, wide = 1e6 * table.value, COVERAGE_FACTOR * 1e6 * table.u
-    panel = Panel(along, around(np.concatenate([y - wide, y + wide]), label))
+    panel = Panel(along, scale_around(np.concatenate([y - wide, y + wide]), label))
     marks = [panel.band(x, y - wide, y + wide, 'after band')]
     if panel.y.low < 0 < panel.y.high:
         marks.append(panel.level(0.0, 'soft'))
@@ -410,7 +410,7 @@ def _volume(result: AxisCalibration) -> Section:
     inner = evenly_spread(low, high, count=60)
     everywhere = np.concatenate([_with(inner, columns, cell) for cell in cells])
     field = displacement(result.tables, everywhere).reshape(-1, 1)
-    free = without_rigid(result.machine, everywhere, field).reshape(len(cells), -1, 3)
+    free = remove_rigid_motions(result.machine, everywhere, field).reshape(len(cells), -1, 3)
     sizes = 1e6 * np.linalg.norm(free, axis=2).mean(axis=1)
     first = [f'{DEGREES * v:.0f}' for v in ends[0]]
     if len(names) == 1:

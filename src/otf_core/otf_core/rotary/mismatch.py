@@ -18,7 +18,7 @@ from otf_core.errors import InputError, OtfError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import TABLE, Chain, Machine
 from otf_core.model.observation import Samples
-from otf_core.rotary.matching import Matched, match
+from otf_core.rotary.curve_matching import MatchedRun, match
 
 SUSPECT = 2.5e-4
 """m; median distance of a part from its curve, after the rough fit, above which others are tried:
@@ -35,7 +35,7 @@ TILT = 3e-3
 """rad; the same of its direction."""
 
 
-def check_matched(samples: Samples, matched: Matched, paths: Sequence[AxisPath]) -> list[str]:
+def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath]) -> list[str]:
     """Refuse what does not fit and say why; return what is to be noted.
 
     Raises
@@ -58,7 +58,7 @@ def check_matched(samples: Samples, matched: Matched, paths: Sequence[AxisPath])
     return _notes(matched)
 
 
-def _explained(samples: Samples, matched: Matched, paths: Sequence[AxisPath]) -> str:
+def _explained(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath]) -> str:
     """Words on the change under which the track fits far better; empty if there is none."""
     given = max(matched.distance)
     best, words = BETTER * given, ''
@@ -125,7 +125,7 @@ def _other_orders(
         )
 
 
-def _moved_tracker(samples: Samples, matched: Matched, given: float) -> str:
+def _moved_tracker(samples: Samples, matched: MatchedRun, given: float) -> str:
     """Words where parts fit one by one, but not with one pose of the tracker."""
     poses = []
     for part in matched.parts:
@@ -149,7 +149,7 @@ def _moved_tracker(samples: Samples, matched: Matched, given: float) -> str:
     )
 
 
-def _check_names(matched: Matched) -> None:
+def _check_names(matched: MatchedRun) -> None:
     """Refuse names of targets that lie where others are stated."""
     machine = matched.machine
     seen = {p.path.target for p in matched.parts if machine.targets[p.path.target].link == TABLE}
@@ -168,7 +168,7 @@ def _check_names(matched: Matched) -> None:
             )
 
 
-def _notes(matched: Matched) -> list[str]:
+def _notes(matched: MatchedRun) -> list[str]:
     notes = []
     for name in sorted({p.path.target for p in matched.parts}):
         target = matched.machine.targets[name]

@@ -25,7 +25,7 @@ from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.standstill import find_standstills
 from otf_core.pieces.pieces import outlying
-from otf_core.rotary.matching import Matched, closest
+from otf_core.rotary.curve_matching import MatchedRun, closest
 from otf_core.rotary.track import Curve
 
 LEVER = 0.2
@@ -159,7 +159,7 @@ class _Reach:
 
 def reduce_to_pieces(
     samples: Samples,
-    matched: Matched,
+    matched: MatchedRun,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     tables: ErrorTables | None = None,
@@ -182,10 +182,10 @@ def reduce_to_pieces(
     reduced = [f for f in tried if f is not None]
     if not reduced:
         raise InputError('no sample is left on the path away from its corners')
-    return joined(samples, reduced)
+    return join_parts(samples, reduced)
 
 
-def joined(samples: Samples, parts: Sequence[AxisPieces]) -> AxisPieces:
+def join_parts(samples: Samples, parts: Sequence[AxisPieces]) -> AxisPieces:
     """Pieces of several parts as one, legs and stretches numbered through."""
     legs = np.cumsum([0, *(f.leg.max() + 1 for f in parts)])
     stretches = np.cumsum([0, *(f.stretch.max() + 1 for f in parts)])
@@ -208,7 +208,7 @@ def joined(samples: Samples, parts: Sequence[AxisPieces]) -> AxisPieces:
 
 def _of_part(
     samples: Samples,
-    matched: Matched,
+    matched: MatchedRun,
     number: int,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
@@ -277,7 +277,7 @@ def _away_from_corners(
 
 def _averaged(
     samples: Samples,
-    matched: Matched,
+    matched: MatchedRun,
     number: int,
     line: _Line,
     reach: _Reach,
@@ -362,7 +362,9 @@ def _shared(stretch: Index, time: Array) -> Index:
     return np.asarray(np.cumsum(new | (place % TOGETHER == 0)) - 1)
 
 
-def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfig) -> AxisPieces:
+def reduce_to_stops(
+    samples: Samples, matched: MatchedRun, config: CalibrationConfig
+) -> AxisPieces:
     """Average the stops at the corners.
 
     Raises
@@ -379,7 +381,7 @@ def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfi
                 f'use the method otf for a run without stops'
             )
         parts.append(one)
-    return joined(samples, parts)
+    return join_parts(samples, parts)
 
 
 def at_stops(samples: Samples, config: CalibrationConfig) -> Index:
@@ -393,7 +395,7 @@ def at_stops(samples: Samples, config: CalibrationConfig) -> Index:
 
 
 def _stops_of_part(
-    samples: Samples, matched: Matched, number: int, config: CalibrationConfig
+    samples: Samples, matched: MatchedRun, number: int, config: CalibrationConfig
 ) -> AxisPieces | None:
     part = matched.parts[number]
     positions, sight = part.path.positions, matched.sight(part.path.target)
@@ -439,6 +441,6 @@ def _stops_of_part(
     )
 
 
-def moved(pieces: AxisPieces, pose: RigidTransform) -> Array:
+def points_in_link(pieces: AxisPieces, pose: RigidTransform) -> Array:
     """Measured points of pieces in the frame of the tracker's link, shape (p, 3), m."""
     return pose.apply(pieces.xyz)

@@ -15,9 +15,9 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.model.machine import TABLE
+from otf_core.rotary.axis_solution import SolvedAxisRun
+from otf_core.rotary.axis_unknowns import place_block
 from otf_core.rotary.rows import AxisRun
-from otf_core.rotary.solution import SolvedAxisRun
-from otf_core.rotary.unknowns import place_block
 
 SIGNIFICANT = 6.0
 """Standard uncertainties of a difference that count."""
@@ -25,7 +25,7 @@ LEAST = 4e-6
 """m; smaller differences do not matter beside the places of reflectors themselves."""
 
 
-def reseated(solved: SolvedAxisRun) -> list[str]:
+def find_reseated(solved: SolvedAxisRun) -> list[str]:
     """Words on targets whose place differs from part to part of a run."""
     messages = []
     for name, parts in _repeated(solved.run):

@@ -18,13 +18,13 @@ from scipy import sparse
 from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
-from otf_core.model.joints import Seen, Sight
+from otf_core.model.joints import ReflectorView, Sight
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import beam_shares, path_frame
-from otf_core.rotary.matching import Part, sight_at
+from otf_core.rotary.axis_unknowns import lag_block, place_block
+from otf_core.rotary.curve_matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
-from otf_core.rotary.unknowns import lag_block, place_block
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
 
 BLOCK = 2000
@@ -294,7 +294,9 @@ def _add_motions(
                 known.append((whole, weight))
 
 
-def _along(seen: Seen, pieces: AxisPieces, own: NDArray[np.bool_], wanted: Array) -> Array:
+def _along(
+    seen: ReflectorView, pieces: AxisPieces, own: NDArray[np.bool_], wanted: Array
+) -> Array:
     """Change of the axis positions (m, k) that takes the nominal points along their curves."""
     speed = np.einsum('nij,nj->ni', seen.velocity, pieces.step[own])
     size = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)

@@ -12,9 +12,9 @@ from otf_core.errors import InputError
 from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.matching import BREAK, match, sight_at, with_lines
+from otf_core.rotary.curve_matching import BREAK, apply_location_errors, match, sight_at
 from otf_core.rotary.track import Curve, Track
-from otf_core.threads import in_one_thread
+from otf_core.threads import limit_to_one_thread
 from otf_core.tracking.path_watch import PathWatcher
 
 BREAK_NS = int(BREAK * 1e9)
@@ -77,7 +77,7 @@ class PartsWatcher(PathWatcher):
         """Whether the beam was broken often enough for the last part to be driven."""
         return self._breaks >= len(self._track.parts) - 1
 
-    @in_one_thread
+    @limit_to_one_thread
     def look(self, samples: Samples) -> PartsDriven | None:  # type: ignore[override]
         """Tell whether the samples follow all parts to the end of the last; None if they do not.
 
@@ -89,7 +89,7 @@ class PartsWatcher(PathWatcher):
         except InputError:
             return None
         last = matched.parts[-1]
-        actual = with_lines(track.machine, matched.location)
+        actual = apply_location_errors(track.machine, matched.location)
         sight = sight_at(actual, last.path.target, matched.places)
         curve = Curve.of(sight, last.path.positions)
         driven = Track.of(samples, last.first, last.last).length

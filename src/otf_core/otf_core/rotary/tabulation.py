@@ -26,7 +26,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.nodes import hat_matrix, table_nodes
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
-from otf_core.rotary.solution import AxisSolution
+from otf_core.rotary.axis_solution import AxisSolution
 from otf_core.solving.solution import Positive, free_columns, smoothness
 from otf_core.solving.tabulate import projection
 from otf_core.solving.unknowns import linear, reference_position
@@ -145,10 +145,10 @@ def field_rows(machine: Machine, nodes: Mapping[str, Array], q: Array) -> Array:
     from otf_core.prediction.uncertainty import prediction_rows
 
     rows = prediction_rows(machine, {m: nodes[m.axis] for m in machine.motions}, q)
-    return without_rigid(machine, q, rows.reshape(-1, rows.shape[2]))
+    return remove_rigid_motions(machine, q, rows.reshape(-1, rows.shape[2]))
 
 
-def without_rigid(machine: Machine, q: Array, rows: Array) -> Array:
+def remove_rigid_motions(machine: Machine, q: Array, rows: Array) -> Array:
     """Take the rigid motions of the table out of columns (3 n, m) of errors at q (n, k)."""
     points = Sight.of_tool(machine).nominal(q)
     basis = np.linalg.qr(rigid_columns(points).reshape(-1, 6))[0]
@@ -191,7 +191,7 @@ def tabulate(machine: Machine, joint: AxisSolution, driven: tuple[Array, Array],
     assert best is not None
     fraction, nodes, rows, value, spread, grid_u, cost = best
     spread = spread + np.diag(_straight(joint, nodes, spread))
-    seen = determined(joint, rows, limit)
+    seen = determined_combinations(joint, rows, limit)
     return _assembled(machine, nodes, value, spread, seen, fraction, grid_u)
 
 
@@ -212,7 +212,7 @@ def _straight(joint: AxisSolution, nodes: Mapping[str, Array], covariance: Array
     return np.concatenate(parts) * (np.diag(covariance) > 0.0)
 
 
-def determined(joint: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool_]:
+def determined_combinations(joint: AxisSolution, rows: Array, limit: float) -> NDArray[np.bool_]:
     """Which combinations (m, full) the data determine without what is assumed of smoothness."""
     unknowns = joint.unknowns
     use = free_columns(unknowns, joint.solution.accepted)

@@ -140,7 +140,7 @@ def by_length(track: Track, curve: Curve) -> Array:
     return track.reach * (share if 0.9 < share < 1.1 else 1.0)
 
 
-def follow(track: Track, curve: Curve, points: Array, band: float, start: Array) -> Array:
+def assign_places(track: Track, curve: Curve, points: Array, band: float, start: Array) -> Array:
     """Assign places of a track to places of a curve, in order.
 
     Parameters

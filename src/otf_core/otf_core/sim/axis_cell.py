@@ -26,7 +26,7 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.tables import ErrorTables
 from otf_core.sim.cell import EPOCH_NS, MOST_SAMPLES, random_tables
-from otf_core.sim.effects import changed_noise, displaced
+from otf_core.sim.effects import changed_noise, total_displacement
 from otf_core.sim.tracker import measure, place_tracker, specified_noise
 
 BROKEN_BEAM = 4.0
@@ -246,7 +246,7 @@ class _Moving:
             self.truth,
             self.length,
         )
-        return displaced(state, effects)
+        return total_displacement(state, effects)
 
 
 def usual_parts(machine: Machine) -> tuple[AxisPath, ...]:

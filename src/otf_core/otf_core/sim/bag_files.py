@@ -20,8 +20,8 @@ from otf_core.files.output_folder import (
     MANIFEST,
     OutputFile,
     OutputFolder,
-    is_as_listed,
-    listed,
+    is_unchanged,
+    listed_files,
     write_manifest,
 )
 from otf_core.model.plan import Plan
@@ -57,7 +57,10 @@ class SimulatedBag:
             for p in (self._path, *map(self._sibling, (TABLES_FILE, SIMULATION_FILE)))
         ]
         OutputFile(
-            self._sibling(MANIFEST), lambda p: bool(listed(p)), overwrite=overwrite, inputs=inputs
+            self._sibling(MANIFEST),
+            lambda p: bool(listed_files(p)),
+            overwrite=overwrite,
+            inputs=inputs,
         )
 
     def _sibling(self, name: str) -> Path:
@@ -65,8 +68,8 @@ class SimulatedBag:
 
     def _is_ours(self, path: Path) -> bool:
         manifest = self._sibling(MANIFEST)
-        known = {p.resolve(): digest for p, digest in listed(manifest).items()}
-        return is_as_listed(path, known)
+        known = {p.resolve(): digest for p, digest in listed_files(manifest).items()}
+        return is_unchanged(path, known)
 
     def write(
         self,

@@ -24,9 +24,9 @@ from otf_core.model.plan import Plan
 from otf_core.model.signals import Signal
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.sim.drive import Drive
-from otf_core.sim.effects import changed_noise, displaced, run_state
+from otf_core.sim.effects import changed_noise, run_state, total_displacement
 from otf_core.sim.simulated_signals import signal_courses, simulated_signals
-from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
+from otf_core.sim.tracker import draw_received, measure, place_tracker, specified_noise
 
 EPOCH_NS = 1_700_000_000_000_000_000
 """ns; start of the simulated tracker clock, arbitrary."""
@@ -139,13 +139,13 @@ def simulate(
         pose = RigidTransform(rotation.T, place)
         beside = signal_courses(signals, EPOCH_NS, clock)
         state = run_state(machine, plan, drive, time, clock, pose, truth, beside)
-        position = position + displaced(state, effects)
+        position = position + total_displacement(state, effects)
     noise = changed_noise(specified_noise(machine, config), effects)
     xyz = measure((position - place) @ rotation.T, noise, config.rate, rngs[2])
     if config.resolution:
         xyz = np.rint(xyz / config.resolution) * config.resolution
     stamp_ns = EPOCH_NS + np.rint(clock * 1e9).astype(np.int64)
     if config.packet_loss:
-        arrived = received(time, config.packet_loss, rngs[3])
+        arrived = draw_received(time, config.packet_loss, rngs[3])
         stamp_ns, xyz = stamp_ns[arrived], xyz[arrived]
     return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place, signals)

@@ -87,7 +87,7 @@ def run_state(
     )
 
 
-def displaced(state: State, effects: Sequence[AppliedEffect]) -> Array:
+def total_displacement(state: State, effects: Sequence[AppliedEffect]) -> Array:
     """Sum of the displacements, shape (n, 3), m.
 
     Raises

@@ -18,7 +18,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import HEAD, PLAIN, USUAL, SignalSpec
 from otf_core.model.machine import Machine
-from otf_core.model.signals import Signal, lagged
+from otf_core.model.signals import Signal, first_order_response
 
 STEP = 1.0
 """s; between messages."""
@@ -59,7 +59,7 @@ def simulated_signals(
     for wanted, spec in specs.items():
         course = _load(time / max(duration, STEP), rng)
         if spec.type in RANGES:
-            course = lagged(time, course, FOLLOWS * duration)
+            course = first_order_response(time, course, FOLLOWS * duration)
         low, high = ranges.get(wanted) or RANGES.get(spec.type, (0.0, 1.0))
         signals[spec] = Signal(stamps, low + (high - low) * course)
     return signals

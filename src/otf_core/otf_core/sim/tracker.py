@@ -34,7 +34,7 @@ def _white(rng: np.random.Generator, n: int, dof: float | None) -> Array:
     return np.asarray(rng.standard_t(dof, n) * math.sqrt((dof - 2.0) / dof))
 
 
-def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) -> Array:
+def draw_noise(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) -> Array:
     """Draw noise: white part plus first-order Gauss-Markov part.
 
     Parameters
@@ -59,7 +59,7 @@ def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) 
 def measure(xyz: Array, noise: NoiseModel, rate: float, rng: np.random.Generator) -> Array:
     """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
     distance, along, horizontal, vertical = beam_frame(xyz)
-    off_range, off_azimuth, off_elevation = (drawn(c, rng, len(xyz), rate) for c in noise)
+    off_range, off_azimuth, off_elevation = (draw_noise(c, rng, len(xyz), rate) for c in noise)
     return np.asarray(
         xyz
         + along * off_range[:, None]
@@ -68,7 +68,7 @@ def measure(xyz: Array, noise: NoiseModel, rate: float, rng: np.random.Generator
     )
 
 
-def received(time: Array, loss: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+def draw_received(time: Array, loss: float, rng: np.random.Generator) -> NDArray[np.bool_]:
     """Draw which samples arrive: those of whole packets are lost together.
 
     Parameters

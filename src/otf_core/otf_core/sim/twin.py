@@ -17,7 +17,7 @@ from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.departure import as_simulated
+from otf_core.noise.departure import simulated_noise
 from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
 from otf_core.tracking.matching import OFF_PATH
@@ -46,7 +46,7 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     along = np.clip(legs.along(pose.apply(samples.xyz[on]), leg), 0.0, legs.length[leg])
     q = legs.at(along, leg)
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
-    noise = as_simulated(run.noise, run.machine.tracker)
+    noise = simulated_noise(run.noise, run.machine.tracker)
     rate = float(np.clip(1.0 / max(samples.step, 1e-9), 1.0, 5000.0))
     xyz = measure(true_points, noise, rate, np.random.default_rng([seed, 7]))
     return replace(run.recording, samples=Samples(samples.stamp_ns[on], xyz))

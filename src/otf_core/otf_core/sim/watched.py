@@ -17,7 +17,7 @@ from otf_core.sim.cell import EPOCH_NS
 from otf_core.sim.tracker import measure, specified_noise
 
 
-def watched(
+def sample_moving_target(
     time: Array,
     position: Array,
     T_machine_tracker: RigidTransform,

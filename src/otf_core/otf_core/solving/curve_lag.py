@@ -20,7 +20,7 @@ import numpy as np
 from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.model_choice import ReversalSolution
-from otf_core.solving.sensitivity import ROUNDING, across, beside_tables
+from otf_core.solving.sensitivity import ROUNDING, beside_tables, components_across
 
 MIN_SIGNIFICANCE = 6.0
 """Standard deviations; curves share slow noise, so that these are somewhat too small."""
@@ -41,7 +41,7 @@ def lags(runs: Sequence[Observed], joint: JointSolution) -> list[tuple[float, fl
     columns = [np.zeros((*s.system.deviation.shape, len(runs))) for s in joint.runs]
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         if len(run.pieces.bend):
-            columns[k][..., k : k + 1] = across(solved, run.pieces.bend[:, :, None])
+            columns[k][..., k : k + 1] = components_across(solved, run.pieces.bend[:, :, None])
     products, estimates = beside_tables(joint, columns), []
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         own = float(products.normal[k, k])

@@ -120,7 +120,7 @@ class ReversalPart:
         return replace(self, weight=self.weight[place], lever=self.lever[place])
 
 
-def crossed(one: Array, other: Array) -> Array:
+def cross_product(one: Array, other: Array) -> Array:
     """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
     a, b, c = one[..., 0], one[..., 1], one[..., 2]
     x, y, z = other[..., 0], other[..., 1], other[..., 2]
@@ -130,7 +130,7 @@ def crossed(one: Array, other: Array) -> Array:
     return product
 
 
-def turned_by(arms: Array, forces: Array) -> Array:
+def cross_with_each(arms: Array, forces: Array) -> Array:
     """Vector products of arms (p, 3) with k forces each, shape (p, 3, k)."""
     x, y, z = (arms[:, i, None] for i in range(3))
     product = np.empty_like(forces)
@@ -140,7 +140,7 @@ def turned_by(arms: Array, forces: Array) -> Array:
     return product
 
 
-def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
+def group_by_support(parts: Sequence[AxisPart]) -> list[AxisPart]:
     """Parts of one axis at all shifts, each with all the splines that any of them reaches."""
     first = np.minimum.reduce([part.first for part in parts])
     width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
@@ -159,8 +159,8 @@ def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
 def six_motions(direction: Array, arm: Array) -> Array:
     """Rows (p, 6, 1 or n) of three translations and three rotations along directions (p, 3)."""
     if arm.ndim == 2:
-        return np.concatenate([direction, crossed(arm, direction)], axis=1)[:, :, None]
-    turned = np.swapaxes(crossed(arm, direction[:, None, :]), 1, 2)
+        return np.concatenate([direction, cross_product(arm, direction)], axis=1)[:, :, None]
+    turned = np.swapaxes(cross_product(arm, direction[:, None, :]), 1, 2)
     moved = np.broadcast_to(direction[:, :, None], turned.shape)
     return np.concatenate([moved, turned], axis=1)
 
@@ -227,7 +227,7 @@ class Design:
         places = self._positions(pieces)
         axes = ([self._part(k, q) for q in places] for k in range(3))
         # splines at all shifts are the same ones in most pieces, so that rows are filled once
-        moved = [parts if len(parts) == 1 else reaching_alike(parts) for parts in axes]
+        moved = [parts if len(parts) == 1 else group_by_support(parts) for parts in axes]
         return [*moved, *self._reversed(places, pieces)]
 
     def _positions(self, pieces: Index | slice) -> list[Array]:
@@ -303,7 +303,7 @@ class Design:
         """Places (k,) and rows (c, m, k) of pose and squareness."""
         axes = self.axes[:, pieces]
         # a . (dr x p) = dr . (p x a)
-        rows = [-axes, -crossed(self.points[pieces], axes), self.squareness_rows(pieces)]
+        rows = [-axes, -cross_product(self.points[pieces], axes), self.squareness_rows(pieces)]
         return np.concatenate([self._pose, self._angles]), np.concatenate(rows, axis=2)
 
     def released(self) -> Design:
@@ -418,7 +418,7 @@ class Design:
         if value.ndim > 1:
             return np.stack([self.times(v) for v in value.T], axis=2)
         moved, angles = value[self._pose], value[self._angles]
-        total = -moved[:3] - crossed(moved[3:], self.points)
+        total = -moved[:3] - cross_product(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
         for some in self._blocks(
@@ -427,7 +427,7 @@ class Design:
             for part in chain.from_iterable(self._at(some)):
                 six = part.splines @ (value[part.places] / len(self.shifts))
                 total[some] += six[:, :3]
-                total[some] += crossed(six[:, 3:], part.lever)
+                total[some] += cross_product(six[:, 3:], part.lever)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
     def transposed(self, rows: Array) -> Array:
@@ -448,14 +448,14 @@ class Design:
         """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
         wide = rows.shape[2]
         q, pull = self.q[some], np.einsum('cpi,cpk->pik', self.axes[:, some], rows)
-        turned = turned_by(self.points[some], pull)
+        turned = cross_with_each(self.points[some], pull)
         total[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)])
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
             total[place] += squareness_influence(name, q).reshape(-1) @ pull.reshape(-1, wide)
         six = np.empty((len(q), 6, wide))
         six[:, :3] = pull
         for part in chain.from_iterable(self._at(some)):
-            six[:, 3:] = turned_by(part.lever, pull)
+            six[:, 3:] = cross_with_each(part.lever, pull)
             own = part.splines.T @ six.reshape(len(six), -1)
             total[part.places] += own.reshape(len(own), 6, wide) / len(self.shifts)
 

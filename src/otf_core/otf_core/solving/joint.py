@@ -45,11 +45,11 @@ from otf_core.noise.noise_model import (
     WHITE,
     NoiseModel,
     Windows,
+    add_to_diagonal,
     covariance_parts,
     misfit_of,
     noise_covariance,
-    scaled,
-    with_diagonal,
+    scale_noise,
 )
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN, Pieces
 from otf_core.pieces.runs import AnyRun, Observed, errors_of
@@ -137,9 +137,9 @@ def _explained(rows: Design, lines: Index, covariance: Array) -> Array:
 
 def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
     """Parts of the covariance by their places, (..., m) where diagonal, else (..., m, m), m^2."""
-    now, misfit = scaled(noise, logs), misfit_of(logs)
+    now, misfit = scale_noise(noise, logs), misfit_of(logs)
     white, slow, independent, lasting = covariance_parts(now, misfit, lines.shares, lines.windows)
-    longer = scaled(now, _LONGER)
+    longer = scale_noise(now, _LONGER)
     other = noise_covariance(longer, lines.shares, lines.shares, lines.windows)[1]
     return [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
 
@@ -154,7 +154,7 @@ def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array
 def _slopes_of(noise: NoiseModel, logs: Array, lines: _Lines) -> tuple[Array, Array]:
     """What some lines add to the score and to the information."""
     parts = _derivatives(noise, logs, lines)
-    whole = with_diagonal(parts[SLOW] + parts[LASTING], parts[WHITE] + parts[INDEPENDENT])
+    whole = add_to_diagonal(parts[SLOW] + parts[LASTING], parts[WHITE] + parts[INDEPENDENT])
     inverse = np.linalg.inv(whole)
     P = inverse - inverse @ lines.explained @ inverse
     pull = inverse @ lines.residual[..., None]
@@ -254,7 +254,7 @@ class JointSolution:
     Attributes
     ----------
     normal : NormalEquations
-        Of what was solved for, in the first iteration, or in the last, see ``settled``.
+        Of what was solved for, in the first iteration, or in the last, see ``settle_covariance``.
     """
 
     unknowns: Unknowns
@@ -326,7 +326,7 @@ def systems_of(
     ]
 
 
-def summed(
+def sum_normal_equations(
     systems: Sequence[System],
     unknowns: Unknowns,
     whiteners: Sequence[Whitener],
@@ -366,7 +366,7 @@ def solve_robustly(
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
         joint = solve_jointly(runs, unknowns, config, progress, start)
-        better, settled_now = improved_runs(runs, joint, config)
+        better, settled_now = improve_runs(runs, joint, config)
         if settled_now:
             return runs, joint
         start, runs = Start.after(runs[0].machine, joint), better
@@ -374,7 +374,7 @@ def solve_robustly(
     return runs, solve_jointly(runs, unknowns, config, progress, start)
 
 
-def improved_runs(
+def improve_runs(
     runs: Sequence[AnyRun], joint: JointSolution, config: CalibrationConfig
 ) -> tuple[list[AnyRun], bool]:
     """Runs less pieces far from their solution, with noise fitted to its residuals.
@@ -388,7 +388,7 @@ def improved_runs(
     """
     pairs, limit = list(zip(runs, joint.runs, strict=True)), config.outlier_limit
     drop = [_far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
-    fitted = [fitted_noise(r, s, joint) for r, s in pairs]
+    fitted = [fit_run_noise(r, s, joint) for r, s in pairs]
     same = not any(d.any() for d in drop) and all(
         r.fitted is not None and _same_noise(f, r.fitted)
         for f, r in zip(fitted, runs, strict=True)
@@ -406,7 +406,7 @@ def _same_noise(fitted: FittedNoise, before: Array) -> bool:
     return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 
 
-def fitted_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
+def fit_run_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
     """Noise and misfit fitted to the residuals of one run, see ``fit_noise``."""
     return fit_noise(
         solved.system,
@@ -464,10 +464,10 @@ def solve_jointly(
     systems = systems_of(runs, poses, unknowns, start.tables if start else None)
     whiteners = whiteners_of(runs, systems)
     accepted = start.accepted if start else find_identifiable_blocks(runs, unknowns, limit)
-    normal = summed(systems, unknowns, whiteners, accepted)
+    normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    residuals = left_by(systems, solution)
+    residuals = residuals_of(systems, solution)
     change, stuck = np.inf, False
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
@@ -476,11 +476,11 @@ def solve_jointly(
         del systems  # as large as the next ones
         systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
         if stuck:
-            normal = summed(systems, unknowns, whiteners, accepted)
+            normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
             solution = solve(normal, unknowns, limit, accepted, rough.precision)
         else:
             solution = _improved(solution, unknowns, rough, systems, whiteners)
-        before, residuals, last = residuals, left_by(systems, solution), change
+        before, residuals, last = residuals, residuals_of(systems, solution), change
         change = max(float(np.abs(a - b).max()) for a, b in zip(residuals, before, strict=True))
         stuck = change > MAX_RATIO_OF_CHANGES * last
         progress('solving', iteration / (iteration + 1))
@@ -497,7 +497,7 @@ def solve_jointly(
     )
 
 
-def settled(
+def settle_covariance(
     joint: JointSolution, limit: float, normal: NormalEquations | None = None
 ) -> JointSolution:
     """Take the covariance of all passes at the last positions on the paths.
@@ -554,12 +554,12 @@ def find_identifiable_blocks(
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(some)
     ]
-    normal = summed(judged, unknowns, whiteners_of(some, judged))
+    normal = sum_normal_equations(judged, unknowns, whiteners_of(some, judged))
     share = sum(len(run.pieces) for run in some) / sum(len(run.pieces) for run in runs)
     return identifiable_blocks(replace(normal, matrix=normal.matrix / share), unknowns, limit)
 
 
-def left_by(systems: Sequence[System], solution: Solution) -> list[Array]:
+def residuals_of(systems: Sequence[System], solution: Solution) -> list[Array]:
     """What a solution leaves of the deviations of every run, (c, p), m."""
     return [s.deviation - s.rows.times(solution.value) for s in systems]
 
@@ -584,7 +584,9 @@ def _improved(
     move by C (A^T W (y - A x) - K^-1 x).
     """
     pull = np.zeros(unknowns.full)
-    for system, whitener, rest in zip(systems, whiteners, left_by(systems, solution), strict=True):
+    for system, whitener, rest in zip(
+        systems, whiteners, residuals_of(systems, solution), strict=True
+    ):
         pull += system.rows.transposed(whitener.weighted(rest))
     free = free_values(unknowns, solution.value)
     step = unknowns.gauge.T @ pull - rough.precision @ free

@@ -53,20 +53,25 @@ from otf_core.solving.joint import (
     SolvedRun,
     Start,
     find_identifiable_blocks,
-    improved_runs,
-    left_by,
+    improve_runs,
+    residuals_of,
     solve_jointly,
     solve_robustly,
-    summed,
+    sum_normal_equations,
     systems_of,
     tables_of,
     whiteners_of,
 )
-from otf_core.solving.normal import NormalEquations, Once, sum_groups, weigh_repeated_lines
+from otf_core.solving.normal import (
+    NormalEquations,
+    RepeatedLineSums,
+    sum_groups,
+    weigh_repeated_lines,
+)
 from otf_core.solving.residuals import FOLDS, fold_of
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE, Roughness, Search
-from otf_core.solving.solution import Solution, estimated, free_columns, identifiable_blocks, solve
+from otf_core.solving.solution import Solution, free_columns, identifiable_blocks, solve, solve_for
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import (
     Basis,
@@ -174,7 +179,7 @@ def choose_shapes(
     start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
     best, scores = _try_all(moved, nodes, start, limit)
-    improved = improved_runs(moved, best, config)[0]
+    improved = improve_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
 
@@ -296,7 +301,7 @@ class _Tried:
     ) -> JointSolution:
         """With what it leaves of the rows of any functions at the same poses and positions."""
         own = [s.of_unknowns(self.unknowns) for s in systems]
-        residuals = left_by(own, self.solution)
+        residuals = residuals_of(own, self.solution)
         own = [replace(s, rows=s.rows.released()) for s in own]
         parts = zip(poses, own, whiteners, residuals, strict=True)
         runs = tuple(SolvedRun(*p) for p in parts)
@@ -313,7 +318,7 @@ def _tried(
     """One linear solution at the poses and positions of rows of any functions."""
     unknowns = layout(bases, len(systems))
     own = [s.of_unknowns(unknowns) for s in systems]
-    normal = summed(own, unknowns, whiteners, start.accepted)
+    normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
     rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
     solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
     return _Tried(unknowns, solution, rough, normal)
@@ -514,7 +519,7 @@ def _held_out_squares(
 def _estimates(
     normal: NormalEquations, columns: Mapping[str, Index], prior: Array
 ) -> dict[str, Array]:
-    """Estimates of some columns each, see ``estimated``; one factor for all that begin alike."""
+    """Estimates of some columns each, see ``solve_for``; one factor for all that begin alike."""
     most = max(columns.values(), key=len)
     place = np.ix_(most, most)
     factor = linalg.cholesky(normal.matrix[place] + prior[place], lower=True)
@@ -523,7 +528,7 @@ def _estimates(
     for model, use in columns.items():
         own = slice(0, len(use))
         if not np.array_equal(use, most[own]):
-            estimates[model] = estimated(normal, use, prior)
+            estimates[model] = solve_for(normal, use, prior)
             continue
         value = linalg.solve_triangular(factor[own, own], half[own], lower=True, trans='T')
         estimates[model] = np.zeros(len(normal.right))
@@ -558,20 +563,20 @@ class _Fold:
     rival: Array
 
 
-def _folds(own: Once, fold: Index, rival: Array) -> list[_Fold]:
+def _folds(own: RepeatedLineSums, fold: Index, rival: Array) -> list[_Fold]:
     """Folds of a run, by the fold of every line."""
     of_piece = fold[_line_of_piece(own)]
     places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
     return [_Fold(p, own.system.rows.at(p), rival[:, p]) for p in places]
 
 
-def _line_of_piece(own: Once) -> Index:
+def _line_of_piece(own: RepeatedLineSums) -> Index:
     size = [high - low for low, high in own.whitener.bounds]
     return np.repeat(np.arange(len(size)), size)
 
 
 def _squares(
-    own: Once, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
+    own: RepeatedLineSums, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
 ) -> Array:
     """Sum of squares of each line of a run with the values (columns,) of its fold.
 

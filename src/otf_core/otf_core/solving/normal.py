@@ -46,7 +46,7 @@ def lower_times(lower: Array, values: Array, out: Array) -> None:
         np.matmul(lower[:, strip, : strip.stop], values[:, : strip.stop], out=out[:, strip])
 
 
-def turned_times(lower: Array, values: Array) -> None:
+def transpose_times(lower: Array, values: Array) -> None:
     """Multiply values (c, m, k) by the transposes of such matrices, in place."""
     upper = np.swapaxes(lower, 1, 2)
     for strip in _strips(lower.shape[1]):
@@ -54,7 +54,7 @@ def turned_times(lower: Array, values: Array) -> None:
 
 
 @dataclass(frozen=True)
-class Once:
+class RepeatedLineSums:
     """Rows of lines with the weight of all passes.
 
     Attributes
@@ -78,11 +78,11 @@ class Once:
     rows: int
 
 
-def weigh_repeated_lines(system: System, whitener: Whitener) -> Once:
+def weigh_repeated_lines(system: System, whitener: Whitener) -> RepeatedLineSums:
     """Take every line once with the weight of all passes over it."""
     rows, once = system.deviation.size, whitener.once
     if once is whitener:
-        return Once(system, whitener, np.arange(len(system.q)), 0.0, rows)
+        return RepeatedLineSums(system, whitener, np.arange(len(system.q)), 0.0, rows)
     lines, line = np.unique(whitener.first, return_inverse=True)
     several = np.bincount(line) > 1
     pieces = np.concatenate([np.arange(*whitener.bounds[leg]) for leg in lines.tolist()])
@@ -95,7 +95,7 @@ def weigh_repeated_lines(system: System, whitener: Whitener) -> Once:
     again = np.repeat(several, [high - low for low, high in once.bounds])
     mean[:, again] = once.beside(several).covaried(pull)[:, again]
     square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
-    return Once(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)
+    return RepeatedLineSums(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)
 
 
 Batch = TypeVar('Batch')

@@ -95,12 +95,12 @@ class Places:
         return self.pieces.mean_of(function(samples.part(slice(k, k + step))) for k in starts)
 
 
-def across(solved: SolvedRun, columns: Array, pieces: slice = slice(None)) -> Array:
+def components_across(solved: SolvedRun, columns: Array, pieces: slice = slice(None)) -> Array:
     """Components (c, m, k) along the rows of displacements (m, 3, k) of some pieces."""
     return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes[:, pieces], columns))
 
 
-def projected(joint: JointSolution, columns: Sequence[Columns | Array]) -> Array:
+def project_columns(joint: JointSolution, columns: Sequence[Columns | Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
     return np.asarray(sum(_pulled(s, of) for s, of in zip(joint.runs, columns, strict=True)))
 
@@ -135,7 +135,7 @@ def sensitivity(joint: JointSolution, columns: Sequence[Columns | Array]) -> Arr
     columns : sequence of callable or ndarray
         One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """
-    return np.asarray(joint.solution.covariance @ projected(joint, columns))
+    return np.asarray(joint.solution.covariance @ project_columns(joint, columns))
 
 
 def left_by_tables(joint: JointSolution, values: Sequence[Array]) -> list[Array]:
@@ -174,7 +174,7 @@ class BesideTables:
 
 def beside_tables(joint: JointSolution, columns: Sequence[Array]) -> BesideTables:
     """Sum up the products of columns (c, p, k) of every run."""
-    cross = projected(joint, columns)
+    cross = project_columns(joint, columns)
     change = joint.solution.covariance @ cross
     normal, right, weighted = -cross.T @ change, np.zeros(cross.shape[1]), []
     square = np.zeros(cross.shape[1])

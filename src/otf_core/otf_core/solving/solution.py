@@ -177,7 +177,7 @@ def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> Index:
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def estimated(normal: NormalEquations, use: Index, prior: Array) -> Array:
+def solve_for(normal: NormalEquations, use: Index, prior: Array) -> Array:
     """Solve for some columns of normal equations, all others zero; see ``solve``.
 
     Parameters

@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 
 from otf_core.arrays import Array
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
-from otf_core.model.kinematics import motion_influence, turned
+from otf_core.model.kinematics import motion_influence, turn_arms
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
@@ -184,7 +184,7 @@ def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, fl
             continue
         size = slope * _bend(unknowns.bases[axis])
         for motion in hidden:
-            bent = turned(motion.along, np.eye(3)[[motion.place]])[0]
+            bent = turn_arms(motion.along, np.eye(3)[[motion.place]])[0]
             for other in MOTIONS:
                 if other.is_translation and other.axis == axis and bent[other.along]:
                     bends[other] = float(np.hypot(bends.get(other, 0.0), size))

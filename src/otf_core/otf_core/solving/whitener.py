@@ -18,7 +18,13 @@ from scipy.linalg.lapack import dtrtri, dtrtrs
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
-from otf_core.noise.noise_model import Misfit, NoiseModel, Windows, covariance_parts, with_diagonal
+from otf_core.noise.noise_model import (
+    Misfit,
+    NoiseModel,
+    Windows,
+    add_to_diagonal,
+    covariance_parts,
+)
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.system import System
 
@@ -47,7 +53,7 @@ class Covariances:
             self.noise, self.misfit, self.shares[:, :, own], windows
         )
         slow += lasting
-        return with_diagonal(slow, white + own_misfit)
+        return add_to_diagonal(slow, white + own_misfit)
 
 
 def inverse_factor(covariance: Array) -> Array:
@@ -56,7 +62,7 @@ def inverse_factor(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Moments:
+class CovarianceMoments:
     """Quantities of the covariances S of lines besides their inverses.
 
     Attributes
@@ -74,20 +80,20 @@ class Moments:
     square: Array
 
     @classmethod
-    def of(cls, covariance: Array) -> Moments:
+    def of(cls, covariance: Array) -> CovarianceMoments:
         """Of covariances (c, n, m, m)."""
         own = np.diagonal(covariance, axis1=-2, axis2=-1)
         beside = np.diagonal(covariance, 1, axis1=-2, axis2=-1)
         step = own[..., 1:] + own[..., :-1] - 2.0 * beside
         return cls(own.copy(), step, np.einsum('cnij,cnij->cn', covariance, covariance))
 
-    def only(self, some: NDArray[np.bool_] | slice) -> Moments:
+    def only(self, some: NDArray[np.bool_] | slice) -> CovarianceMoments:
         """Those of some of the lines."""
-        return Moments(self.variance[:, some], self.step[:, some], self.square[:, some])
+        return CovarianceMoments(self.variance[:, some], self.step[:, some], self.square[:, some])
 
 
 @dataclass(frozen=True)
-class Alike:
+class EqualLegs:
     """Some legs of as many pieces.
 
     Attributes
@@ -104,7 +110,7 @@ class Alike:
     legs: Index
     pieces: Index
     held: Array | Covariances
-    known: Moments | None = None
+    known: CovarianceMoments | None = None
 
     @property
     def inverse(self) -> Array:
@@ -114,12 +120,12 @@ class Alike:
         return self.held
 
     @property
-    def moments(self) -> Moments:
+    def moments(self) -> CovarianceMoments:
         """Those of the covariances."""
         if self.known is not None:
             return self.known
         factor = inverse_of_lower(self.inverse)
-        return Moments.of(factor @ np.swapaxes(factor, -1, -2))
+        return CovarianceMoments.of(factor @ np.swapaxes(factor, -1, -2))
 
     def inverse_of(self, k: int) -> Array:
         """Those of one leg, by its place in ``legs``, shape (c, m, m)."""
@@ -127,13 +133,13 @@ class Alike:
             return inverse_factor(self.held.among(self.pieces[k : k + 1]))[:, 0]
         return self.held[:, k]
 
-    def only(self, some: NDArray[np.bool_] | slice) -> Alike:
+    def only(self, some: NDArray[np.bool_] | slice) -> EqualLegs:
         """Some of the legs, by a mask (n,) or their places."""
         held = self.held if isinstance(self.held, Covariances) else self.held[:, some]
         known = None if self.known is None else self.known.only(some)
-        return Alike(self.legs[some], self.pieces[some], held, known)
+        return EqualLegs(self.legs[some], self.pieces[some], held, known)
 
-    def between(self, low: int, high: int) -> Alike:
+    def between(self, low: int, high: int) -> EqualLegs:
         """Those of the legs from one up to another."""
         return self.only(slice(*np.searchsorted(self.legs, [low, high]).tolist()))
 
@@ -182,7 +188,7 @@ class Whitener:
     """
 
     bounds: Sequence[tuple[int, int]]
-    alike: tuple[Alike, ...]
+    alike: tuple[EqualLegs, ...]
     first: Index
 
     @classmethod
@@ -210,7 +216,7 @@ class Whitener:
                 int(high[legs[0]] - low[legs[0]]) ** 2 for legs in groups]  # fmt: skip
         held = (np.cumsum(size) <= MAX_BYTES_IN_MEMORY).tolist()
 
-        def alike(k: int) -> Alike:
+        def alike(k: int) -> EqualLegs:
             legs = groups[k]
             own = low[legs, None] + np.arange(high[legs[0]] - low[legs[0]])
             among = covariances.among(own)
@@ -218,7 +224,9 @@ class Whitener:
                 inverse = inverse_factor(among)
             except np.linalg.LinAlgError:
                 raise _two_passes(pieces, own, among) from None
-            return Alike(legs, own, inverse if held[k] else covariances, Moments.of(among))
+            return EqualLegs(
+                legs, own, inverse if held[k] else covariances, CovarianceMoments.of(among)
+            )
 
         groups_alike = map(alike, range(len(groups)))
         return cls(bounds, tuple(groups_alike), _first_passes(pieces, system.q, bounds))
@@ -233,7 +241,7 @@ class Whitener:
         for legs in _alike(size):
             own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
-            alike.append(Alike(legs, own, inverse_of_lower(stacked)))
+            alike.append(EqualLegs(legs, own, inverse_of_lower(stacked)))
         return cls(bounds, tuple(alike), np.arange(len(bounds)))
 
     @property
@@ -256,8 +264,8 @@ class Whitener:
         end, passes = np.cumsum(size), _places(line, len(lines))
         several = np.bincount(line) > 1
 
-        def placed(some: Index, inverse: Array) -> Alike:
-            return Alike(some, (end - size)[some, None] + np.arange(size[some[0]]), inverse)
+        def placed(some: Index, inverse: Array) -> EqualLegs:
+            return EqualLegs(some, (end - size)[some, None] + np.arange(size[some[0]]), inverse)
 
         placed_groups = [placed(line[one.legs], one.inverse) for one in self._only(~several[line])]
         for own in _alike(size[several]):
@@ -272,7 +280,7 @@ class Whitener:
         inverses = [self.inverses[leg] for leg in legs]
         return _root(reduce(np.add, (np.swapaxes(own, 1, 2) @ own for own in inverses)))
 
-    def _only(self, legs: NDArray[np.bool_]) -> Iterator[Alike]:
+    def _only(self, legs: NDArray[np.bool_]) -> Iterator[EqualLegs]:
         """Some of the legs, by a mask (legs,)."""
         for one in self.alike:
             own = legs[one.legs]
@@ -343,7 +351,7 @@ class Whitener:
 class _Legs(Sequence[Array]):
     """Inverses leg by leg."""
 
-    def __init__(self, alike: Sequence[Alike]) -> None:
+    def __init__(self, alike: Sequence[EqualLegs]) -> None:
         places = {leg: (a, k) for a in alike for k, leg in enumerate(a.legs.tolist())}
         self._places = [places[leg] for leg in range(len(places))]
 

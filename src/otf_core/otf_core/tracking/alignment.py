@@ -34,23 +34,28 @@ from otf_core.tracking.curves import (
     Lines,
     PathShape,
     bulge_of,
+    replace_chords,
     straight_shape,
-    with_arcs,
 )
 from otf_core.tracking.driving_order import (
     FORWARD,
     OFF_PATH,
     Driven,
     Match,
-    as_planned,
+    assign_legs,
     driven_path,
-    follow,
+    is_as_planned,
     sample_chords,
     visits,
 )
-from otf_core.tracking.matching import MIN_MATCHED_SHARE, MIN_SHARE_AS_PLANNED, Guide, cut_track
+from otf_core.tracking.matching import (
+    MIN_MATCHED_SHARE,
+    MIN_SHARE_AS_PLANNED,
+    MatchingInput,
+    cut_track,
+)
 from otf_core.tracking.measured_track import HOP, Track, measured_track
-from otf_core.tracking.no_match import MIRRORED_MESSAGE, mirrored, why_no_match
+from otf_core.tracking.no_match import MIRRORED_MESSAGE, match_mirrored, why_no_match
 
 
 def line_step(
@@ -175,7 +180,7 @@ def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
     return np.asarray(corner)
 
 
-def sharpened(track: Track, tolerance: float) -> Track | None:
+def sharpen_corners(track: Track, tolerance: float) -> Track | None:
     """Track with the rounding of its corners taken off; None if there is none.
 
     Parameters
@@ -355,12 +360,12 @@ def _hop_legs(match: Match) -> Index:
     return legs
 
 
-def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
+def _match(track: Track, guide: MatchingInput, tolerance: float) -> Match | None:
     """Match a track; if that fails, with the rounding of its corners taken off."""
     match = guide.find(track, tolerance)
     if match is not None and match.explained > MIN_SHARE_AS_PLANNED:
         return match
-    sharp = sharpened(track, tolerance)
+    sharp = sharpen_corners(track, tolerance)
     other = None if sharp is None else guide.find(sharp, tolerance)
     if other is not None and (
         match is None or other.explained > match.explained + MIN_GAIN_SHARPENED
@@ -369,12 +374,12 @@ def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
     return match
 
 
-def _coverage(match: Match, guide: Guide, slack: float) -> float:
+def _coverage(match: Match, guide: MatchingInput, slack: float) -> float:
     """Share of the nominal length that was driven."""
     vertices, curve = guide.vertices, guide.curve
     length = Legs(vertices).length
     driven = np.zeros(len(length))
-    if as_planned(visits(match, vertices, slack)):
+    if is_as_planned(visits(match, vertices, slack)):
         use = match.leg != OFF_PATH
         np.add.at(driven, match.leg[use], match.track.lengths[use])
     else:
@@ -400,7 +405,7 @@ def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedTrack:
     """How a measured track follows a path: all of an alignment but the legs of single samples.
 
     What is known of a run whose target only stands since.
@@ -418,7 +423,7 @@ class Followed:
     measured: Track
     path: NominalPath
     config: CalibrationConfig
-    guide: Guide
+    guide: MatchingInput
     match: Match
     driven: Driven
     rounded: Array
@@ -436,7 +441,10 @@ class Followed:
 
 
 def align(
-    samples: Samples, path: NominalPath, config: CalibrationConfig, seen: Followed | None = None
+    samples: Samples,
+    path: NominalPath,
+    config: CalibrationConfig,
+    seen: FollowedTrack | None = None,
 ) -> Alignment:
     """Find the tracker's pose and the leg of every sample.
 
@@ -450,7 +458,7 @@ def align(
     InputError
         If samples and path do not belong together, or the pose is not determined.
     """
-    known = followed(samples, path, config, seen)
+    known = follow_track(samples, path, config, seen)
     tolerance, driven, pose = config.match_tolerance, known.driven, known.pose
     exclusion = config.corner_exclusion
     alignment = Alignment(
@@ -468,22 +476,25 @@ def align(
     return _on_arcs(alignment, pose.apply(samples.xyz), SHORT_CURVE * exclusion)
 
 
-def followed(
-    samples: Samples, path: NominalPath, config: CalibrationConfig, seen: Followed | None = None
-) -> Followed:
+def follow_track(
+    samples: Samples,
+    path: NominalPath,
+    config: CalibrationConfig,
+    seen: FollowedTrack | None = None,
+) -> FollowedTrack:
     """Find the tracker's pose and the leg of every part of the track; see ``align``."""
     tolerance = config.match_tolerance
     measured = measured_track(samples, tolerance)
     if seen is not None and seen.is_of(measured, path, config):
         return seen
-    guide, track = Guide.of(path, tolerance), measured
+    guide, track = MatchingInput.of(path, tolerance), measured
     match = _match(track, guide, tolerance)
     if match is None or match.explained < MIN_MATCHED_SHARE:
         raise InputError(
             f'samples do not follow the path: {why_no_match(samples, track, guide, tolerance)}'
         )
     if match.explained < MIN_SHARE_UNDOUBTED:
-        image = mirrored(track, guide, tolerance)
+        image = match_mirrored(track, guide, tolerance)
         if image is not None and image.explained > match.explained + MIN_GAIN_MIRRORED:
             raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
@@ -491,7 +502,7 @@ def followed(
     for _ in range(2):
         pose = _refine(match, driven, rounded, config)
         whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
-        match = follow(pose, whole, guide.vertices, tolerance, match.free)
+        match = assign_legs(pose, whole, guide.vertices, tolerance, match.free)
         if match.explained < MIN_MATCHED_SHARE:
             raise InputError(
                 f'samples do not follow the path: only {100 * match.explained:.0f} % of '
@@ -501,7 +512,7 @@ def followed(
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounding_of_legs(match, driven, config)
     pose = _refine(match, driven, rounded, config)
-    return Followed(measured, path, config, guide, match, driven, rounded, pose)
+    return FollowedTrack(measured, path, config, guide, match, driven, rounded, pose)
 
 
 def _on_arcs(alignment: Alignment, points: Array, least: float) -> Alignment:
@@ -512,7 +523,7 @@ def _on_arcs(alignment: Alignment, points: Array, least: float) -> Alignment:
     bulge = bulge_of(points[on], alignment.leg[on].astype(np.int64), lines, least)
     if bulge is None or not bulge.arcs:
         return replace(alignment, bulge=bulge)
-    shape, start, parent = with_arcs(lines)
+    shape, start, parent = replace_chords(lines)
     leg = np.where(alignment.leg == OFF_PATH, OFF_PATH, start[alignment.leg])
     on = np.flatnonzero(leg != OFF_PATH)
     leg[on] = Lines.of(shape).settled(points[on], leg[on])

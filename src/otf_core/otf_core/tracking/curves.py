@@ -393,7 +393,7 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     return Bulge(mean, float(np.sqrt(spread)), largest)
 
 
-def with_arcs(lines: Lines) -> tuple[PathShape, Index, Index]:
+def replace_chords(lines: Lines) -> tuple[PathShape, Index, Index]:
     """Replace the chords of curves by finer ones along their arcs.
 
     Returns

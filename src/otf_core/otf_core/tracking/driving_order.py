@@ -205,7 +205,7 @@ class _Chain:
         self.reached.append((leg, source))
 
 
-def follow(
+def assign_legs(
     pose: RigidTransform, track: Track, corners: Array, tolerance: float, free: bool = True
 ) -> Match:
     """Assign measured legs to nominal legs in driving order by dynamic programming (Viterbi).
@@ -226,10 +226,10 @@ def follow(
     return match
 
 
-def follow_within(
+def assign_legs_within(
     most: float, pose: RigidTransform, track: Track, corners: Array, tolerance: float
 ) -> Match | None:
-    """Follow as planned, see ``follow``; None once that is sure to cost more than ``most``."""
+    """Assign legs as planned; None once that is sure to cost more than ``most``."""
     return _follow(pose, track, corners, tolerance, False, most)
 
 
@@ -353,7 +353,7 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
     return visited
 
 
-def as_planned(driven: list[Visit]) -> bool:
+def is_as_planned(driven: list[Visit]) -> bool:
     """Return whether legs were only driven forward and in order."""
     return all(v.sense == FORWARD for v in driven) and all(
         a.leg < b.leg for a, b in pairwise(driven)
@@ -430,7 +430,7 @@ def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> 
     chord = np.full(len(match.leg), OFF_PATH)
     last = chord.copy()
     on = match.leg != OFF_PATH
-    if as_planned(driven):
+    if is_as_planned(driven):
         chord[on], last[on] = vertex[match.leg[on]], vertex[match.leg[on] + 1] - 1
         return Driven(shape, chord, last, np.arange(len(shape.stretch)))
     route, low, high = _Route(), path.min(axis=0), path.max(axis=0)

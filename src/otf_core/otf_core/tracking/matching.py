@@ -9,7 +9,7 @@ the whole track follows the path (``driving_order``) wins.
 Circles and smooth curves have no corners, and a path driven backward shares no run of them. There,
 points at equal lengths along track and path take their place: they have the same mutual distances,
 and the length along the path does not depend on the frame. The published path is matched with its
-corners as they are and its curves thinned (``Guide``).
+corners as they are and its curves thinned (``MatchingInput``).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.curves import PathShape, shape_of
 from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
 from otf_core.tracking.driving_order import Match as Match
-from otf_core.tracking.driving_order import follow as follow
-from otf_core.tracking.driving_order import follow_within
+from otf_core.tracking.driving_order import assign_legs as follow
+from otf_core.tracking.driving_order import assign_legs_within
 from otf_core.tracking.measured_track import Track
 
 POINTS_PER_WINDOW = 6
@@ -281,7 +281,7 @@ def _all_planned(
     best = follow(poses[0], track, corners, tolerance, False)
     matches: list[Match | None] = [best]
     for pose in poses[1:]:
-        matches.append(match := follow_within(best.cost, pose, track, corners, tolerance))
+        matches.append(match := assign_legs_within(best.cost, pose, track, corners, tolerance))
         if match is not None and match.cost < best.cost:
             best = match
     if best.explained > MIN_SHARE_AS_PLANNED:
@@ -376,7 +376,7 @@ def find_match(
 
 
 @dataclass(frozen=True)
-class Guide:
+class MatchingInput:
     """What is matched.
 
     Attributes
@@ -389,7 +389,7 @@ class Guide:
     vertex: Index
 
     @classmethod
-    def of(cls, path: NominalPath, tolerance: float) -> Guide:
+    def of(cls, path: NominalPath, tolerance: float) -> MatchingInput:
         """Find corners and curves of a path."""
         corners, _ = path.corners()
         if len(corners) < 3:

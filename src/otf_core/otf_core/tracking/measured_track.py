@@ -117,7 +117,7 @@ class Track:
         return Track(self.hops, self.points, start, stop, joined)
 
 
-def broken(samples: Samples) -> NDArray[np.bool_]:
+def find_breaks(samples: Samples) -> NDArray[np.bool_]:
     """True where the stream pauses between a sample and the next one, shape (n - 1,)."""
     pause = max(1e9 * GAP_TIME, 5.0 * samples.step_ns)
     return np.asarray(np.diff(samples.stamp_ns) > pause)

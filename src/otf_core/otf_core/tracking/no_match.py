@@ -12,7 +12,8 @@ from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.matching import OFF_PATH, Guide, Match, cut_track, follow
+from otf_core.tracking.driving_order import assign_legs
+from otf_core.tracking.matching import OFF_PATH, Match, MatchingInput, cut_track
 from otf_core.tracking.measured_track import Track, measured_track
 
 WIDER_TOLERANCES = (2.5, 5.0, 10.0)
@@ -31,14 +32,14 @@ INNER_PART_OF_LEG = (0.3, 0.7)
 """Part of a leg that rounding of its corners leaves alone."""
 
 
-def covered(match: Match, corners: Array) -> float:
+def driven_share(match: Match, corners: Array) -> float:
     """Share of the nominal length that was driven."""
     length, use = Legs(corners).length, match.leg != OFF_PATH
     driven = np.bincount(match.leg[use], match.track.lengths[use], minlength=len(length))
     return float(np.minimum(driven, length).sum() / length.sum())
 
 
-def mirrored(track: Track, guide: Guide, tolerance: float) -> Match | None:
+def match_mirrored(track: Track, guide: MatchingInput, tolerance: float) -> Match | None:
     """Match the mirror image of a track."""
     return guide.find(replace(track, points=track.points * [-1.0, 1.0, 1.0]), tolerance)
 
@@ -49,9 +50,9 @@ MIRRORED_MESSAGE = (
 )
 
 
-def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float) -> str:
+def why_no_match(samples: Samples, track: Track, guide: MatchingInput, tolerance: float) -> str:
     """State why nothing fits, as far as the shapes show."""
-    out, size = standing_out(samples)
+    out, size = share_of_spikes(samples)
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
     if out > MIN_STANDOUT_SHARE:
         return (
@@ -61,7 +62,7 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
         )
     if not 0.3 < ratio < 3:
         return f'the measured track is {ratio:.3g} times as large as the path{unit_by_size(ratio)}'
-    match = mirrored(track, guide, tolerance)
+    match = match_mirrored(track, guide, tolerance)
     if match is not None and match.explained > MIN_SHARE_ON_PATH:
         return MIRRORED_MESSAGE
     return _resembles(samples, guide, tolerance) or (
@@ -90,7 +91,7 @@ SAME_UNIT = 0.05
 """By which the size of a track and of its path may differ."""
 
 
-def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
+def _resembles(samples: Samples, guide: MatchingInput, tolerance: float) -> str:
     """State within which tolerance the track would fit, and whether corners are why."""
     for factor in WIDER_TOLERANCES:
         enough = factor * tolerance
@@ -126,7 +127,7 @@ def _beside_lines(match: Match, corners: Array) -> float:
     return float(np.percentile(distances, 75)) if distances else 0.0
 
 
-def standing_out(samples: Samples) -> tuple[float, float]:
+def share_of_spikes(samples: Samples) -> tuple[float, float]:
     """Share of samples that stand out from their neighbours, and by how much.
 
     Returns
@@ -169,15 +170,17 @@ def check_partial(
     """
     if now > MIN_COVERAGE:
         return
-    guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
-    image = mirrored(track, guide, tolerance)
-    if image is not None and covered(image, guide.vertices) > 0.5 * (1.0 + now):
+    guide, track = MatchingInput.of(path, tolerance), measured_track(samples, tolerance)
+    image = match_mirrored(track, guide, tolerance)
+    if image is not None and driven_share(image, guide.vertices) > 0.5 * (1.0 + now):
         raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
-    _check_far_step(samples, follow(pose, whole, guide.vertices, tolerance), guide, tolerance)
+    _check_far_step(samples, assign_legs(pose, whole, guide.vertices, tolerance), guide, tolerance)
 
 
-def _check_far_step(samples: Samples, match: Match, guide: Guide, tolerance: float) -> None:
+def _check_far_step(
+    samples: Samples, match: Match, guide: MatchingInput, tolerance: float
+) -> None:
     """Raise where what lies off the path before or after some moment fits with another pose."""
     track, on = match.track, match.leg != OFF_PATH
     if not on.any():

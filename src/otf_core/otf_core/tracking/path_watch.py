@@ -7,8 +7,8 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.threads import in_one_thread
-from otf_core.tracking.alignment import Followed, followed
+from otf_core.threads import limit_to_one_thread
+from otf_core.tracking.alignment import FollowedTrack, follow_track
 from otf_core.tracking.measured_track import HOP
 
 END_STANDSTILL = 1.0
@@ -131,13 +131,13 @@ class PathWatcher:
         """Standstill, s, that counts here."""
         return at_the_end if self.share >= NEARLY else END_STANDSTILL
 
-    @in_one_thread  # as what it begins is calibrated, to the last bit
-    def look(self, samples: Samples) -> Followed | None:
+    @limit_to_one_thread  # as what it begins is calibrated, to the last bit
+    def look(self, samples: Samples) -> FollowedTrack | None:
         """Determine how the samples follow the path, and whether to its end; None if they do not.
 
         They may be in the order of their arrival.
         """
         try:
-            return followed(samples.in_order(), self._path, self._config)
+            return follow_track(samples.in_order(), self._path, self._config)
         except InputError:
             return None

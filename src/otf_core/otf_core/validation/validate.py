@@ -16,7 +16,7 @@ from otf_core.comparison.compare import agreement as share_within
 from otf_core.config import STANDSTILL
 from otf_core.files.strict_yaml import read_json
 from otf_core.fleet.fleet import VERBS, Job, JobResult, hash_of
-from otf_core.live.stages import StepsLeft
+from otf_core.live.stages import StepProgress
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -235,7 +235,7 @@ def validate(
     machine = machine or paper_machine()
     cells: list[Cell] = []
     example: SimulativeRun | None = None
-    steps, ahead = StepsLeft(len(scale.seeds)), ''
+    steps, ahead = StepProgress(len(scale.seeds)), ''
     for number, seed in enumerate(scale.seeds, start=1):
         where = f'cell {number} of {len(scale.seeds)}{ahead}'
         progress(f'{where}: errors of 100 um on path and grid')

@@ -31,11 +31,16 @@ from otf_core.model.motions import MOTIONS
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import format_result, result_to_dict
-from otf_core.reports.calibration_facts import budget_lines, budget_to_dict, correlations, expanded
+from otf_core.reports.calibration_facts import (
+    budget_lines,
+    budget_to_dict,
+    correlations,
+    expanded_uncertainties,
+)
 from otf_core.sim.tracker import measure
-from otf_core.solving.joint import settled, solve_jointly, tables_of
+from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
 from otf_core.solving.model_choice import linear_bases
-from otf_core.solving.sensitivity import across, piece_state, sensitivity
+from otf_core.solving.sensitivity import components_across, piece_state, sensitivity
 from otf_core.solving.unknowns import layout
 
 DECLARED = {
@@ -77,7 +82,7 @@ def solved(cell):
     run = replace(run, fitted=np.array(logs))
     unknowns = layout(linear_bases(nodes))
     done = solve_jointly([run], unknowns, config, lambda stage, fraction: None)
-    done = settled(done, config.unidentifiable_above)
+    done = settle_covariance(done, config.unidentifiable_above)
     state = piece_state(run, done.runs[0], nodes, cell.truth)
     tables = tables_of(cell.machine, unknowns, done.solution)
     budget = make_budget([run], done, noise_parts([run], done), tables, config.standstill_speed)
@@ -152,7 +157,7 @@ def test_sensitivity_is_the_shift_of_the_tables_that_a_range_offset_makes(solved
     monkeypatch.setattr('otf_core.solving.joint.Search', lambda *_: held)
     offset, order = 5e-6, nodes_of(solved.done)
     terms = REGISTRY['tracker_range_offset'].terms(solved.state, {})
-    columns = across(solved.done.runs[0], terms.columns)
+    columns = components_across(solved.done.runs[0], terms.columns)
     expected = offset * sensitivity(solved.done, [columns])[order, 0]
     xyz = solved.run.pieces.xyz
     longer = xyz * (1.0 + offset / np.linalg.norm(xyz, axis=1, keepdims=True))
@@ -363,7 +368,7 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
 
 def test_file_holds_expanded_uncertainty_budget_and_correlations(declared):
     lines = budget_lines(declared.tables, declared.budget)
-    wide = expanded(declared.tables, lines)
+    wide = expanded_uncertainties(declared.tables, lines)
     found = result_to_dict(declared)
     exx = found['motions']['EXX']
     np.testing.assert_allclose(exx['U'], exx['k'] * np.array(exx['u']))

@@ -142,7 +142,7 @@ def test_blind_trial_goes_on_in_its_folder_and_is_replaced_only_if_asked(
         Path(folder, 'cells', '000', 'machine.yaml').write_text(str(seed))
         for name in ('key.json', 'key.sha256', 'score.txt'):
             Path(folder, name).write_text(str(seed))
-        return trial.Trialled('done', {})
+        return trial.TrialResult('done', {})
 
     monkeypatch.setattr(trial, 'run_trial', once)
     assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from cli_cells import message, run
 
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import value_text
 
 HUGE = '1' + '0' * 400
 ENDLESS = '1' + '0' * 5000
@@ -52,7 +52,7 @@ def test_aliases_that_grow_without_end_are_shown_in_a_line(place, capsys):
     Path('bomb.yaml').write_text(bomb)
     start = time.process_time()
     value = yaml.safe_load(bomb)
-    assert len(shown(value)) < 400
+    assert len(value_text(value)) < 400
     text = Path('machine.yaml').read_text().replace('name: small', f'name:\n{bomb}')
     Path('wrong.yaml').write_text(text)
     assert run('plan', '--machine', 'wrong.yaml', '--out', 'out') == 2

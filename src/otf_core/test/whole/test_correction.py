@@ -10,13 +10,18 @@ from core_cells import some_machine
 from nature import Cell, Extra
 from numpy.testing import assert_allclose
 
-from otf_core.calibration.with_effects import corrected, estimates, missing_in_tables
+from otf_core.calibration.with_effects import correct_runs, estimates, missing_in_tables
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import diagnose as above
-from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, _to_take, with_causes
+from otf_core.diagnosis.corrected_calibration import (
+    CausesToRemove,
+    CauseWords,
+    _to_take,
+    pair_with_corrected,
+)
 from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.effects.removable_effect import taken
+from otf_core.effects.removable_effect import removable_effect
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated_effect import FILE, FOUND, format_effects
 from otf_core.errors import ConfigError
@@ -33,7 +38,7 @@ GROWTH = {'tau': 100.0, 'until': 80.0, 'order': 2.0, 'S_X': 3e-5, 'S_Y': 1e-6, '
 
 
 def one(name, how=FILE, **parameters):
-    return taken([AppliedEffect(REGISTRY[name], parameters)], how)
+    return removable_effect([AppliedEffect(REGISTRY[name], parameters)], how)
 
 
 def small_cell(**extra):
@@ -56,7 +61,7 @@ def runs_and_nodes():
 
 def solved(runs, nodes, effects=()):
     if effects:
-        runs = corrected(runs, effects, nodes, None)
+        runs = correct_runs(runs, effects, nodes, None)
     unknowns = layout(linear_bases(nodes), len(runs))
     return runs, solve_jointly(runs, unknowns, CONFIG, lambda stage, fraction: None)
 
@@ -177,7 +182,7 @@ def test_pieces_are_moved_back_by_the_displacement(runs_and_nodes):
     shift = np.array([1e-5, -2e-5, 5e-6])
     still = dict(zip(('D_X', 'D_Y', 'D_Z'), shift, strict=True))
     effect = one('thermal_structure_drift', tau=1e-3, order=1.0, **still)
-    moved = corrected(runs, [effect], nodes, None)[0]
+    moved = correct_runs(runs, [effect], nodes, None)[0]
     taken_off = runs[0].pose.rotate(runs[0].pieces.xyz - moved.pieces.xyz)
     assert_allclose(taken_off, np.tile(shift, (len(taken_off), 1)), atol=1e-12)
 
@@ -186,11 +191,11 @@ def test_every_run_has_a_drift_of_its_own():
     drift, servo = REGISTRY['thermal_structure_drift'], REGISTRY['servo_mismatch']
     shape = {'tau': 50.0, 'until': 100.0, 'order': 1.0}
     two = [AppliedEffect(drift, {**shape, 'D_X': v}) for v in (1e-6, 2e-6)]
-    assert taken(two, FILE).values.tolist() == [[1e-6], [2e-6]]
+    assert removable_effect(two, FILE).values.tolist() == [[1e-6], [2e-6]]
     lag = [AppliedEffect(servo, {'T_X': 1e-5})] * 2
-    assert taken(lag, FILE).values.tolist() == [[1e-5]]
+    assert removable_effect(lag, FILE).values.tolist() == [[1e-5]]
     state = replace(probe_state(some_machine()), duration=100.0)
-    columns = taken(two, FILE).columns(state, 1)
+    columns = removable_effect(two, FILE).columns(state, 1)
     assert not columns[:, :, 0].any() and columns[0, 0, 1] != 0
 
 
@@ -202,7 +207,7 @@ def test_drifts_of_two_runs_are_told_apart():
     end = float(runs[0].recording.samples.time[-1])
     shape = {'tau': 200.0, 'until': end, 'order': 1.0}
     drift = AppliedEffect(REGISTRY['thermal_structure_drift'], {**shape, 'D_X': 1e-6})
-    effect = taken([drift, drift], FILE)
+    effect = removable_effect([drift, drift], FILE)
     kept, done = solved(runs, nodes, [effect])
     found, _, _ = estimates(kept, done, [effect])
     one_after_other = found.taken_off(SimpleNamespace(runs=kept, joint=done)).stated[0]
@@ -261,7 +266,7 @@ def test_stops_have_neither_feed_nor_direction(tmp_path):
 
 
 def cause(confidence=1.0, *others):
-    return Told(confidence, others, 'a cause')
+    return CauseWords(confidence, others, 'a cause')
 
 
 def test_reversal_is_left_to_its_own_choice_unless_that_is_off():
@@ -309,20 +314,20 @@ def test_what_is_not_taken_off_is_said_with_what_holds_it():
     """Backlash is in the reversal tables: that is what --effects auto has to say of it."""
     reversal = Reversal('constant', {}, {}, backlash={'X': Backlash(5.2e-6, 0.2e-6)})
     plain = Plain('1', (), reversal=reversal)
-    told = Told(1.0, (), 'backlash of X', ('X',))
-    found = FoundCauses((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
-    words = with_causes(plain, None, found, CONFIG, 'There it is.').words
+    told = CauseWords(1.0, (), 'backlash of X', ('X',))
+    found = CausesToRemove((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
+    words = pair_with_corrected(plain, None, found, CONFIG, 'There it is.').words
     assert 'Backlash of X is in the reversal tables (X 5.20 +/- 0.40 um, k = 2: ' in words
     assert words.endswith('nothing else to remove.') and 'No effect was removed' not in words
-    waves = FoundCauses((), ((),), ('cyclic error of X',))
-    words = with_causes(plain, None, waves, CONFIG, 'There it is.').words
+    waves = CausesToRemove((), ((),), ('cyclic error of X',))
+    words = pair_with_corrected(plain, None, waves, CONFIG, 'There it is.').words
     assert 'Cyclic error of X is in the error tables, which follow it' in words
 
 
 def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     plain = Plain('1', ('other',))
-    nothing = FoundCauses((), ((),))
-    made = with_causes(plain, None, nothing, CONFIG, 'A gap that no effect explains.')
+    nothing = CausesToRemove((), ((),))
+    made = pair_with_corrected(plain, None, nothing, CONFIG, 'A gap that no effect explains.')
     diagnosis = SimpleNamespace(verdict='unknown', calibration=made)
     monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)

@@ -28,7 +28,7 @@ from otf_core.planning.follow_up import (
     compare_places,
     judge_places,
 )
-from otf_core.planning.forecast import Setup, beside, drive_times, forecast
+from otf_core.planning.forecast import Setup, default_tracker_place, drive_times, forecast
 from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
@@ -244,7 +244,7 @@ def test_tracker_inside_the_path_is_refused():
     with pytest.raises(ConfigError, match=r'tracker_place: beams .* measures 0\.15 m to 20 m'):
         check_place(small_plan(machine), Setup.of(machine, inside))
     assert check_place(small_plan(machine), Setup.of(machine)) is None
-    assert beside(machine)[1] < machine.lower[1]
+    assert default_tracker_place(machine)[1] < machine.lower[1]
 
 
 @pytest.mark.parametrize('text', ['', '1,2', '1,2,3,4', 'a,b,c', '1,2,nan', '300,0,0'])

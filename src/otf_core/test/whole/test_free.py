@@ -26,7 +26,7 @@ from otf_core.effects.action import (
     vector,
 )
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
-from otf_core.effects.empirical import of_table, tabulated
+from otf_core.effects.empirical import node_table, of_table
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm, free_forms
 from otf_core.effects.history import lap_numbers, path_history, travel_at_start
@@ -39,7 +39,7 @@ from otf_core.effects.located_inputs import (
     head_of,
     numbers_of,
 )
-from otf_core.effects.removable_effect import taken
+from otf_core.effects.removable_effect import removable_effect
 from otf_core.errors import ConfigError
 from otf_core.tracking.curves import Lines, straight_shape
 
@@ -176,7 +176,7 @@ def test_table_of_a_free_function_says_the_same():
     effect = FreeForm(of_table('a', vector, {'time': [0, 1]}, {'X': [0, 0]}).effect.parent, form,
                       {'time': (0.0, 90.0)})  # fmt: skip
     one = AppliedEffect(effect, {'M_X_2': 1e-6, 'W_Z_5': 3e-6})
-    nodes, values = tabulated(one)
+    nodes, values = node_table(one)
     at = np.array(nodes['time'])
     u = at / 45.0 - 1.0
     assert np.allclose(values['M_X'], 1e-6 * 0.5 * (3 * u**2 - 1), atol=1e-15)
@@ -190,7 +190,7 @@ def test_table_of_an_input_that_ends_early_can_be_read_again(name, last):
     effect = FreeForm(of_table('a', vector, {'time': [0, 1]}, {'X': [0, 0]}).effect.parent, form,
                       {name: (0.0, last)})  # fmt: skip
     given = {f'{a}_{k}': 1e-6 * (k - 2.5) for a in 'XYZ' for k in range(7)}
-    nodes, values = tabulated(AppliedEffect(effect, given))
+    nodes, values = node_table(AppliedEffect(effect, given))
     again = of_table('a', vector, nodes, values)
     assert nodes[name][-1] == pytest.approx(last)
     assert again.parameters == pytest.approx(given, rel=1e-6, abs=1e-12)
@@ -204,7 +204,7 @@ def test_file_that_asks_for_an_unknown_form_is_refused():
 
 def test_rougher_coefficients_are_held_tighter_when_taken_off(state):
     form = form_of('backlash', 0, state)
-    one = taken([AppliedEffect(form, parameters_of(form, state))], 'found')
+    one = removable_effect([AppliedEffect(form, parameters_of(form, state))], 'found')
     precision = one.precision(np.ones(one.size))
     orders = form.orders_of(one.names)
     assert precision[orders == 3] == pytest.approx(16 * precision[orders == 0])

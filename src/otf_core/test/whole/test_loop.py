@@ -20,13 +20,19 @@ from otf_core.exports import export_format
 from otf_core.exports.format import Request
 from otf_core.loop import circle, control
 from otf_core.loop import control as files
-from otf_core.loop.circle import check_plan, corrected, corrected_program, in_parts, on_path
+from otf_core.loop.circle import (
+    check_plan,
+    commanded_positions,
+    correct_points,
+    corrected_program,
+    cut_legs,
+)
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import TablesFile
 from otf_core.planning.nc import DIALECTS
-from otf_core.planning.nc.programs import on_increment, program
+from otf_core.planning.nc.programs import program, round_to_increment
 from otf_core.sim.cell import random_tables
 from otf_core.sim.drive import Drive
 
@@ -74,7 +80,7 @@ def stand_in(given, programs):
                 rows = [r.split() for r in given[name].decode().splitlines() if r[0] != '#']
                 nominal, actual, _ = 1e-3 * np.array(rows, float).T
                 motor[:, k] += np.interp(believed[:, k], nominal, nominal - actual)
-        done.append(control.Driven(time, motor, believed, np.zeros_like(motor), 0))
+        done.append(control.DrivenProgram(time, motor, believed, np.zeros_like(motor), 0))
     return done
 
 
@@ -113,16 +119,16 @@ def test_a_round_leaves_what_the_export_forecast_and_says_so(tmp_path, monkeypat
 
 def test_a_corrected_program_brings_the_target_onto_the_nominal_lines(tables):
     machine = tables.machine
-    plan = on_increment(
+    plan = round_to_increment(
         check_plan(machine, 0.3, np.random.default_rng(4)), machine.lower, machine.upper
     )
-    parts = in_parts(plan)
-    moved = corrected(parts, lambda q: displacement(tables, q))
+    parts = cut_legs(plan)
+    moved = correct_points(parts, lambda q: displacement(tables, q))
     text = corrected_program(moved, ['test'])
     assert text.count('G64 P') == 1 and 'G61' not in text
     assert text.count('G4 P') == len(plan.path.points)  # a stop at every corner of the plan
     (driven,) = stand_in({}, [control.Program('a', text, 1.0)])
-    at = on_path(driven, moved.path, parts.path)
+    at = commanded_positions(driven, moved.path, parts.path)
     before = displacement(tables, at.nominal)
     after = driven.motor[at.row] + displacement(tables, driven.motor[at.row]) - at.nominal
     after -= after.mean(axis=0)
@@ -134,13 +140,13 @@ def test_a_corrected_program_brings_the_target_onto_the_nominal_lines(tables):
 def test_a_drive_of_another_length_than_its_program_is_refused():
     points = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
     believed = np.repeat(points[:2], 50, axis=0)
-    driven = control.Driven(1e-3 * np.arange(100), believed, believed, 0 * believed, 0)
+    driven = control.DrivenProgram(1e-3 * np.arange(100), believed, believed, 0 * believed, 0)
     with pytest.raises(InputError, match=r'drove 0\.1\d* m of a program of 0\.2'):
-        on_path(driven, NominalPath(points))
+        commanded_positions(driven, NominalPath(points))
 
 
 def test_lines_of_an_ini_piece_come_into_their_sections(tables):
-    ini = files.with_piece(
+    ini = files.insert_piece(
         files.ini_text(tables.machine, 5.0, 0.4), '# words\n[JOINT_1]\nCOMP_FILE = y.comp\n'
     )
     sections = re.findall(r'^\[(\w+)\]$', ini, re.M)
@@ -204,14 +210,14 @@ def test_linuxcnc_corrects_by_joint_files_and_by_external_offsets(tables):
         pytest.skip('LinuxCNC runs on this computer already')
     machine = tables.machine
     points = np.array([[0.02, 0.02, -0.02], [0.28, 0.2, -0.18], [0.15, 0.05, -0.1]])
-    plan = on_increment(
+    plan = round_to_increment(
         Plan(NominalPath(points), np.full(2, 0.3), np.full(3, 0.3)), machine.lower, machine.upper
     )
     content = TablesFile(tables)
     joints = export_format('linuxcnc').export(Request(content, 'compensation.ini'))
     volume = export_format('lattice-csv').export(Request(content, files.LATTICE))
     given = dict(joints.files)
-    ini = files.with_piece(
+    ini = files.insert_piece(
         files.ini_text(machine, ACCELERATION, 0.3), given.pop('compensation.ini').decode()
     )
     text = program(DIALECTS['linuxcnc'], plan, ['test'])
@@ -221,7 +227,7 @@ def test_linuxcnc_corrects_by_joint_files_and_by_external_offsets(tables):
     )
     assert driven.lost == 0
     np.testing.assert_allclose(driven.believed[-1], points[-1], atol=1e-6)
-    at = on_path(driven, plan.path)
+    at = commanded_positions(driven, plan.path)
     by_joint = driven.motor - driven.believed - driven.offset
     np.testing.assert_allclose(by_joint, -joints.held(driven.believed + driven.offset), atol=1e-8)
     # offsets follow the position with the delay of a program in user space; at rest they are exact

@@ -8,7 +8,7 @@ import pytest
 from core_cells import record, small_plan, some_machine, some_pose
 
 from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
-from otf_core.calibration.lack_of_fit import MIN_REPEATED_LINES, Unfollowed, unfollowed
+from otf_core.calibration.lack_of_fit import MIN_REPEATED_LINES, LackOfFit, find_lack_of_fit
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
@@ -47,7 +47,7 @@ def recording(spoil, passes=2, seed=8):
 
 def found(spoil, passes=2):
     solution = solve_recordings([recording(spoil, passes)], COARSE, repair=False).solution
-    return unfollowed(solution.runs, solution.joint)
+    return find_lack_of_fit(solution.runs, solution.joint)
 
 
 def test_what_repeats_is_measured_and_what_does_not_is_not():
@@ -79,7 +79,7 @@ def test_curves_alone_tell_nothing():
         replace(r, pieces=replace(r.pieces, bend=np.ones((len(r.pieces), 3))))
         for r in solution.runs
     ]
-    assert unfollowed(bent, solution.joint) is None
+    assert find_lack_of_fit(bent, solution.joint) is None
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_curves_alone_tell_nothing():
     ],
 )
 def test_only_what_is_sure_and_matters_is_told(change, told):
-    one = replace(Unfollowed(square=1e-12, u=0.1e-12, lines=60), **change)
+    one = replace(LackOfFit(square=1e-12, u=0.1e-12, lines=60), **change)
     words = one.warning(0.5e-6)
     assert (words is not None) == told
     sizes = 'residual of 1 um, compared with a mean uncertainty of the grid of 0.5 um'
@@ -104,7 +104,7 @@ def test_only_what_is_sure_and_matters_is_told(change, told):
     ('between', 'machine'), [(None, True), (0.9e-12, True), (0.1e-12, False), (-1e-12, False)]
 )
 def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, machine):
-    words = Unfollowed(1e-12, 0.1e-12, 60, between).warning(0.5e-6)
+    words = LackOfFit(1e-12, 0.1e-12, 60, between).warning(0.5e-6)
     assert ('waves of a screw' in words) == machine
     assert 'the tracker has an error when pointing there' in words
     assert ('changed between the runs' in words) != machine
@@ -115,7 +115,7 @@ def test_between_runs_only_what_is_in_all_of_them_comes_again():
     def of(*spoils):
         given = [recording(s, passes=1, seed=k) for k, s in enumerate(spoils)]
         solution = solve_recordings(given, COARSE, repair=False).solution
-        return unfollowed(solution.runs, solution.joint)
+        return find_lack_of_fit(solution.runs, solution.joint)
 
     same, turned = of(sag, sag), of(sag, risen)
     assert same.square > 5.0 * same.u

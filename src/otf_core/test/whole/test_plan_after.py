@@ -10,7 +10,7 @@ from otf_core.config import PlannerConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.errors import ConfigError
-from otf_core.planning.follow_up import Question, answered, open_questions, plan_after
+from otf_core.planning.follow_up import OpenQuestion, answer_of_pieces, open_questions, plan_after
 from otf_core.planning.forecast import MeasuredRun, Setup, forecast, joint_rows, planned_solution
 from otf_core.planning.path_creation import plan_path
 
@@ -44,7 +44,7 @@ def test_folder_without_a_question_is_refused(tmp_path, rivals, hidden, words):
 
 def test_faint_lag_is_told_from_play_by_a_second_feed():
     setup = Setup.of(MACHINE)
-    asked = [Question('servo_mismatch', 'backlash', LAG)]
+    asked = [OpenQuestion('servo_mismatch', 'backlash', LAG)]
     plan, (answer,), _ = plan_after(asked, setup, PlannerConfig(levels=2), None)
     assert answer.sure and len(set(plan.feed.tolist())) >= 2
     assert answer.to_dict()['probability'] > 0.99
@@ -52,7 +52,7 @@ def test_faint_lag_is_told_from_play_by_a_second_feed():
 
 def test_time_that_no_path_keeps_is_refused_with_the_shortest():
     with pytest.raises(ConfigError, match=r'the shortest takes \d+ s'):
-        plan_after([Question('tracker_scale')], Setup.of(MACHINE), PlannerConfig(), 1.0)
+        plan_after([OpenQuestion('tracker_scale')], Setup.of(MACHINE), PlannerConfig(), 1.0)
 
 
 def as_measured(plan, place):
@@ -67,9 +67,9 @@ def test_a_run_that_was_measured_adds_to_what_a_further_one_says():
     plan = plan_path(MACHINE, PlannerConfig(levels=2))
     before = MeasuredRun.of(as_measured(plan, setup.place), 'gap.json')
     planned = planned_solution(plan, setup, forecast(plan, setup))
-    question = Question('servo_mismatch', 'backlash', LAG)
+    question = OpenQuestion('servo_mismatch', 'backlash', LAG)
     alone, both = (
-        answered(joint_rows(planned, known, 1e-4), question).log_odds
+        answer_of_pieces(joint_rows(planned, known, 1e-4), question).log_odds
         for known in ([], [before.observed(setup)])
     )
     assert both > 1.9 * alone > 0.0

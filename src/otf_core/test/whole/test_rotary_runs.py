@@ -18,9 +18,9 @@ from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.rotary.calibrate import calibrate_axes
-from otf_core.rotary.matching import match
-from otf_core.rotary.tabulation import evenly_spread, without_rigid
+from otf_core.rotary.axis_calibration import calibrate_axes
+from otf_core.rotary.curve_matching import match
+from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
 
 
@@ -34,7 +34,7 @@ def left(found, true, q):
     e = displacement(true, q)
     d = displacement(found, q) - e
     rms = [
-        float(np.sqrt(np.mean(without_rigid(true.machine, q, v.reshape(-1, 1)) ** 2)))
+        float(np.sqrt(np.mean(remove_rigid_motions(true.machine, q, v.reshape(-1, 1)) ** 2)))
         for v in (d, e)
     ]
     return rms[0] / rms[1]
@@ -48,7 +48,7 @@ def test_recorded_trunnion_comes_out_as_it_is():
     assert all('spindle axis' in result.advice[n] for n in result.made.hidden)
     assert not result.failed_gates and result.fit.inflation < 1.2
     d = displacement(result.tables, q) - displacement(true, q)
-    away = without_rigid(machine(), q, d.reshape(-1, 1)).reshape(-1, 3)
+    away = remove_rigid_motions(machine(), q, d.reshape(-1, 1)).reshape(-1, 3)
     u = predict_u(result, q)
     assert np.mean(np.abs(away) < 2 * u) > 0.88
     assert np.sqrt(np.mean((away / u) ** 2)) > 0.35

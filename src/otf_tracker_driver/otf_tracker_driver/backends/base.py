@@ -180,7 +180,7 @@ class Backend(ABC):
         """Release the source; comes at any time, also if ``connect`` failed."""
 
 
-def joined(parts: list[Samples]) -> Samples:
+def join_samples(parts: list[Samples]) -> Samples:
     """All samples of a list as one."""
     if not parts:
         return NO_SAMPLES

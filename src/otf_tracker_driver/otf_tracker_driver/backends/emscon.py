@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
-from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
-from otf_tracker_driver.emscon.configure import Wanted
+from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, join_samples
+from otf_tracker_driver.emscon.configure import MeasurementSetup
 from otf_tracker_driver.emscon.errors import TrackerError
 from otf_tracker_driver.emscon.operations import OPERATIONS
 from otf_tracker_driver.emscon.session import Address
@@ -22,7 +22,7 @@ from otf_tracker_driver.emscon.state import (
     SessionState,
 )
 from otf_tracker_driver.emscon.thread import SessionThread
-from otf_tracker_driver.health import Health, Hindrance, left_out
+from otf_tracker_driver.health import Health, Hindrance, count_left_out
 
 PATIENCE, INITIALISED = 8.0, 3.0
 """s; longer than it takes to set up a tracker that is initialised; and one that initialises for
@@ -74,7 +74,9 @@ class Emscon(Backend):
         own = self.own
         if not own.host:
             raise ConfigError('parameter emscon.host: empty; give the address of the tracker')
-        wanted = Wanted(_milliseconds(own.interval), own.reflector, _environment(own.environment))
+        wanted = MeasurementSetup(
+            _milliseconds(own.interval), own.reflector, _environment(own.environment)
+        )
         self._thread = SessionThread(Address(own.host, own.port), wanted, own.find_reflector)
         began = time.monotonic()
         while not self._thread.configured:
@@ -121,7 +123,7 @@ class Emscon(Backend):
             environment=state.environment or (state.tracker and state.tracker.environment),
             connections=state.connections,
             interruptions=state.interruptions,
-            left_out=left_out(state.repeated, state.left_out),
+            left_out=count_left_out(state.repeated, state.left_out),
             unreadable=state.unreadable,
             warnings=state.tracker.warnings if state.tracker else (),
             gaps=state.gaps,
@@ -149,7 +151,7 @@ class Emscon(Backend):
         if self._thread is None or not self._streams:
             return NO_SAMPLES
         assert self._thread.configured, 'asked before the start'
-        return joined(self._thread.fetch())
+        return join_samples(self._thread.fetch())
 
     @property
     def finished(self) -> bool:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
-from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
-from otf_tracker_driver.health import Health, Hindrance, left_out
+from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, join_samples
+from otf_tracker_driver.health import Health, Hindrance, count_left_out
 from otf_tracker_driver.stream.description import read_description
 from otf_tracker_driver.stream.reader import Reader
-from otf_tracker_driver.stream.transport import opened
+from otf_tracker_driver.stream.transport import open_source
 
 BY_HOST = (
     'WARNING: stamped on arrival, as its description declares: batches and delays of the network '
@@ -44,7 +44,7 @@ class Stream(Backend):
         if not self.own.source:
             raise ConfigError('parameter stream.source: missing; name the description to read')
         how = read_description(self.own.source)
-        self._reader = Reader(how, opened(how.source, how.peer))
+        self._reader = Reader(how, open_source(how.source, how.peer))
         self.remark = BY_HOST if how.stamp is None else ''
         return f'{how.format} lines from {how.source} ({self.own.source})'
 
@@ -71,7 +71,7 @@ class Stream(Backend):
             hardware=reader.source,
             clock=None if by_host else reader.stamper.clock,
             by_host=by_host,
-            left_out=left_out(reader.repeated, reader.left_out),
+            left_out=count_left_out(reader.repeated, reader.left_out),
             unreadable=reader.unreadable,
             connections=reader.connections,
             interruptions=reader.interruptions,
@@ -85,7 +85,7 @@ class Stream(Backend):
 
     def poll(self) -> Samples:
         """Return what has been stamped since the last call."""
-        return joined(self._reader.fetch()) if self._reader else NO_SAMPLES
+        return join_samples(self._reader.fetch()) if self._reader else NO_SAMPLES
 
     @property
     def finished(self) -> bool:

@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_tracker_driver.clock.envelope import NOTHING, WANDERS, Known, Line, beneath
+from otf_tracker_driver.clock.envelope import NOTHING, WANDERS, ClockPrior, Line, lower_line
 
 WINDOW = 120 * 10**9
 """ns; older packets are forgotten, so that a rate that changes with temperature is followed."""
@@ -130,7 +130,7 @@ class DeviceClock:
         if self._line is not None:
             delay = max(self._spread * 1e9, 1.0)
             u_rate = math.hypot(self._line.u_rate, WANDERS)
-            self._known = Known(self._line.rate, u_rate, delay)
+            self._known = ClockPrior(self._line.rate, u_rate, delay)
         self._known = replace(self._known, floor=None, ceiling=None)
         self._line, self._ahead = None, 0
         self._points.clear()
@@ -214,7 +214,7 @@ class DeviceClock:
 
     def _settled(self, lasted: int) -> Verdict:
         """Draw the first line of an epoch if enough is known."""
-        line = beneath(*self._arrays(), self._known)
+        line = lower_line(*self._arrays(), self._known)
         enough = lasted >= SETTLING and len(self._points) > 1
         sure = lasted >= UNSURE_FOR or (math.isinf(line.bound) and line.u_base <= SURE)
         if line.bound > CERTAIN and not (enough and sure):
@@ -248,7 +248,7 @@ class DeviceClock:
 
     def _fit(self) -> None:
         device, delay = self._arrays()
-        line = beneath(device, delay, self._known)
+        line = lower_line(device, delay, self._known)
         above = delay - line.at(device)
         if len(above) > 2 * RAISED_FOR and self._raised(above):
             self._jumps += 1

@@ -57,7 +57,7 @@ MOST_LOWERED = 3e6
 
 
 @dataclass(frozen=True)
-class Known:
+class ClockPrior:
     """What is known of a clock before its packets.
 
     Attributes
@@ -81,7 +81,7 @@ class Known:
     ceiling: int | None = None
 
 
-NOTHING = Known()
+NOTHING = ClockPrior()
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,8 @@ class Line:
         return replace(self, origin=self.origin + step_ns, base=self.base - step_ns)
 
 
-def beneath(
-    device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64], known: Known = NOTHING
+def lower_line(
+    device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64], known: ClockPrior = NOTHING
 ) -> Line:
     """Return the likeliest line beneath all points.
 
@@ -179,7 +179,7 @@ def beneath(
 
 
 def _start(
-    known: Known, base: int, highest: float, exceeding: float
+    known: ClockPrior, base: int, highest: float, exceeding: float
 ) -> tuple[float, float] | None:
     """Return between which offsets the clock has started, ns from ``base``; None if unknown.
 

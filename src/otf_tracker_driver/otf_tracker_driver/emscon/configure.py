@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from otf_tracker_driver.emscon import codes
 from otf_tracker_driver.emscon.codes import Command, Status
 from otf_tracker_driver.emscon.commands import Value
-from otf_tracker_driver.emscon.errors import Refused, TrackerError
+from otf_tracker_driver.emscon.errors import CommandRefused, TrackerError
 from otf_tracker_driver.emscon.link import Link
 
 UNITS = (
@@ -36,7 +36,7 @@ NOTHING_MOVED = 1e-9
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MeasurementSetup:
     """How the tracker is to measure.
 
     Attributes
@@ -97,7 +97,9 @@ async def identify(link: Link) -> tuple[str, str, int, bool]:
     return name or 'tracker', version, status[9], status[1] == codes.PROCESSOR_INITIALISED
 
 
-async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]) -> Tracker:
+async def configure(
+    link: Link, wanted: MeasurementSetup, initialising: Callable[[], None]
+) -> Tracker:
     """Identify, initialise if needed, set everything and read it back.
 
     Parameters
@@ -227,7 +229,7 @@ async def _optional(link: Link, command: Command) -> tuple[Value, ...] | None:
     """Answer of a command that not every server knows."""
     try:
         return await link.ask(command)
-    except Refused as refused:
+    except CommandRefused as refused:
         if refused.status != Status.NOT_IMPLEMENTED:
             raise
         return None

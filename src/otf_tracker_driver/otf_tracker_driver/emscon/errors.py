@@ -16,7 +16,7 @@ class LinkError(TrackerError, Unreachable):
     """There is no connection, or it was lost; connecting again may help."""
 
 
-class Refused(TrackerError):
+class CommandRefused(TrackerError):
     """The tracker answered a command with an error.
 
     Attributes

@@ -14,7 +14,7 @@ from typing import TypeVar
 from otf_tracker_driver.emscon import codes, commands, packets
 from otf_tracker_driver.emscon.codes import Command, Status
 from otf_tracker_driver.emscon.commands import Value
-from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
+from otf_tracker_driver.emscon.errors import CommandRefused, LinkError, TrackerError
 from otf_tracker_driver.emscon.framing import Framer, ProtocolError
 from otf_tracker_driver.emscon.wire import Wire, wired
 from otf_tracker_driver.silence import first_of
@@ -166,7 +166,7 @@ class Link:
             try:
                 async with self._asked(command, values) as answers:
                     return await take(answers)
-            except Refused as refused:
+            except CommandRefused as refused:
                 if refused.status != Status.BUSY or loop.time() > until:
                     raise
             await asyncio.sleep(pause)
@@ -203,7 +203,7 @@ class Link:
             raise LinkError(f'no answer to {what} within {limit:.0f} s; is it an emScon server?')
         answer = got.result()
         if answer.status != Status.OK:
-            raise Refused(command, answer.status)
+            raise CommandRefused(command, answer.status)
         try:
             return commands.read_answer(command, answer.body)
         except ProtocolError as error:

@@ -71,13 +71,13 @@ class Measurements:
 
 
 @dataclass(frozen=True)
-class Unused:
+class UnusedPacket:
     """A packet of a type that this driver has no use for; counted."""
 
     kind: int
 
 
-Packet = Answer | ErrorReport | StatusChange | Measurements | Unused
+Packet = Answer | ErrorReport | StatusChange | Measurements | UnusedPacket
 
 
 def decode(packet: bytes) -> Packet:
@@ -99,7 +99,7 @@ def decode(packet: bytes) -> Packet:
         return StatusChange(_unpacked(EVENT, packet, 'event')[2])
     if kind in SAMPLES:
         return _measurements(packet, SAMPLES[PacketType(kind)])
-    return Unused(kind)
+    return UnusedPacket(kind)
 
 
 def _unpacked(layout: struct.Struct, packet: bytes, what: str) -> tuple[int, ...]:

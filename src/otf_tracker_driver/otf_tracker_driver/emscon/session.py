@@ -18,8 +18,8 @@ from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock
 from otf_tracker_driver.emscon import actions, codes, state
 from otf_tracker_driver.emscon.codes import Command, Event, Status
-from otf_tracker_driver.emscon.configure import Wanted, configure, unchanged
-from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
+from otf_tracker_driver.emscon.configure import MeasurementSetup, configure, unchanged
+from otf_tracker_driver.emscon.errors import CommandRefused, LinkError, TrackerError
 from otf_tracker_driver.emscon.intake import Intake
 from otf_tracker_driver.emscon.link import Link, connected
 from otf_tracker_driver.emscon.packets import (
@@ -27,7 +27,7 @@ from otf_tracker_driver.emscon.packets import (
     Measurements,
     Packet,
     StatusChange,
-    Unused,
+    UnusedPacket,
 )
 from otf_tracker_driver.emscon.state import SessionState
 from otf_tracker_driver.health import Beam, Flow, Hindrance
@@ -88,7 +88,11 @@ class Session:
     """
 
     def __init__(
-        self, address: Address, wanted: Wanted, find: bool, deliver: Callable[[Samples], None]
+        self,
+        address: Address,
+        wanted: MeasurementSetup,
+        find: bool,
+        deliver: Callable[[Samples], None],
     ) -> None:
         self._address, self._wanted, self._find = address, wanted, find
         self.state = SessionState()
@@ -163,12 +167,12 @@ class Session:
     def _first_failure(self, error: TrackerError) -> TrackerError:
         """Return the error with the address, as one that may pass if it may."""
         passing = isinstance(error, LinkError)
-        passing |= isinstance(error, Refused) and error.status in PASSING
+        passing |= isinstance(error, CommandRefused) and error.status in PASSING
         return (LinkError if passing else TrackerError)(f'tracker at {self._address}: {error}')
 
     def _may_be_our_own(self, error: TrackerError) -> bool:
         """Whether a tracker may just not have noticed that our last connection has ended."""
-        refused = isinstance(error, Refused) and error.status == Status.MULTIPLE_CONNECTIONS
+        refused = isinstance(error, CommandRefused) and error.status == Status.MULTIPLE_CONNECTIONS
         return refused and _now() - self._made < LINGERS
 
     async def _configure(self, link: Link) -> None:
@@ -196,7 +200,7 @@ class Session:
                 if await self._on_target(link):
                     await self._measure(link)
                 pause = FIRST_PAUSE
-            except Refused as refused:
+            except CommandRefused as refused:
                 self._hinder(Flow.SILENT, f'{refused}; trying again')
                 if refused.status == Status.NOT_INITIALISED:
                     raise LinkError('the tracker is not initialised any more') from None
@@ -221,7 +225,7 @@ class Session:
                 try:
                     await link.ask(Command.FIND_REFLECTOR, self._intake.last_range or 3.0)
                     return True
-                except Refused as refused:
+                except CommandRefused as refused:
                     text = f'{lost}; searched in vain: {refused}; trying again'
                     self._hinder(Flow.BEAM_BROKEN, text)
             else:
@@ -242,7 +246,7 @@ class Session:
                     self._patience = min(2 * self._patience, LONGEST_SILENCE)
                     self._interrupt(Flow.SILENT, SENDS_NOTHING)
                     self._hinder(Flow.SILENT, f'{SENDS_NOTHING}; starting it again')
-            with contextlib.suppress(Refused):  # it may have stopped by itself
+            with contextlib.suppress(CommandRefused):  # it may have stopped by itself
                 await link.ask(Command.STOP_MEASUREMENT)  # what comes before the answer counts
         except LinkError as error:
             self._interrupt(Flow.NO_CONNECTION, str(error))
@@ -326,7 +330,7 @@ class Session:
             self._closing |= packet.event == Event.SERVER_CLOSING
             self._doubt |= packet.event not in HARMLESS
             self._wake.set()
-        elif isinstance(packet, Unused):
+        elif isinstance(packet, UnusedPacket):
             self.state.unused += 1
 
     def _samples(self, packet: Measurements, arrival_ns: int) -> None:
@@ -393,6 +397,6 @@ async def _reflector_seen(link: Link) -> bool:
     """Ask whether the tracker sees a reflector; servers that cannot tell are believed to."""
     try:
         _, bits = await link.ask(Command.GET_MEASUREMENT_STATUS)
-    except Refused:
+    except CommandRefused:
         return True
     return bool(int(bits) & codes.REFLECTOR_SEEN)

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from typing import TypeVar
 
 from otf_core.model.observation import Samples
-from otf_tracker_driver.emscon.configure import Wanted
+from otf_tracker_driver.emscon.configure import MeasurementSetup
 from otf_tracker_driver.emscon.errors import TrackerError
 from otf_tracker_driver.emscon.link import Link
 from otf_tracker_driver.emscon.session import Address, Session
@@ -39,7 +39,7 @@ class SessionThread:
         Whether the tracker may search for the reflector by itself.
     """
 
-    def __init__(self, address: Address, wanted: Wanted, find: bool) -> None:
+    def __init__(self, address: Address, wanted: MeasurementSetup, find: bool) -> None:
         self._address, self._wanted, self._find = address, wanted, find
         self._samples: deque[Samples] = deque()
         self._made = threading.Event()

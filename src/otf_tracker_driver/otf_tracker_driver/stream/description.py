@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from otf_core.files.strict_yaml import Fields, read_yaml, shown
+from otf_core.files.strict_yaml import Fields, read_yaml, value_text
 
 LENGTHS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6, 'in': 0.0254, 'ft': 0.3048}
 ANGLES = {'rad': 1.0, 'deg': math.pi / 180, 'gon': math.pi / 200}
@@ -113,7 +113,7 @@ def read_description(path: str | Path) -> Description:
     separator = _separator(top) if kind == TEXT and top.has('separator') else ''
     decimal = _choice(top, 'decimal', DECIMALS) if kind == TEXT and top.has('decimal') else '.'
     if decimal == separator:
-        top.fail('decimal', f'{shown(decimal)} separates the columns, too')
+        top.fail('decimal', f'{value_text(decimal)} separates the columns, too')
     columns = top.mapping('columns' if kind == TEXT else 'keys')
     spherical = not columns.has('x') and columns.has('azimuth')
     names = SPHERICAL if spherical else CARTESIAN
@@ -138,8 +138,9 @@ def _source(top: Fields) -> Source:
     text = top.text('source')
     address = re.fullmatch(r'(tcp|udp|serial)://(.+):(\d{1,7})', text)
     if not address:
-        top.fail('source', f'{shown(text)}; give tcp://HOST:PORT, udp://ADDRESS:PORT (listens '
-                 f'there), or serial:///dev/ttyUSB0:115200')  # fmt: skip
+        top.fail('source', f'{value_text(text)}; give tcp://HOST:PORT, '
+                 f'udp://ADDRESS:PORT (listens there) or '
+                 f'serial:///dev/ttyUSB0:115200')  # fmt: skip
     kind, host, port = address[1], address[2], int(address[3])
     if kind == 'serial' and port not in BAUDS:
         top.fail('source', f'{port} baud; possible: {", ".join(map(str, BAUDS))}')
@@ -151,14 +152,14 @@ def _source(top: Fields) -> Source:
 def _separator(top: Fields) -> str:
     value = top.take('separator')
     if not isinstance(value, str) or not value:
-        top.fail('separator', f'expected text, got {shown(value)}')
+        top.fail('separator', f'expected text, got {value_text(value)}')
     return _escaped(value)
 
 
 def _choice(fields: Fields, key: str, possible: Sequence[str]) -> str:
     text = fields.text(key)
     if text not in possible:
-        fields.fail(key, f'{shown(text)}; possible: {", ".join(possible)}')
+        fields.fail(key, f'{value_text(text)}; possible: {", ".join(possible)}')
     return text
 
 
@@ -176,10 +177,10 @@ def _checked(fields: Fields, key: str, value: object, kind: str) -> Place:
     if kind == JSON:
         if isinstance(value, str) and value:
             return value
-        fields.fail(key, f'{shown(value)}; give its key in the JSON object, such as pose.x')
+        fields.fail(key, f'{value_text(value)}; give its key in the JSON object, such as pose.x')
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < MOST_COLUMNS:
         return value
-    fields.fail(key, f'{shown(value)}; give the number of its column, the first is 0')
+    fields.fail(key, f'{value_text(value)}; give the number of its column, the first is 0')
 
 
 def _escaped(text: str) -> str:

@@ -158,7 +158,7 @@ def _cartesian(
     return distance * sine * math.cos(azimuth), -y if clockwise else y, distance * math.cos(zenith)
 
 
-def as_arrays(
+def to_arrays(
     points: list[tuple[int | None, tuple[float, float, float]]], now_ns: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Stamps (n,), ns, and points (n, 3), m; points without a stamp get the time of arrival."""

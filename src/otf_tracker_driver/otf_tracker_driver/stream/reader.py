@@ -21,11 +21,11 @@ from otf_tracker_driver.stream.lines import (
     LONGEST,
     Lines,
     Unreadable,
-    as_arrays,
     holds_one_object,
     read_point,
+    to_arrays,
 )
-from otf_tracker_driver.stream.transport import Transport, opened
+from otf_tracker_driver.stream.transport import Transport, open_source
 
 WAIT = 0.1
 """s"""
@@ -162,7 +162,7 @@ class Reader:
             while not self._ended.wait(pause):
                 pause = min(2 * pause, LONGEST_PAUSE)
                 try:
-                    self._transport = opened(self._how.source, self._how.peer)
+                    self._transport = open_source(self._how.source, self._how.peer)
                 except InputError as error:
                     self._hinder(Flow.NO_CONNECTION, f'{error}; connecting again')
                     continue
@@ -254,7 +254,7 @@ class Reader:
             wrong = wrong or f'line of more than {LONGEST} bytes'
         if points:
             self.points += len(points)
-            self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
+            self._stamp(*to_arrays(points, arrival_ns), arrival_ns)
             self._last_point, self._next_example = time.monotonic(), 0
             self._warning = self._repeating()
         elif wrong:

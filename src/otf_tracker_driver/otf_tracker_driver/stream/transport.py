@@ -133,7 +133,7 @@ class Serial(Transport):
         os.close(self._file)
 
 
-def opened(source: Source, peer: str = '') -> Transport:
+def open_source(source: Source, peer: str = '') -> Transport:
     """Open a source; of datagrams, take only those of a peer if one is given.
 
     Raises

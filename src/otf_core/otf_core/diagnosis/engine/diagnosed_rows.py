@@ -34,7 +34,7 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.effect_products import Candidates, tried_shapes
 from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
@@ -61,7 +61,7 @@ from otf_core.model.observation import Samples
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Run
-from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
+from otf_core.solving.joint import JointSolution, Start, solve_jointly, sum_normal_equations
 from otf_core.solving.model_choice import is_finer, linear_bases, smooth_bases
 from otf_core.solving.roughness import Search
 from otf_core.solving.unknowns import Basis, layout
@@ -101,9 +101,9 @@ def rows_to_diagnose(
     if not is_finer(joint.unknowns.bases) or not effects:
         return rows
     both = (linear_bases(nodes), smooth_bases(nodes))
-    solved = shared_out(lambda bases: _solved(runs, joint, bases, config), both, (runs, joint))
+    solved = share_out(lambda bases: _solved(runs, joint, bases, config), both, (runs, joint))
     others = [build_rows(loud, one, limit) for one in solved if one is not None]
-    fine, *alone = shared_out(_likelihood, [rows, *others])
+    fine, *alone = share_out(_likelihood, [rows, *others])
     for other, own in sorted(zip(others, alone, strict=True), key=lambda pair: -pair[1]):
         if _likelier(other, own, fine, effects):
             return other
@@ -211,7 +211,7 @@ def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
         parts = zip(systems, rows.by_run(moved), strict=True)
         systems = [replace(s, deviation=s.deviation - part) for s, part in parts]
         price = _price(causes, fitted, rows.residual)
-    normal = summed(systems, joint.unknowns, rows.whiteners)
+    normal = sum_normal_equations(systems, joint.unknowns, rows.whiteners)
     search = Search(normal, joint.unknowns, _blocks(rows), rows.limit)
     return search.run().log_likelihood - price
 
@@ -291,12 +291,15 @@ def remeasure_noise(
 
     ``rotation`` turns tracker coordinates to those of the machine.
     """
-    samples, speed = _without(run.samples, run, vibrations, rotation), config.standstill_speed
+    samples, speed = (
+        _remove_swings(run.samples, run, vibrations, rotation),
+        config.standstill_speed,
+    )
     noise = noise_model(samples, run.machine.tracker, speed)
     return with_measured_noise(replace(run, samples=samples, noise=noise), speed)
 
 
-def _without(
+def _remove_swings(
     samples: Samples, run: Run, effects: Sequence[AppliedEffect], rotation: Array
 ) -> Samples:
     """Samples less what swings."""

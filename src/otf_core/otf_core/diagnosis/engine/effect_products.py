@@ -30,7 +30,7 @@ import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array, Index
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.diagnosis.engine.evidence import (
     Estimate,
     Option,
@@ -40,7 +40,12 @@ from otf_core.diagnosis.engine.evidence import (
     log_evidence,
     motion_subsets,
 )
-from otf_core.diagnosis.engine.residual_rows import InTime, Pulled, Rows, add_products
+from otf_core.diagnosis.engine.residual_rows import (
+    Rows,
+    TimeFunctions,
+    WhitenedColumns,
+    add_products,
+)
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.solving.sensitivity import column_size
@@ -65,12 +70,12 @@ class Source(Protocol):
     def trace(self, take: Index, value: Array) -> Array:
         """Sum up what some terms with values (k,) add, shape (r,)."""
 
-    def shared(self, pulled: Pulled) -> Array:
+    def shared(self, pulled: WhitenedColumns) -> Array:
         """Return the products (q, k) of whitened columns with what the effect adds."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class ShapeProducts:
     """One shape of an effect.
 
     Attributes
@@ -151,7 +156,7 @@ class Tried:
         """What is left of the best fit of some terms beside tables and poses, shape (r,)."""
         return self.source.trace(take, self.estimate(take, variance).value)
 
-    def gain(self, take: Index, pulled: Pulled) -> float:
+    def gain(self, take: Index, pulled: WhitenedColumns) -> float:
         """Fall of the sum of squares by some terms of a formula, fitted to one column."""
         right = self.source.shared(pulled)[0, take]
         return estimate_of(self.normal[np.ix_(take, take)], right, self.size[take]).gain
@@ -163,7 +168,7 @@ class Tried:
         orders = np.zeros(len(take)) if self.effect.many_alike else self.orders(take)
         return likeliest_width(*self._products(take), variance, orders) if len(orders) else orders
 
-    def without(self, shared: Array, amount: Array) -> Tried:
+    def without(self, shared: Array, amount: Array) -> ShapeProducts:
         """Leave out what orthonormal columns can follow.
 
         Parameters
@@ -180,7 +185,7 @@ class Tried:
             shared=np.concatenate([self.shared.reshape(-1, len(self.size)), shared]),
         )
 
-    def beside(self, back: Array, amount: Array) -> Tried:
+    def beside(self, back: Array, amount: Array) -> ShapeProducts:
         """Let combinations ``back`` (q, n) of what was left out count again.
 
         Parameters
@@ -195,13 +200,13 @@ class Tried:
             self, normal=self.normal + shared.T @ shared, right=self.right + shared.T @ amount
         )
 
-    def only(self, takes: Sequence[Index]) -> Tried:
+    def only(self, takes: Sequence[Index]) -> ShapeProducts:
         """Keep some of the options."""
         return replace(self, takes=tuple(takes))
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class MeasuredColumns:
     """Columns made from the rows of runs; ``cross`` (b, k) is A'E."""
 
     rows: Rows
@@ -231,24 +236,26 @@ class Made:
         moved = self.rows.displacement(self.effect, self.shape, whole)
         return self.rows.project(self.rows.whiten(moved))[:, 0]
 
-    def shared(self, pulled: Pulled) -> Array:
+    def shared(self, pulled: WhitenedColumns) -> Array:
         """Products of whitened columns with what the effect adds."""
         return _shared([self], pulled)[0]
 
 
-def shared_with(alike: Sequence[Tried], pulled: Pulled) -> list[Array]:
+def shared_with(alike: Sequence[ShapeProducts], pulled: WhitenedColumns) -> list[Array]:
     """``Source.shared`` of candidates of one ``family``."""
-    sources = [t.source for t in alike if isinstance(t.source, Made)]
+    sources = [t.source for t in alike if isinstance(t.source, MeasuredColumns)]
     return _shared(sources, pulled) if sources else [t.source.shared(pulled) for t in alike]
 
 
-def family(tried: Tried) -> object:
+def family(tried: ShapeProducts) -> object:
     """Effect of which all shapes are multiplied together; else the candidate itself."""
-    together = isinstance(tried.source, Made) and isinstance(tried.effect, InTime)
+    together = isinstance(tried.source, MeasuredColumns) and isinstance(
+        tried.effect, TimeFunctions
+    )
     return tried.effect if together else tried
 
 
-def _shared(sources: Sequence[Made], pulled: Pulled) -> list[Array]:
+def _shared(sources: Sequence[MeasuredColumns], pulled: WhitenedColumns) -> list[Array]:
     """Products of whitened columns with what shapes of one effect add."""
     rows, effect, shapes = sources[0].rows, sources[0].effect, [one.shape for one in sources]
     count = sources[0].terms.columns.shape[2]
@@ -261,7 +268,7 @@ def _shared(sources: Sequence[Made], pulled: Pulled) -> list[Array]:
     return [part - pulled.inner.T @ one.cross for part, one in zip(products, sources, strict=True)]
 
 
-def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
+def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[ShapeProducts]:
     """Reduce the columns of shapes of an effect to their products."""
     pulled = rows.pulled_residual
     return [t for some in _batches(rows, effect, shapes) for t in _reduced(rows, some, pulled)]
@@ -297,7 +304,7 @@ def _batches(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> Iterator[li
         yield batch
 
 
-def _reduced(rows: Rows, batch: Sequence[_Shape], pulled: Pulled) -> list[Tried]:
+def _reduced(rows: Rows, batch: Sequence[_Shape], pulled: WhitenedColumns) -> list[ShapeProducts]:
     """Products of the columns of a batch; run by run where each has coefficients of its own."""
     effect, runs = batch[0].effect, range(len(rows.states))
     groups = [[k] for k in runs] if effect.own_per_run else [list(runs)]
@@ -317,11 +324,11 @@ class _Sums:
 
 
 def _group(
-    rows: Rows, batch: Sequence[_Shape], group: Sequence[int], pulled: Pulled
+    rows: Rows, batch: Sequence[_Shape], group: Sequence[int], pulled: WhitenedColumns
 ) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
     pull = rows.by_run(pulled.plain)
-    plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
+    plain = [_stack_columns([_columns(rows, one, k) for one in batch]) for k in group]
     size = column_size(*plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     square = np.zeros((len(size), len(size)))
@@ -337,12 +344,14 @@ def _columns(rows: Rows, one: _Shape, run: int) -> Array:
     return rows.columns_in_run(one.effect, one.shape, run, one.terms.columns.shape[2])
 
 
-def _beside(parts: Sequence[Array]) -> Array:
+def _stack_columns(parts: Sequence[Array]) -> Array:
     """Columns side by side; no copy of one part alone."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
-def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> Tried:
+def _joined(
+    rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: WhitenedColumns
+) -> ShapeProducts:
     """Products with what tables and poses can follow left out."""
     size = np.concatenate([p.size for p in parts])
     square = linalg.block_diag(*(p.square for p in parts))
@@ -350,7 +359,10 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     right = np.concatenate([p.right for p in parts]) - pulled.inner[:, 0] @ cross
     half = linalg.solve_triangular(rows.factor, cross, lower=True)
     normal = square - half.T @ (half + rows.slack @ half)
-    whole, source = square.diagonal().copy(), Made(rows, one.effect, one.shape, one.terms, cross)
+    whole, source = (
+        square.diagonal().copy(),
+        MeasuredColumns(rows, one.effect, one.shape, one.terms, cross),
+    )
     faint = np.flatnonzero((normal.diagonal() < FAINT * whole) & (size > NO_TRACE))
     if faint.size:
         own = source.own(faint)
@@ -360,7 +372,7 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     if one.effect.rigid:  # a motion by each axis is a cause of its own
         chosen = chosen[1:] or chosen
     takes = (s[size[s] > NO_TRACE] for s in chosen)
-    return Tried(
+    return ShapeProducts(
         one.effect,
         one.shape,
         one.terms,
@@ -373,14 +385,14 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     )
 
 
-Candidates = Mapping[str, Sequence[Tried]]
+Candidates = Mapping[str, Sequence[ShapeProducts]]
 
 NEXT_TO_NOTHING = 1e-9
 """Share of the largest squared singular value."""
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class ProductsBeside:
     """What is left beside some causes.
 
     Attributes
@@ -397,19 +409,19 @@ class Beside:
     basis: Array
     residual: Array
 
-    def trace(self, tried: Tried, take: Index, variance: float) -> Array:
+    def trace(self, tried: ShapeProducts, take: Index, variance: float) -> Array:
         """Best fit of one of the candidates, less what the causes can follow, shape (r,)."""
         trace = tried.trace(take, variance)
         return np.asarray(trace - self.basis @ (self.basis.T @ trace))
 
     @cached_property
-    def taken(self) -> tuple[Pulled, Array] | None:
+    def taken(self) -> tuple[WhitenedColumns, Array] | None:
         """What the causes can follow, and the amount of the residual along it."""
         if not self.basis.shape[1]:
             return None
         return self.rows.pulled(self.basis), self.basis.T @ self.rows.residual
 
-    def less(self, tried: Tried) -> Tried:
+    def less(self, tried: ShapeProducts) -> ShapeProducts:
         """A further candidate, less what the causes can follow."""
         if self.taken is None:
             return tried
@@ -455,7 +467,7 @@ class Pool:
             np.concatenate([self.amount, amount]),
         )
 
-    def beside(self, options: Sequence[Option]) -> Beside:
+    def beside(self, options: Sequence[Option]) -> ProductsBeside:
         """What is left beside options, all of which are in the basis."""
         remaining = {n: list(g) for n, g in self.groups.items()}
         for option in options:
@@ -471,20 +483,20 @@ class Pool:
             again = back.T @ self.amount
             remaining = {n: [t.beside(back, again) for t in g] for n, g in remaining.items()}
         basis = self.basis @ turned
-        return Beside(
+        return ProductsBeside(
             self.rows, remaining, basis, self.rows.residual - basis @ (turned.T @ self.amount)
         )
 
 
-def _without(groups: Candidates, pulled: Pulled, amount: Array) -> Candidates:
+def _without(groups: Candidates, pulled: WhitenedColumns, amount: Array) -> Candidates:
     every = [t for g in groups.values() for t in g]
     families = [list(alike) for _, alike in groupby(every, family)]
-    families_shared = shared_out(lambda alike: shared_with(alike, pulled), families)
+    families_shared = share_out(lambda alike: shared_with(alike, pulled), families)
     shared = chain.from_iterable(families_shared)
     return {n: [t.without(next(shared), amount) for t in g] for n, g in groups.items()}
 
 
-def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:
+def _other_axes(tried: ShapeProducts, axes: Sequence[str]) -> ShapeProducts:
     """Keep the options of single axes that are not among these."""
     takes = [take for take in tried.takes if tried.axes(take)]
     return tried.only([take for take in takes if not set(tried.axes(take)) & set(axes)])

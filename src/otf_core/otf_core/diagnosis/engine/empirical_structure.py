@@ -36,8 +36,8 @@ import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array
-from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.effect_products import Pool, Tried, tried_shapes
+from otf_core.aside import share_out
+from otf_core.diagnosis.engine.effect_products import Pool, ShapeProducts, tried_shapes
 from otf_core.diagnosis.engine.evidence import log_evidence
 from otf_core.diagnosis.engine.input_search import Scores, find_inputs
 from otf_core.diagnosis.engine.residual_rows import Rows
@@ -154,15 +154,15 @@ class Structures:
     """
 
     rows: Rows
-    ranked: tuple[Tried, ...]
+    ranked: tuple[ShapeProducts, ...]
     looked: float
 
-    def tried(self, free: Free) -> Tried:
+    def tried(self, free: Free) -> ShapeProducts:
         """Fit one structure."""
         spans = {name: span_of(self.rows.states, name) for name in free.inputs}
         return tried_shapes(self.rows, FreeForm(_EMPIRICAL, free, spans), [{}])[0]
 
-    def score(self, tried: Tried, variance: float) -> float:
+    def score(self, tried: ShapeProducts, variance: float) -> float:
         """Evidence of one of them, less the price of having looked at all."""
         return tried.odds(np.arange(len(tried.size)), variance) - self.looked
 
@@ -180,14 +180,14 @@ def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     structures = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
     return replace(
-        structures, ranked=tuple(shared_out(structures.tried, forms, (rows, _EMPIRICAL)))
+        structures, ranked=tuple(share_out(structures.tried, forms, (rows, _EMPIRICAL)))
     )
 
 
 def find_structure(tried: Structures) -> Structure | None:
     """Find what a gap depends on, and how it acts; None if no structure has the odds."""
     rows, ranked = tried.rows, tried.ranked
-    variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
+    variance = noise_variance(rows, _fit_residual(_likeliest(ranked, 1.0), rows))
     first = _simplest(ranked, variance)
     # what turns all that the tracker sees looks as a vector as if it depended on places as well
     inner = [t for t in ranked if set(plain_inputs(t)) <= set(plain_inputs(first))]
@@ -216,7 +216,7 @@ def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | N
     return _clear(tried, _likeliest(remaining, variance), variance)
 
 
-def _clear(tried: Structures, candidate: Tried, variance: float) -> Structure | None:
+def _clear(tried: Structures, candidate: ShapeProducts, variance: float) -> Structure | None:
     """A structure, if it has the odds."""
     score = tried.score(candidate, variance)
     if score < NEEDED:
@@ -296,11 +296,11 @@ def _gains(forms: Sequence[Free], tables: dict[str, Array], scores: Scores) -> l
     return [gain - float(price) for gain, price in zip(gains, prices, strict=True)]
 
 
-def _likeliest(ranked: Sequence[Tried], variance: float) -> Tried:
+def _likeliest(ranked: Sequence[ShapeProducts], variance: float) -> ShapeProducts:
     return max(ranked, key=lambda t: t.odds(np.arange(len(t.size)), variance))
 
 
-def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
+def _simplest(ranked: Sequence[ShapeProducts], variance: float) -> ShapeProducts:
     """The likeliest, or one of its inputs alone where that is about as good."""
     best = _likeliest(ranked, variance)
     score = best.odds(np.arange(len(best.size)), variance)
@@ -310,24 +310,24 @@ def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
     return _likeliest(enough, variance) if enough else best
 
 
-def inputs_of(tried: Tried) -> tuple[str, ...]:
+def inputs_of(tried: ShapeProducts) -> tuple[str, ...]:
     """Inputs of a structure."""
     effect = tried.effect
     assert isinstance(effect, FreeForm)
     return effect.form.inputs
 
 
-def plain_inputs(tried: Tried) -> tuple[str, ...]:
+def plain_inputs(tried: ShapeProducts) -> tuple[str, ...]:
     """The same, a place or a moment as the inputs that it says more of."""
     return plain_names(inputs_of(tried))
 
 
-def _left(tried: Tried, rows: Rows) -> Array:
+def _fit_residual(tried: ShapeProducts, rows: Rows) -> Array:
     """Residual less the best fit."""
     return rows.residual - tried.trace(np.arange(len(tried.size)), 1.0)
 
 
-def _ways(first: Tried, variance: float) -> list[Free]:
+def _ways(first: ShapeProducts, variance: float) -> list[Free]:
     """The same inputs acting in other ways."""
     assert isinstance(first.effect, FreeForm)
     ways: list[Acting] = [ACTING[RIGID_TRACKER], ACTING[RIGID_TABLE]]
@@ -337,7 +337,7 @@ def _ways(first: Tried, variance: float) -> list[Free]:
     return [replace(first.effect.form, acts=way) for way in ways]
 
 
-def _along_axes(best: Tried) -> list[Free]:
+def _along_axes(best: ShapeProducts) -> list[Free]:
     """The same inputs shifting the target along an axis that they belong to."""
     form = best.effect.form if isinstance(best.effect, FreeForm) else None
     if form is None or isinstance(form.acts, Along) or best.effect.own_per_run:
@@ -347,12 +347,12 @@ def _along_axes(best: Tried) -> list[Free]:
     return [replace(form, acts=Along(units[axis])) for axis in sorted(own)]
 
 
-def _odds(tried: Tried, variance: float) -> float:
+def _odds(tried: ShapeProducts, variance: float) -> float:
     """Evidence of a structure with all its terms."""
     return tried.odds(np.arange(len(tried.size)), variance)
 
 
-def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:
+def _main_direction(tried: ShapeProducts, variance: float) -> tuple[Array, float]:
     """Main direction of a fitted vector, and its share of the squared displacement."""
     value = tried.estimate(np.arange(len(tried.size)), variance).value
     per = (value * tried.size).reshape(3, -1)

@@ -20,11 +20,11 @@ from otf_core.effects.catalogue.tracker_noise import TrackerNoise
 from otf_core.live.stages import silent
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.departure import Departure, as_simulated, noise_departure
+from otf_core.noise.departure import Departure, noise_departure, simulated_noise
 from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
-from otf_core.pieces.runs import Recording, Run, reduced
-from otf_core.solving.joint import Start, settled, solve_robustly
+from otf_core.pieces.runs import Recording, Run, reduce_recording
+from otf_core.solving.joint import Start, settle_covariance, solve_robustly
 from otf_core.solving.residuals import FOLDS, leg_numbers
 from otf_core.solving.sensitivity import left_by_tables
 from otf_core.tracking.matching import OFF_PATH
@@ -273,7 +273,7 @@ def _variance_ratio(rows: Rows) -> float:
     for run, solved in zip(_runs(rows), rows.done.runs, strict=True):
         shares = solved.system.shares
         measured += float(sample_variance(run.noise, shares).sum())
-        spec = as_simulated(run.noise, run.machine.tracker)
+        spec = simulated_noise(run.noise, run.machine.tracker)
         specified += float(sample_variance(spec, shares).sum())
     return measured / specified
 
@@ -304,11 +304,11 @@ def simulated_residual_um(
     for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
         recording = twin(run, solved.pose, rows.tables, seed + k)
         leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
-        again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
+        again = reduce_recording(recording, replace(run.alignment, leg=leg), nodes, config)
         runs.append(replace(again, late=run.late))
     start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
     _, joint = solve_robustly(runs, unknowns, config, silent, start)
-    joint = settled(joint, config.unidentifiable_above)
+    joint = settle_covariance(joint, config.unidentifiable_above)
     residual = left_by_tables(joint, [solved.system.deviation for solved in joint.runs])
     square = np.concatenate([np.sum(part**2, axis=0) for part in residual])
     return float(1e6 * np.sqrt(square.mean()))

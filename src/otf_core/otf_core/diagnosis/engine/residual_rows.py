@@ -41,7 +41,12 @@ from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed, Run
-from otf_core.solving.joint import JointSolution, settled, summed, tables_of
+from otf_core.solving.joint import (
+    JointSolution,
+    settle_covariance,
+    sum_normal_equations,
+    tables_of,
+)
 from otf_core.solving.normal import rows_by_run
 from otf_core.solving.residuals import (
     SampleResiduals,
@@ -62,7 +67,7 @@ from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_bloc
 from otf_core.solving.whitener import Whitener
 
 
-class InTime(Effect):
+class TimeFunctions(Effect):
     """Functions of time times a way to act; each run has its own."""
 
     heads: ClassVar[tuple[str, ...]]
@@ -96,7 +101,7 @@ class InTime(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class Touched:
+class LinesByUnknowns:
     """Lines of a run that touch the same unknowns.
 
     Attributes
@@ -115,9 +120,9 @@ class Touched:
     base: Array
 
 
-def touched(
+def sort_by_unknowns(
     columns: sparse.csr_array, whitener: Whitener, components: int, first: int
-) -> list[Touched]:
+) -> list[LinesByUnknowns]:
     """Whiten the columns of unknowns line by line, and sort lines by the unknowns they touch.
 
     Parameters
@@ -144,7 +149,7 @@ def touched(
         own = np.concatenate(parts.pop(touches), axis=1).reshape(-1, len(unknowns))
         every = np.concatenate([np.arange(*whitener.bounds[line]) for line in lines])
         rows = first + _rows_of(every, components, pieces)
-        touched_parts.append(Touched(lines, rows, unknowns, own))
+        touched_parts.append(LinesByUnknowns(lines, rows, unknowns, own))
     return touched_parts
 
 
@@ -164,7 +169,7 @@ ROWS = 4_000
 
 
 @dataclass(frozen=True)
-class Pulled:
+class WhitenedColumns:
     """Whitened columns Q, set up for their products with what effects add beyond the tables.
 
     With E = W D the columns of an effect, N the normal matrix of A: Q' (E - A N^-1 A' E) is
@@ -290,7 +295,7 @@ class Rows:
         self, turned: Array, effect: Effect, shapes: Sequence[Shape], run: int, count: int
     ) -> Array:
         """Products (s, q, k) of ``Pulled.turned`` of a run with displacements by k terms."""
-        if isinstance(effect, InTime):
+        if isinstance(effect, TimeFunctions):
             return effect.products(self.states[run], shapes, turned)
         products = np.zeros((len(shapes), turned.shape[2], count))
         for whole, shape in zip(products, shapes, strict=True):
@@ -358,7 +363,7 @@ class Rows:
             whitener.whiten(part).reshape(-1, *columns.shape[1:]) for whitener, part in parts
         ])  # fmt: skip
 
-    def pulled(self, white: Array) -> Pulled:
+    def pulled(self, white: Array) -> WhitenedColumns:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
         parts = zip(self.whiteners, self.by_run(white), self.done.runs, strict=True)
         plain, turned = [], []
@@ -367,10 +372,10 @@ class Rows:
             plain.append(pulled.reshape(-1, white.shape[1]))
             turned.append(np.einsum('cpi,cpq->piq', solved.system.axes, pulled))
         inner = linalg.cho_solve((self.factor, True), self.pull(white))
-        return Pulled(white, np.concatenate(plain), tuple(turned), inner)
+        return WhitenedColumns(white, np.concatenate(plain), tuple(turned), inner)
 
     @cached_property
-    def pulled_residual(self) -> Pulled:
+    def pulled_residual(self) -> WhitenedColumns:
         """The residual, set up for such products."""
         return self.pulled(self.residual[:, None])
 
@@ -386,7 +391,7 @@ class Rows:
         return np.concatenate([part.reshape(-1) for part in residual])
 
     @cached_property
-    def touched(self) -> list[list[Touched]]:
+    def touched(self) -> list[list[LinesByUnknowns]]:
         """Whitened columns of the unknowns in ``use``, in units of ``limit``, without zeros.
 
         Those of every run, lines that touch the same unknowns together.
@@ -395,7 +400,9 @@ class Rows:
         shapes = [s.system.deviation.shape for s in self.done.runs]
         first = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
         return [
-            touched(sparse.csr_array(solved.system.design @ gauge), whitener, shape[0], start)
+            sort_by_unknowns(
+                sparse.csr_array(solved.system.design @ gauge), whitener, shape[0], start
+            )
             for solved, whitener, shape, start in zip(
                 self.done.runs, self.whiteners, shapes, first[:-1], strict=True
             )
@@ -471,7 +478,7 @@ def _places(functions: Sequence[Array]) -> list[slice]:
 
 def build_rows(runs: Sequence[Run], joint: JointSolution, limit: float) -> Rows:
     """Set up the rows of solved runs of recordings; see ``rows_of``."""
-    return replace(rows_of(runs, settled(joint, limit), limit), runs=tuple(runs))
+    return replace(rows_of(runs, settle_covariance(joint, limit), limit), runs=tuple(runs))
 
 
 def rows_of(observed: Sequence[Observed], joint: JointSolution, limit: float) -> Rows:
@@ -488,7 +495,9 @@ def rows_of(observed: Sequence[Observed], joint: JointSolution, limit: float) ->
     whiteners = [
         Whitener.of(s, run.pieces, run.noise) for s, run in zip(systems, observed, strict=True)
     ]
-    seen = identifiable_blocks(summed(systems, joint.unknowns, whiteners), joint.unknowns, limit)
+    seen = identifiable_blocks(
+        sum_normal_equations(systems, joint.unknowns, whiteners), joint.unknowns, limit
+    )
     use = free_columns(joint.unknowns, seen)
     tables = tables_of(observed[0].machine, joint.unknowns, joint.solution)
     deviation, fold, states = [], [], []
@@ -532,7 +541,7 @@ def add_products(rows: Rows, run: int, values: Array, cross: Array, square: Arra
         square[np.ix_(acting, acting)] += white.T @ white
 
 
-def _acting(rows: Rows, run: int, values: Array) -> Iterator[tuple[Touched, Index]]:
+def _acting(rows: Rows, run: int, values: Array) -> Iterator[tuple[LinesByUnknowns, Index]]:
     """Yield lines, and the columns of values (c, p, k) that are not zero on all of them."""
     acts = acts_on_lines(values, rows.whiteners[run].bounds)
     acts |= acts.mean() > MOST

@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.aside import shared_out
+from otf_core.aside import share_out
 from otf_core.diagnosis.engine.effect_products import (
     NO_TRACE,
-    Beside,
     Candidates,
     Pool,
-    Tried,
+    ProductsBeside,
+    ShapeProducts,
     orthonormal,
     tried_shapes,
 )
@@ -33,10 +33,10 @@ from otf_core.diagnosis.engine.evidence import (
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.signal_lag import (
     AS_WELL,
+    add_lags,
+    choose_candidate,
     in_proportion,
-    preferred,
     signal_of,
-    with_lags,
 )
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, strongest_lines
 from otf_core.diagnosis.engine.time_courses import (
@@ -105,17 +105,19 @@ def noise_variance(rows: Rows, residual: Array) -> float:
     return float(np.mean([check_residuals(p, r.pieces.leg, 0).inflation for r, p in parts]))
 
 
-def fit_out(option: Option, residual: Array) -> Array:
+def remove_option(option: Option, residual: Array) -> Array:
     """Residual less the best fit of one option."""
     fit = estimate(option.white, option.size, residual, option.widths)
     return residual - option.white @ fit.value
 
 
-Ranking = list[tuple[float, Tried, Index]]
+Ranking = list[tuple[float, ShapeProducts, Index]]
 """Score of every effect, and its best option: the shape and its terms."""
 
 
-def _pairs(group: Sequence[Tried], variance: float) -> tuple[list[tuple[Tried, Index]], Array]:
+def _pairs(
+    group: Sequence[ShapeProducts], variance: float
+) -> tuple[list[tuple[ShapeProducts, Index]], Array]:
     """Options of an effect, shapes with their terms, and their scores.
 
     Of many that are alike, combinations of the likeliest motions alone are looked at; the others
@@ -126,7 +128,7 @@ def _pairs(group: Sequence[Tried], variance: float) -> tuple[list[tuple[Tried, I
     return pairs, np.array(scores)
 
 
-def _scores(tried: Tried, variance: float, takes: Sequence[Index]) -> list[float]:
+def _scores(tried: ShapeProducts, variance: float, takes: Sequence[Index]) -> list[float]:
     if not tried.effect.many_alike:
         return [tried.odds(take, variance) for take in takes]
     motions = motions_of_takes(tried.terms.names, takes)
@@ -153,7 +155,7 @@ def _ranking(candidates: Candidates, variance: float) -> Ranking:
         doubt = DECOY_DOUBT if group[0].effect.name in DECOY_NAMES else 0.0
         free = np.array([is_free(tried) for tried, _ in pairs])
         worth = scores - FREE_DOUBT * free
-        best = preferred([t for t, _ in pairs], worth, formula=~free)
+        best = choose_candidate([t for t, _ in pairs], worth, formula=~free)
         kinds = [average(scores[free == kind]) for kind in np.unique(free)]
         ranking.append((average(kinds) - doubt, *pairs[best]))
     ranking.sort(key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
@@ -171,18 +173,18 @@ def _simpler_first(ranking: Ranking) -> Ranking:
     return ranking
 
 
-def _worth(entry: tuple[float, Tried, Index]) -> float:
+def _worth(entry: tuple[float, ShapeProducts, Index]) -> float:
     """Score of an entry of a ranking, less the doubt in a free form."""
-    return entry[0] - FREE_DOUBT * is_doubted(entry[1])
+    return entry[0] - FREE_DOUBT * is_doubtful(entry[1])
 
 
-def is_doubted(tried: Tried) -> bool:
+def is_doubtful(tried: ShapeProducts) -> bool:
     """Return whether this is a free form that is more than a rigid motion by one input."""
     effect = tried.effect
     return is_free(tried) and not (isinstance(effect, FreeForm) and effect.form.rigid)
 
 
-def is_free(tried: Tried) -> bool:
+def is_free(tried: ShapeProducts) -> bool:
     """Return whether this is the free form of an effect; decoys, which have no name, have none."""
     free = bool(tried.terms.orders) and not in_proportion(tried)
     return free and tried.effect.name not in DECOY_NAMES
@@ -247,7 +249,7 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
 
 def _settled(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause], list[tuple[str, float]]]:
     """Find effects beside causes, and ask each again until all stay."""
-    named, considered, pool = _found(pool, causes)
+    named, considered, pool = _search_in_turn(pool, causes)
     for _ in range(MAX_CHANGES):
         changed = _changed(pool, named)
         if changed is None:
@@ -255,7 +257,7 @@ def _settled(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause], list[tup
         for cause in changed:
             if all(cause is not known for known in named):
                 pool = pool.joined(cause.option)
-        named, ranked, pool = _found(pool, changed)
+        named, ranked, pool = _search_in_turn(pool, changed)
         named, considered = _in_order(named), ranked or considered
     return named, considered
 
@@ -265,8 +267,8 @@ def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
     if not causes or not causes[0].indistinguishable:
         return None
     known = {*DECOY_NAMES, *(c.option.effect.name for c in causes)}
-    beside = _beside(pool, [], 1.0)
-    variance = noise_variance(pool.rows, fit_out(causes[0].option, pool.rows.residual))
+    beside = _candidates_beside(pool, [], 1.0)
+    variance = noise_variance(pool.rows, remove_option(causes[0].option, pool.rows.residual))
     ranking = _ranking(beside.candidates, variance)
     pairs = zip(ranking, _weights(ranking), strict=True)
     close = [e for e, weight in pairs if weight > LEAST_WEIGHT and e[0] >= NEEDED_EVIDENCE]
@@ -293,7 +295,7 @@ def search_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list
     pool = Pool.of(rows, tried)
     for cause in known:
         pool = pool.joined(cause.option)
-    return _found(pool, known)[0]
+    return _search_in_turn(pool, known)[0]
 
 
 def _in_order(causes: Sequence[Cause]) -> list[Cause]:
@@ -307,13 +309,13 @@ def _in_order(causes: Sequence[Cause]) -> list[Cause]:
     return placed
 
 
-def _found(
+def _search_in_turn(
     pool: Pool, causes: Sequence[Cause]
 ) -> tuple[list[Cause], list[tuple[str, float]], Pool]:
     """Find effects beside causes, one after the other."""
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
-        beside = _beside(pool, causes, 1.0)
+        beside = _candidates_beside(pool, causes, 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
@@ -329,10 +331,10 @@ def _found(
     return causes, considered, pool
 
 
-def _beside(pool: Pool, causes: Sequence[Cause], variance: float) -> Beside:
+def _candidates_beside(pool: Pool, causes: Sequence[Cause], variance: float) -> ProductsBeside:
     """Candidates beside causes, those with lags and moments at their likeliest ones."""
     beside = pool.beside([c.option for c in causes])
-    return add_switching(with_lags(beside, variance), variance)
+    return add_switching(add_lags(beside, variance), variance)
 
 
 def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
@@ -342,7 +344,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     """
     if len(causes) < 2:
         return None
-    traces = [pool.rows.residual - fit_out(c.option, pool.rows.residual) for c in causes]
+    traces = [pool.rows.residual - remove_option(c.option, pool.rows.residual) for c in causes]
     power = np.array([float(trace @ trace) for trace in traces])
     questioned = power >= LEAST_POWER * power.sum()
     rest = pool.beside([c.option for c in causes]).residual
@@ -350,7 +352,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     worst, better = 0.0, None
     for cause in (c for c, large in zip(causes, questioned, strict=True) if large):
         others = [c for c in causes if c is not cause]
-        beside = _beside(pool, others, variance)
+        beside = _candidates_beside(pool, others, variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
@@ -360,7 +362,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     return better
 
 
-def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
+def _cause(ranking: Ranking, beside: ProductsBeside, variance: float) -> Cause:
     """The first of a ranking as a cause, with what is not told from it."""
     rows, candidates = beside.rows, beside.candidates
     basis, residual = beside.basis, beside.residual
@@ -375,10 +377,10 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
         option = option if gained > FREE_DOUBT else plain
 
     weights = _weights(ranking)
-    trace = residual - fit_out(option, residual)
+    trace = residual - remove_option(option, residual)
     power, pulled = float(trace @ trace), rows.pulled(trace[:, None])
 
-    def same(other: Tried, take: Index) -> bool:
+    def same(other: ShapeProducts, take: Index) -> bool:
         rest = power - other.gain(take, pulled)
         return rest < max(SAME_TRACE * power, 4.0)
 
@@ -389,7 +391,7 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
         and (
             s > score - CLOSE_EVIDENCE
             or weight > LEAST_WEIGHT
-            or (s > NEEDED_EVIDENCE and not is_doubted(t) and same(t, own))
+            or (s > NEEDED_EVIDENCE and not is_doubtful(t) and same(t, own))
         )
     ]
     # what is put first for its fewer functions is as likely as what it is put before
@@ -404,7 +406,9 @@ def _weights(ranking: Ranking) -> Array:
     return np.asarray(np.exp((worth - worth[0]) / max(1.0, CLOSE_SHARE * worth[0])))
 
 
-def _time_as_well(group: Sequence[Tried], chosen: Tried, take: Index, variance: float) -> bool:
+def _time_as_well(
+    group: Sequence[ShapeProducts], chosen: ShapeProducts, take: Index, variance: float
+) -> bool:
     """Return whether functions of time explain as well what follows a signal."""
     if not signal_of(chosen):
         return False
@@ -468,7 +472,7 @@ class Visibility:
         return self.share > INVISIBLE_SHARE and self.smallest < PLAUSIBLE
 
 
-def sight_of(tried: Tried) -> Visibility:
+def sight_of(tried: ShapeProducts) -> Visibility:
     """How well the data see one shape of an effect."""
     acts = tried.size > NO_TRACE
     if not acts.any():
@@ -504,7 +508,7 @@ def effects_without(names: Sequence[str]) -> list[Effect]:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search of the catalogue found.
 
     Attributes
@@ -526,7 +530,7 @@ def search_catalogue(
     exclude: Sequence[str],
     own: Sequence[Effect] = (),
     lines: Sequence[SpectralLine] | None = None,
-) -> Found:
+) -> SearchResult:
     """Search rows for effects of the catalogue less the excluded ones, for ``own``, and decoys.
 
     ``lines`` are spectral lines of the runs; those of the rows where they are not given.
@@ -536,12 +540,12 @@ def search_catalogue(
     switching = courses_tried(rows, [*effects_without(exclude), *DECOYS])
     causes, considered = search(rows, {**tried, **switching})
     sight = {name: v for name, v in visible.items() if name in EVERY}
-    return Found(tuple(causes), tuple(considered), sight)
+    return SearchResult(tuple(causes), tuple(considered), sight)
 
 
 def tried_effects(
     rows: Rows, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Shape]]
-) -> tuple[dict[str, list[Tried]], dict[str, Visibility]]:
+) -> tuple[dict[str, list[ShapeProducts]], dict[str, Visibility]]:
     """Reduce the columns of all effects to their products, effect by effect.
 
     Parameters
@@ -555,7 +559,7 @@ def tried_effects(
     visible : mapping of effect name to Visibility
     """
 
-    def one(effect: Effect) -> tuple[list[Tried], Visibility]:
+    def one(effect: Effect) -> tuple[list[ShapeProducts], Visibility]:
         chosen, stand_in = shapes_of(rows, effect, shapes)
         all_tried = tried_shapes(rows, effect, chosen or stand_in)
         tried = all_tried if chosen else []
@@ -565,7 +569,7 @@ def tried_effects(
         return tried, best_sight([sight_of(t) for t in all_tried])
 
     rows.prepare()
-    results = shared_out(one, effects, (rows, *effects))
+    results = share_out(one, effects, (rows, *effects))
     all_tried = dict(zip((e.name for e in effects), results, strict=True))
     return {n: tried for n, (tried, _) in all_tried.items()}, {
         n: s for n, (_, s) in all_tried.items()

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.diagnosis.engine.effect_products import Beside, Tried, tried_shapes
+from otf_core.diagnosis.engine.effect_products import ProductsBeside, ShapeProducts, tried_shapes
 from otf_core.effects.free import follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
@@ -40,7 +40,7 @@ LEAST_SHARE = 0.5
 """Of the best score of an effect: what follows a signal less well is not looked at again."""
 
 
-def signal_of(tried: Tried) -> str:
+def signal_of(tried: ShapeProducts) -> str:
     """Signal that a form follows, with its lag; empty if it follows none."""
     effect = tried.effect
     if not isinstance(effect, FreeForm) or len(effect.form.inputs) != 1:
@@ -49,12 +49,14 @@ def signal_of(tried: Tried) -> str:
     return name if name.startswith(SIGNAL) else ''
 
 
-def in_proportion(tried: Tried) -> bool:
+def in_proportion(tried: ShapeProducts) -> bool:
     """Return whether a form is in proportion to a signal: as simple as a formula."""
     return bool(signal_of(tried)) and max(tried.terms.orders) == 0.0
 
 
-def preferred(tried: Sequence[Tried], worth: Array, *, formula: NDArray[np.bool_]) -> int:
+def choose_candidate(
+    tried: Sequence[ShapeProducts], worth: Array, *, formula: NDArray[np.bool_]
+) -> int:
     """Number of the candidate of an effect to be named.
 
     The likeliest one, or one that follows a signal and is about as good: of a free function of
@@ -76,7 +78,7 @@ def preferred(tried: Sequence[Tried], worth: Array, *, formula: NDArray[np.bool_
     return other if worth[other] > min(most, worth[best]) - AS_WELL else best
 
 
-def with_lags(beside: Beside, variance: float) -> Beside:
+def add_lags(beside: ProductsBeside, variance: float) -> ProductsBeside:
     """The same with candidates that follow signals at their likeliest lags."""
     if not all(isinstance(s.more, Courses) for s in beside.rows.states):
         return beside
@@ -89,14 +91,16 @@ def with_lags(beside: Beside, variance: float) -> Beside:
     return replace(beside, candidates=groups)
 
 
-def _score(tried: Tried, variance: float) -> float:
+def _score(tried: ShapeProducts, variance: float) -> float:
     return max((tried.odds(take, variance) for take in tried.takes), default=-np.inf)
 
 
-def _refined(beside: Beside, group: Sequence[Tried], variance: float) -> list[Tried]:
+def _refined(
+    beside: ProductsBeside, group: Sequence[ShapeProducts], variance: float
+) -> list[ShapeProducts]:
     """The likeliest of each way to follow a signal, with its likeliest lag."""
     least = LEAST_SHARE * max((_score(t, variance) for t in group), default=0.0)
-    best: dict[object, tuple[float, Tried]] = {}
+    best: dict[object, tuple[float, ShapeProducts]] = {}
     for tried in group:
         effect = tried.effect
         if not signal_of(tried) or not isinstance(effect, FreeForm):
@@ -109,14 +113,16 @@ def _refined(beside: Beside, group: Sequence[Tried], variance: float) -> list[Tr
     ]
 
 
-def _with_lag(beside: Beside, tried: Tried, variance: float, order: int) -> Tried:
+def _with_lag(
+    beside: ProductsBeside, tried: ShapeProducts, variance: float, order: int
+) -> ShapeProducts:
     """A function of a signal at its likeliest lag near that of a candidate."""
     effect, rows = tried.effect, beside.rows
     assert isinstance(effect, FreeForm) and effect.form.acts is not None
     topic, acts = signal_of(tried).partition('@')[0], effect.form.acts
     lag = lag_of(signal_of(tried)) or LAGS[0] / WITHIN
 
-    def at(logarithm: float) -> Tried:
+    def at(logarithm: float) -> ShapeProducts:
         free = follower(acts, f'{topic}@{np.exp(logarithm):.4g}', order)
         form = FreeForm.bound(effect.parent, free, rows.states)
         return beside.less(tried_shapes(rows, form, ({},))[0])

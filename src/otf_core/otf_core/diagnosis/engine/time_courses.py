@@ -35,13 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.effect_products import Beside, Tried, tried_shapes
+from otf_core.aside import share_out
+from otf_core.diagnosis.engine.effect_products import ProductsBeside, ShapeProducts, tried_shapes
 from otf_core.diagnosis.engine.evidence import SPREADS
-from otf_core.diagnosis.engine.residual_rows import InTime, Rows
+from otf_core.diagnosis.engine.residual_rows import Rows, TimeFunctions
 from otf_core.effects.action import Acting, rigid_tracker, vector
 from otf_core.effects.base import Effect, Shape, State
-from otf_core.effects.free import switched
+from otf_core.effects.free import declare_switching
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.switching import Switching, responses
 
@@ -53,7 +53,7 @@ SHORTEST_PERIOD = 8.0
 """s; shortest period of a slow wave."""
 
 
-class Jump(InTime):
+class Jump(TimeFunctions):
     """Shift of the target or the tracker at a moment."""
 
     name: ClassVar[str] = 'jump'
@@ -89,7 +89,7 @@ class Knock(Jump):
     switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
 
 
-class SlowWave(InTime):
+class SlowWave(TimeFunctions):
     """Shift that swings slowly in time."""
 
     name: ClassVar[str] = 'slow_wave'
@@ -131,7 +131,7 @@ FINE_TIMES = 8 * NODES
 """Times at which a course is fitted by them."""
 
 
-class CourseInTime(InTime):
+class CourseInTime(TimeFunctions):
     """Piecewise linear function of time times a way to act; never named."""
 
     name: ClassVar[str] = 'course_in_time'
@@ -162,7 +162,7 @@ def _hats(time: Array, end: float) -> Array:
     return np.asarray(np.maximum(1.0 - np.abs(time[:, None] - nodes) / nodes[1], 0.0))
 
 
-def courses_tried(rows: Rows, effects: Sequence[Effect]) -> dict[str, list[Tried]]:
+def courses_tried(rows: Rows, effects: Sequence[Effect]) -> dict[str, list[ShapeProducts]]:
     """Piecewise linear functions of time for every way to act in which effects may switch.
 
     Of one run alone: every run has moments of its own.
@@ -202,7 +202,7 @@ class Courses:
     variance: float
 
     @classmethod
-    def of(cls, tried: Tried, end: float, variance: float) -> Courses:
+    def of(cls, tried: ShapeProducts, end: float, variance: float) -> Courses:
         """Take the products of a ``CourseInTime``."""
         count, time = len(tried.size) // NODES, np.linspace(0.0, end, FINE_TIMES)
         return cls(
@@ -313,7 +313,7 @@ KINDS: tuple[_Kind, ...] = (
 )  # fmt: skip
 
 
-def add_switching(beside: Beside, variance: float) -> Beside:
+def add_switching(beside: ProductsBeside, variance: float) -> ProductsBeside:
     """The same with drifts and jumps of what switches, and waves, at their likeliest moments."""
     groups = {n: list(g) for n, g in beside.candidates.items()}
     courses = [t for g in groups.values() for t in g if isinstance(t.effect, CourseInTime)]
@@ -325,7 +325,7 @@ def add_switching(beside: Beside, variance: float) -> Beside:
     ways = [_Way.of(t, groups, rows, variance) for t in courses]
     jobs = [(way, kind) for way in ways if way.courses.most >= least for kind in KINDS]
 
-    def switching(job: tuple[_Way, _Kind]) -> list[Tried]:
+    def switching(job: tuple[_Way, _Kind]) -> list[ShapeProducts]:
         options = []
         for effect, shape, price in job[0].likely(job[1], rows, least):
             (option,) = tried_shapes(rows, effect, [shape])
@@ -335,7 +335,7 @@ def add_switching(beside: Beside, variance: float) -> Beside:
     rows.prepare()
     beside.taken  # noqa: B018
     known = (rows, *(e for way in ways for e in way.drivers))
-    for option in chain.from_iterable(shared_out(switching, jobs, known)):
+    for option in chain.from_iterable(share_out(switching, jobs, known)):
         groups[option.effect.name].append(option)
     return replace(beside, candidates=groups)
 
@@ -356,7 +356,11 @@ class _Way:
 
     @classmethod
     def of(
-        cls, tried: Tried, groups: Mapping[str, Sequence[Tried]], rows: Rows, variance: float
+        cls,
+        tried: ShapeProducts,
+        groups: Mapping[str, Sequence[ShapeProducts]],
+        rows: Rows,
+        variance: float,
     ) -> _Way:
         """Take the way of a ``CourseInTime``."""
         assert isinstance(tried.effect, CourseInTime)
@@ -381,7 +385,7 @@ class _Way:
         ]
         scored = likeliest(self.courses, jumps=jumps, alike=alike) if named else []
         for switching, price in (one[1:] for one in scored if one[0] > least):
-            free = switched(self.acts, switching, 1 if alike else len(switching.moments))
+            free = declare_switching(self.acts, switching, 1 if alike else len(switching.moments))
             for effect in named:
                 yield FreeForm.bound(effect, free, rows.states), {}, price
 
@@ -398,7 +402,7 @@ class _Way:
             yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
 
 
-def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
+def _something_in_time(groups: Mapping[str, Sequence[ShapeProducts]], variance: float) -> bool:
     """Return whether any effect that may switch, or a decoy, has the odds to be named."""
     drivers = {
         e.name
@@ -429,7 +433,7 @@ def likeliest(
         if not len(moments):
             break
         by_lag = [_with_lag(moments, lag) for lag in lags]
-        scores = np.concatenate([judged(courses, sets, alike=alike) for sets in by_lag])
+        scores = np.concatenate([judge_switching(courses, sets, alike=alike) for sets in by_lag])
         order, sets = np.argsort(scores)[::-1], np.concatenate(by_lag)
         best = [tuple(sets[k, :-1].tolist()) for k in order[: BEAM * len(lags)]]
         score, likely = _improved(courses, sets[order[0]], COARSE, alike=alike)
@@ -454,7 +458,7 @@ def _as_switching(own: Array, end: float, *, alike: bool) -> Iterator[tuple[Swit
         yield Switching(lag, tuple(moments)), _price(np.array(moments), not lag)
 
 
-def judged(courses: Courses, sets: Array, *, alike: bool) -> Array:
+def judge_switching(courses: Courses, sets: Array, *, alike: bool) -> Array:
     """Evidence of what switches on and off by the same amount each time, or by any other.
 
     Parameters
@@ -480,7 +484,7 @@ def judged(courses: Courses, sets: Array, *, alike: bool) -> Array:
 def lag_from_start(courses: Courses) -> tuple[float, float]:
     """Evidence of what is on from the start, the formula of a drift, and its likeliest lag, s."""
     lags = float(courses.time[-1]) * np.geomspace(SHORTEST, LONGEST, 60)
-    scores = judged(courses, np.stack([np.zeros(len(lags)), lags], axis=1), alike=True)
+    scores = judge_switching(courses, np.stack([np.zeros(len(lags)), lags], axis=1), alike=True)
     best = int(np.argmax(scores))
     return float(scores[best]), float(lags[best])
 
@@ -516,7 +520,7 @@ def _apart(moments: Array, end: float, *, jumps: bool) -> NDArray[np.bool_]:
 
 
 def _with_lag(moments: Array, lag: float) -> Array:
-    """Moments (m, c), followed with one lag, as sets for ``judged``."""
+    """Moments (m, c), followed with one lag, as sets for ``judge_switching``."""
     return np.column_stack([moments, np.full(len(moments), lag)])
 
 
@@ -525,11 +529,11 @@ def _improved(
 ) -> tuple[float, Array]:
     """Move moments and lag (c + 1,), by steps that are halved, while the evidence rises."""
     end, own = float(courses.time[-1]), start
-    best = float(judged(courses, own[None], alike=alike)[0])
+    best = float(judge_switching(courses, own[None], alike=alike)[0])
     for halving in halvings:
         step, factor = 0.5**halving * end / SWITCH_MOMENTS, 1.3 ** (0.5**halving)
         while len(sets := _near(own, step, factor, end)):
-            scores = judged(courses, sets, alike=alike)
+            scores = judge_switching(courses, sets, alike=alike)
             place = int(np.argmax(scores))
             if scores[place] <= best + 1e-3:
                 break

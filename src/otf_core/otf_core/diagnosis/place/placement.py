@@ -221,7 +221,7 @@ class Placement:
         return gap > path + CONCENTRATED
 
 
-def first_placed(
+def place_in_order(
     views: Sequence[RunView],
     residuals: Sequence[Array],
     ranking: Sequence[Separation],
@@ -231,20 +231,20 @@ def first_placed(
     Parameters
     ----------
     views, residuals
-        See ``placed``.
+        See ``place_gap``.
     ranking : sequence of Separation
         The largest share first.
     """
-    first = placed(views, residuals, ranking[0])
+    first = place_gap(views, residuals, ranking[0])
     placement = first
     for best in ranking[1:]:
         if placement.words or not best.counts:
             break
-        placement = placed(views, residuals, best)
+        placement = place_gap(views, residuals, best)
     return placement if placement.words else first
 
 
-def placed(views: Sequence[RunView], residuals: Sequence[Array], best: Separation) -> Placement:
+def place_gap(views: Sequence[RunView], residuals: Sequence[Array], best: Separation) -> Placement:
     """Where a gap lies, in the grouping that separates it most.
 
     Parameters
@@ -311,7 +311,7 @@ def _group_words(grouping: Grouping, much: Sequence[Part]) -> str:
     """Up to three groups by their labels."""
     most = sorted(much, key=lambda p: -p.gap)[:NAMED]
     words = 'from' if grouping.kind == 'time' else 'at'
-    return f'{words} {listed([p.label for p in most])}'
+    return f'{words} {join_names([p.label for p in most])}'
 
 
 def _share_words(placement: Placement, chosen: Sequence[Part]) -> str:
@@ -319,7 +319,7 @@ def _share_words(placement: Placement, chosen: Sequence[Part]) -> str:
     return f' ({100 * gap:.0f} % of the squared gap on {100 * path:.0f} % of the path)'
 
 
-def listed(names: Sequence[str], last: str = 'and') -> str:
+def join_names(names: Sequence[str], last: str = 'and') -> str:
     """Names with commas, and a word before the last."""
     return f' {last} '.join([', '.join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
@@ -328,9 +328,11 @@ def _line_names(labels: Sequence[str], last: str = 'and') -> str:
     """Lines along axes and diagonals by the axes they move."""
     lines = [n for n in labels if len(n) == 1]
     diagonals = [n for n in labels if len(n) > 1]
-    parts = [f'on lines along {listed(lines, last)}'] if lines else []
+    parts = [f'on lines along {join_names(lines, last)}'] if lines else []
     if diagonals:
-        parts.append(f'on diagonal{"s" if len(diagonals) > 1 else ""} {listed(diagonals, last)}')
+        parts.append(
+            f'on diagonal{"s" if len(diagonals) > 1 else ""} {join_names(diagonals, last)}'
+        )
     return f' {last} '.join(parts)
 
 
@@ -401,7 +403,7 @@ def _ordered_words(grouping: Grouping, much: Sequence[Part]) -> str:
     """Intervals of time, position, distance, angle, feed."""
     assert grouping.edges is not None
     if grouping.kind == 'feed':
-        return f'at {listed([p.label for p in much])}'
+        return f'at {join_names([p.label for p in much])}'
     first, last = 0, len(grouping.labels) - 1
     edges, stretches = grouping.edges, _stretches(much)
     name = grouping.kind.removeprefix('position of ')
@@ -415,7 +417,7 @@ def _ordered_words(grouping: Grouping, much: Sequence[Part]) -> str:
             return 'everywhere'
         words = low_words if a == first else high_words if b == last else between
         parts.append(words.format(low=low, high=high, name=name, unit=unit))
-    return listed(parts)
+    return join_names(parts)
 
 
 _POSITION = (
@@ -460,10 +462,9 @@ def _plane_words(placement: Placement, much: Sequence[Part]) -> str:
     low, high = cells.min(axis=0), cells.max(axis=0)
     if len(much) < FILLED * float(np.prod(high - low + 1)):
         most = sorted(much, key=lambda p: -p.excess * p.pieces)[:NAMED]
-        cells_words = listed([f'({p.label})' for p in most])
-        return (
-            f'unevenly over {listed(names)}, most in {cells_words}{_share_words(placement, most)}'
-        )
+        cells_words = join_names([f'({p.label})' for p in most])
+        share = _share_words(placement, most)
+        return f'unevenly over {join_names(names)}, most in {cells_words}{share}'
     parts = []
     both = zip(names, (grouping.edges, grouping.second), grouping.units, strict=True)
     for k, (name, edges, (factor, unit)) in enumerate(both):
@@ -476,4 +477,4 @@ def _plane_words(placement: Placement, much: Sequence[Part]) -> str:
             parts.append(f'{name} is above {a:.0f} {unit}')
         else:
             parts.append(f'{name} is between {a:.0f} {unit} and {b:.0f} {unit}')
-    return f'where {listed(parts)}{_share_words(placement, much)}'
+    return f'where {join_names(parts)}{_share_words(placement, much)}'

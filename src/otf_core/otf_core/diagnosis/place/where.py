@@ -24,7 +24,7 @@ from otf_core.diagnosis.place.groups import (
     unevenness,
     usual_bands,
 )
-from otf_core.diagnosis.place.placement import Placement, first_placed, separations
+from otf_core.diagnosis.place.placement import Placement, place_in_order, separations
 from otf_core.diagnosis.place.structure import GapStructure, Projection, find_structures
 from otf_core.model.frames import XYZ
 
@@ -426,7 +426,7 @@ def where_and_shape(
         if row['label'] in of_axis:
             row['gap_um'] = of_axis[row['label']]
     ranking = separations(shown, residuals)
-    place = first_placed(shown, residuals, ranking)
+    place = place_in_order(shown, residuals, ranking)
     shape = located.shape.removeprefix(known).lstrip('; ') if known else located.shape
     every = [g.with_noise(noise) for g in located.every]
     where = Where(

@@ -43,7 +43,7 @@ class CentreGrowth(drift.DriftingEffect):
         return tuple(
             vector_size(
                 fitted,
-                [drift.reached(f'D_{k}_{a}', fitted.shape) for k in XYZ],
+                [drift.value_reached(f'D_{k}_{a}', fitted.shape) for k in XYZ],
                 'm',
                 drift.REACHED,
                 f'of {a}',

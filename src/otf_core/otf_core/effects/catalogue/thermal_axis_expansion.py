@@ -22,32 +22,32 @@ AT_ONCE = 1e-6
 """s; time constant of a warming that is complete when the run starts."""
 
 
-def strained(state: State, shape: Shape) -> Terms:
+def strain_displacement(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement by the strain of each axis."""
     columns = travel_from_reference(state)[:, :, None] * np.eye(3)
     axes = state.machine.axis_names
     return Terms(tuple(f'S_{a}' for a in axes), ('m/m',) * 3, axes, columns)
 
 
-def strained_anywhere(state: State, shape: Shape) -> Terms:
+def strain_and_shift_displacement(state: State, shape: Shape) -> Terms:
     """The same and D_X, D_Y, D_Z: displacement of the reference position of each axis."""
-    strain, shift = strained(state, shape), grown(state, shape)
+    strain, shift = strain_displacement(state, shape), growth_displacement(state, shape)
     names = (*strain.names, *(f'D_{a}' for a in shift.axes))
     columns = np.concatenate([strain.columns, shift.columns], axis=2)
     return Terms(names, strain.units + shift.units, strain.axes + shift.axes, columns)
 
 
-def grown(state: State, shape: Shape) -> Terms:
+def growth_displacement(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself."""
     columns = np.broadcast_to(np.eye(3), (len(state), 3, 3))
     axes = state.machine.axis_names
     return Terms(tuple(f'S_{a}' for a in axes), ('m',) * 3, axes, columns)
 
 
-def approached(state: State, shape: Shape) -> Terms:
+def approach_displacement(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself that approaches its end."""
     _, course = drift.time_functions(state, shape)[0]
-    terms = grown(state, shape)
+    terms = growth_displacement(state, shape)
     return Terms(terms.names, terms.units, terms.axes, terms.columns * course[:, None, None])
 
 
@@ -83,22 +83,22 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
-    follows: ClassVar[tuple[Acting, ...]] = (strained, strained_anywhere)
-    switches: ClassVar[tuple[Acting, ...]] = (strained,)
+    follows: ClassVar[tuple[Acting, ...]] = (strain_displacement, strain_and_shift_displacement)
+    switches: ClassVar[tuple[Acting, ...]] = (strain_displacement,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),
             (10,),
             'the strain does not follow an exponential in time',
             (1,),
-            acts=strained,
+            acts=strain_displacement,
             zero_at=-1.0,
         ),
         Free(
             ('{axis}',),
             (2,),
             'the expansion is not proportional to the distance from the zero position of the axis',
-            acts=approached,
+            acts=approach_displacement,
             of_shape=True,
             essential=0,
         ),
@@ -108,7 +108,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             'the expansion is not proportional to the distance from the zero position of the '
             'axis and does not follow an exponential in time',
             (1, 0),
-            acts=grown,
+            acts=growth_displacement,
             zero_at=-1.0,
             essential=1,
         ),
@@ -117,7 +117,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Strain of every axis that takes part."""
         return tuple(
-            Size(f'of {a}', (drift.reached(f'S_{a}', fitted.shape),), 'm/m', drift.REACHED)
+            Size(f'of {a}', (drift.value_reached(f'S_{a}', fitted.shape),), 'm/m', drift.REACHED)
             for a in fitted.axes
         )
 

@@ -65,7 +65,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Shift, with its direction where one component is most of it."""
-        parts = [drift.reached(f'D_{a}', fitted.shape) for a in XYZ]
+        parts = [drift.value_reached(f'D_{a}', fitted.shape) for a in XYZ]
         return (vector_size(fitted, parts, 'm', drift.REACHED),)
 
     def terms(self, state: State, shape: Shape) -> Terms:

@@ -65,7 +65,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Shift and turn, the one that displaces more first."""
         shifts, turns = (
-            [drift.reached(f'{part}_{a}', fitted.shape) for a in XYZ] for part in 'MW'
+            [drift.value_reached(f'{part}_{a}', fitted.shape) for a in XYZ] for part in 'MW'
         )
         shift = vector_size(fitted, shifts, 'm', drift.REACHED, 'shifting')
         turn = vector_size(fitted, turns, 'rad', drift.REACHED, 'turning', 'about')

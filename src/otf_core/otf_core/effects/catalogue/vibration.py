@@ -21,7 +21,7 @@ SECONDS = 2.0
 """Stretch over which the shapes to try keep their phase; a search refines them from there."""
 
 
-def woken(state: State, shape: Shape) -> Terms:
+def ringing_displacement(state: State, shape: Shape) -> Terms:
     """Sine and cosine along X, Y, Z of the time since the start of a leg."""
     since = state.more.get('since_stop', state.time)
     return _swing(shape['frequency'], since)
@@ -67,7 +67,7 @@ class Vibration(Effect):
             (6,),
             'it is excited by every start and decays',
             (1,),
-            woken,
+            ringing_displacement,
             of_shape=True,
             zero_at=1.0,
         ),

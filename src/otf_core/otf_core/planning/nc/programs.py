@@ -23,7 +23,7 @@ LARGEST_POSITION = 99.999999
 """m; more than five digits before the decimal point of a mm are refused."""
 
 
-def on_increment(plan: Plan, low: Array, high: Array) -> Plan:
+def round_to_increment(plan: Plan, low: Array, high: Array) -> Plan:
     """Round the points of a plan to what a program can say, inside the axis ranges.
 
     Parameters
@@ -69,7 +69,7 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
     Parameters
     ----------
     plan : Plan
-        Positions on the increment of the dialect, see ``on_increment``.
+        Positions on the increment of the dialect, see ``round_to_increment``.
     header : sequence of str
         Comments, each of one line or more.
 

@@ -16,9 +16,9 @@ from otf_core.model.expanded import figure, micro_with_expanded, significant, wi
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
-from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_facts import CalibrationFacts
 from otf_core.reports.calibration_sections.first_screen import STATE_KINDS
-from otf_core.reports.drawing.panel import Panel, Scale, around
+from otf_core.reports.drawing.panel import Panel, Scale, scale_around
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import Cell, Picture, Section, Table, dof_words, micro, micro_unit
 from otf_core.solving.reversal import MODELS, Reversal
@@ -163,7 +163,7 @@ def role(motion: ErrorMotion) -> str:
     return 'roll' if motion.along == motion.place else f'rotation about {XYZ[motion.along]}'
 
 
-def motions_section(facts: Facts) -> Section:
+def motions_section(facts: CalibrationFacts) -> Section:
     """All 18 error motions: pictures with bands, and one line of numbers each."""
     rows = tuple(_motion_row(facts, name) for name in MOTIONS)
     head = ('Motion', 'Is', 'Unit', 'Nodes', 'Smallest', 'Largest', 'Span', 'Mean u, k = 1',
@@ -180,7 +180,7 @@ def motions_section(facts: Facts) -> Section:
                    draw=lambda: _motion_pictures(facts))  # fmt: skip
 
 
-def _largest_motions(facts: Facts) -> list[str]:
+def _largest_motions(facts: CalibrationFacts) -> list[str]:
     """The motions that reach farthest from their zero, and where."""
     largest = []
     for unit, kind in (('m', 'displacement'), ('rad', 'rotation')):
@@ -200,7 +200,7 @@ def _largest_motions(facts: Facts) -> list[str]:
     return largest
 
 
-def _motion_data(facts: Facts) -> dict[str, object]:
+def _motion_data(facts: CalibrationFacts) -> dict[str, object]:
     return {
         name: {'min': float(t.value.min()), 'max': float(t.value.max()), 'unit': name.unit,
                'mean_u': float(t.u.mean()), 'identifiable': t.identifiable}
@@ -209,7 +209,7 @@ def _motion_data(facts: Facts) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _motion_row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
+def _motion_row(facts: CalibrationFacts, name: ErrorMotion) -> tuple[str, ...]:
     table, line = facts.tables.motions[name], facts.by_name.get(name)
     start = (str(name), role(name), micro_unit(name.unit), str(len(table.position)))
     if not table.identifiable:
@@ -224,7 +224,7 @@ def _motion_row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
     return (*start, *sizes, mean, significant(wide), f'{k:.2f}', dof)
 
 
-def _motion_line(facts: Facts, name: ErrorMotion) -> str:
+def _motion_line(facts: CalibrationFacts, name: ErrorMotion) -> str:
     table = facts.tables.motions[name]
     row = f'{name:<8}{micro_unit(name.unit):<6}{len(table.position):>5}'
     if not table.identifiable:
@@ -252,7 +252,7 @@ def spacing_words(result: CalibrationResult) -> str:
     )
 
 
-def _motion_pictures(facts: Facts) -> Sequence[Picture]:
+def _motion_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     panels = tuple(
         _motion_panel(facts, ErrorMotion(direction, axis))
         for direction in DIRECTIONS
@@ -277,7 +277,7 @@ def _motion_pictures(facts: Facts) -> Sequence[Picture]:
     return [Picture(panels, caption, columns=3)]
 
 
-def _motion_panel(facts: Facts, name: ErrorMotion) -> str:
+def _motion_panel(facts: CalibrationFacts, name: ErrorMotion) -> str:
     table = facts.tables.motions[name]
     unit = 'µm' if name.is_translation else 'µrad'
     heading = f'{name} {role(name)}'
@@ -293,7 +293,7 @@ def _motion_panel(facts: Facts, name: ErrorMotion) -> str:
     sides = [y] if half is None else [y, y + half, y - half]
     reach = np.concatenate([*sides, y - u, y + u])
     limit, edges = _limit_band(facts, name, np.concatenate(sides), reach)
-    scale = around(np.concatenate([reach, edges]), f'{name} ({unit})')
+    scale = scale_around(np.concatenate([reach, edges]), f'{name} ({unit})')
     heading += limit
     panel = Panel(along, scale)
     marks = [panel.band(x, y - u, y + u, 'after band')]
@@ -310,7 +310,9 @@ def _motion_panel(facts: Facts, name: ErrorMotion) -> str:
     return panel.draw(marks, f'{name} over {name.axis}, with uncertainty', heading)
 
 
-def _limit_band(facts: Facts, name: ErrorMotion, values: Array, reach: Array) -> tuple[str, Array]:
+def _limit_band(
+    facts: CalibrationFacts, name: ErrorMotion, values: Array, reach: Array
+) -> tuple[str, Array]:
     """Words on the limit of a motion, and the edges (0 or 2,) of a band as high as it.
 
     The limit is on the span, so the band lies about the middle of the values (n,); where it is
@@ -327,7 +329,7 @@ def _limit_band(facts: Facts, name: ErrorMotion, values: Array, reach: Array) ->
     return words, middle + 0.5 * wide * np.array([-1.0, 1.0])
 
 
-def _state_kind(facts: Facts, name: ErrorMotion) -> str:
+def _state_kind(facts: CalibrationFacts, name: ErrorMotion) -> str:
     """Class of the limit of a motion by its state."""
     verdict = facts.result.machine_verdict
     states = [one.state for one in verdict.judged if one.name == name] if verdict else []
@@ -361,7 +363,7 @@ def squareness_words(name: str, value: float, wide: float) -> str:
     )
 
 
-def squareness_section(facts: Facts) -> Section:
+def squareness_section(facts: CalibrationFacts) -> Section:
     """Squareness errors as angles in words, in both habits of sign."""
     result, bound = facts.result, facts.result.offset_bound
     rows: list[tuple[Cell, ...]] = []
@@ -400,7 +402,7 @@ def squareness_section(facts: Facts) -> Section:
     return Section('squareness', 'Squareness', words, data, (table,), (*text, ''))
 
 
-def reversal_section(facts: Facts) -> Section:
+def reversal_section(facts: CalibrationFacts) -> Section:
     """Forward and backward travel, and figures in the manner of ISO 230-2 derived from them."""
     reversal = facts.result.reversal
     text = (format_reversal(reversal), '')
@@ -445,7 +447,7 @@ def reversal_section(facts: Facts) -> Section:
                    {'model': reversal.model, 'derived': data}, tables, text)  # fmt: skip
 
 
-def _reversal_table(facts: Facts) -> Table:
+def _reversal_table(facts: CalibrationFacts) -> Table:
     rows = []
     for name, table in facts.result.reversal.motions.items():
         if table.identifiable:
@@ -458,7 +460,7 @@ def _reversal_table(facts: Facts) -> Table:
                  title='Forward minus backward (um, urad)')  # fmt: skip
 
 
-def nodes_section(facts: Facts) -> Section:
+def nodes_section(facts: CalibrationFacts) -> Section:
     """Every node of every table."""
     counts = {axis: node_counts(facts, axis) for axis in facts.machine.axis_names}
     tables = tuple(_node_table(facts, name, counts[name.axis]) for name in MOTIONS)
@@ -469,7 +471,7 @@ def nodes_section(facts: Facts) -> Section:
     return Section('nodes', 'All nodes', words, {}, tables)
 
 
-def node_counts(facts: Facts, axis: str) -> NDArray[np.int64]:
+def node_counts(facts: CalibrationFacts, axis: str) -> NDArray[np.int64]:
     """Samples used around every node of an axis, shape (k,)."""
     position = facts.tables.motions[f'E{axis}{axis}'].position
     edges = np.concatenate([[-np.inf], 0.5 * (position[1:] + position[:-1]), [np.inf]])
@@ -488,7 +490,7 @@ def _node_flag(seen: bool, identifiable: bool, count: int) -> str:
     return 'few data' if count < FEW_DATA_BELOW else 'ok'
 
 
-def _node_table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
+def _node_table(facts: CalibrationFacts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
     table, line = facts.tables.motions[name], facts.by_name.get(name)
     k = line.k if line else 0.0
     coverage = (f'{k:.2f}', dof_words(line.dof)) if line else ('-', '-')

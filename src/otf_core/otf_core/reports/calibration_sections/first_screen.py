@@ -17,7 +17,7 @@ from otf_core.calibration.machine_verdict import (
     OPEN,
     PASS,
     UNKNOWN,
-    Judged,
+    LimitVerdict,
     Verdicts,
     size_and_expanded,
 )
@@ -32,7 +32,7 @@ from otf_core.model.expanded import (
 )
 from otf_core.model.limits import VOLUMETRIC
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
-from otf_core.reports.calibration_facts import Facts, measured
+from otf_core.reports.calibration_facts import CalibrationFacts, measurement_dates
 from otf_core.reports.drawing.panel import LEVELS, Bar, bars, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.scene import (
     SCRIPT,
@@ -54,7 +54,7 @@ from otf_core.reports.page import (
     Section,
     State,
     Table,
-    listed,
+    join_names,
     micro,
     micro_unit,
     place,
@@ -102,7 +102,7 @@ class ErrorSize:
     bound: bool = False
 
 
-def error_sizes(facts: Facts) -> list[ErrorSize]:
+def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
     """All 21 errors in the order of the tables: motions, then squareness."""
     result, verdict = facts.result, facts.result.machine_verdict
     limits = facts.machine.limits.values if facts.machine.limits else {}
@@ -121,7 +121,7 @@ def error_sizes(facts: Facts) -> list[ErrorSize]:
     return sizes
 
 
-def error_bars(facts: Facts) -> Picture:
+def error_bars(facts: CalibrationFacts) -> Picture:
     """All 21 errors as bars with U and limits: displacements left, angles right."""
     sizes = error_sizes(facts)
     parts = []
@@ -146,7 +146,7 @@ def error_bars(facts: Facts) -> Picture:
     return Picture(tuple(parts), caption, columns=2, title='All 21 errors', key=legend)
 
 
-def bound_words(facts: Facts) -> str:
+def bound_words(facts: CalibrationFacts) -> str:
     """Which of the errors hold at one target offset only, as a sentence after another one."""
     bound = facts.result.offset_bound
     return f' {BOUND} {bound.sentence}.' if bound.sentence else ''
@@ -165,7 +165,7 @@ def _bar(one: ErrorSize) -> Bar:
     return Bar(name, ((value, kind),), label, limit, ends)
 
 
-def volume_pictures(facts: Facts) -> Picture:
+def volume_pictures(facts: CalibrationFacts) -> Picture:
     """The volume before and after at one scale of colours and of arrows."""
     length, u = facts.volume.length, facts.k_volume * facts.volume.u_size
     longest = float(length.max())
@@ -187,7 +187,7 @@ def volume_pictures(facts: Facts) -> Picture:
     )
 
 
-def _drawn(facts: Facts) -> NDArray[np.int64]:
+def _drawn(facts: CalibrationFacts) -> NDArray[np.int64]:
     """Which points of the grid are drawn."""
     count = round(len(facts.volume.grid) ** (1 / 3))
     use = np.unique(np.linspace(0, count - 1, GRID_POINTS_PER_AXIS).round().astype(int))
@@ -195,7 +195,7 @@ def _drawn(facts: Facts) -> NDArray[np.int64]:
     return np.asarray(every[np.ix_(use, use, use)].ravel())
 
 
-def trackers(facts: Facts) -> list[Item]:
+def trackers(facts: CalibrationFacts) -> list[Item]:
     """Marks of the places of the tracker, runs from one place once."""
     low, high = facts.machine.lower, facts.machine.upper
     places: list[Array] = []
@@ -206,7 +206,7 @@ def trackers(facts: Facts) -> list[Item]:
     return [item for place in places for item in tracker_items(place, low, high)]
 
 
-def _arrows(facts: Facts, step: float, shown: Magnification) -> str:
+def _arrows(facts: CalibrationFacts, step: float, shown: Magnification) -> str:
     low, high = facts.machine.lower, facts.machine.upper
     at = _drawn(facts)
     grid = facts.volume.grid[at]
@@ -221,7 +221,7 @@ def _arrows(facts: Facts, step: float, shown: Magnification) -> str:
     return scene(items, low, high, 'error vectors in the volume', shown=shown)
 
 
-def _spheres(facts: Facts, shown: Magnification) -> str:
+def _spheres(facts: CalibrationFacts, shown: Magnification) -> str:
     low, high = facts.machine.lower, facts.machine.upper
     u = facts.k_volume * facts.volume.u_size[_drawn(facts)]
     grid = facts.volume.grid[_drawn(facts)]
@@ -242,7 +242,7 @@ SUMMARY_WARNINGS, SUMMARY_WIDTH = 3, 110
 """Warnings that are shown, and letters of each; summary.txt has all of them."""
 
 
-def overview_section(facts: Facts) -> Section:
+def overview_section(facts: CalibrationFacts) -> Section:
     """First screen: is it good, how large is the error, where is it worst, what is not known."""
     result, volume = facts.result, facts.volume
     now = result.headline.error
@@ -253,7 +253,7 @@ def overview_section(facts: Facts) -> Section:
         f'Worst: the longest error vector of the grid, '
         f'{micro_figure(now["max"], result.headline.of_largest)}, lies at '
         f'{place(at)}. It is mainly due to '
-        + listed(f'{name} ({micro_figure(size, mean)})' for name, size in worst)
+        + join_names(f'{name} ({micro_figure(size, mean)})' for name, size in worst)
         + ', each alone, root mean square over the volume.',
         *_unknown_words(facts),
     ]
@@ -277,7 +277,7 @@ def overview_section(facts: Facts) -> Section:
     )
 
 
-def _overview_lines(facts: Facts) -> tuple[str, ...]:
+def _overview_lines(facts: CalibrationFacts) -> tuple[str, ...]:
     result, fit, machine = facts.result, facts.result.fit, facts.machine
     return (
         *(f'WARNING {line}' for line in result.warnings),
@@ -291,14 +291,14 @@ def _overview_lines(facts: Facts) -> tuple[str, ...]:
     )
 
 
-def contributions(facts: Facts) -> list[tuple[str, float]]:
+def contributions(facts: CalibrationFacts) -> list[tuple[str, float]]:
     """What every motion and squareness error makes alone, root mean square, m; largest first."""
     names = [n for n in (*SQUARENESS, *MOTIONS) if n not in facts.result.not_identifiable]
     sizes = [float(np.sqrt(np.mean(np.sum(facts.volume.part(n) ** 2, axis=1)))) for n in names]
     return sorted(zip(names, sizes, strict=True), key=lambda pair: -pair[1])
 
 
-def heading(facts: Facts) -> Heading:
+def heading(facts: CalibrationFacts) -> Heading:
     """Top of the page."""
     result, machine = facts.result, facts.machine
     error, expected, _ = result.headline.words
@@ -326,28 +326,28 @@ def badges(verdicts: Verdicts) -> tuple[State, State]:
     return measurement, State(f'machine: {machine.sentence}', mood)
 
 
-def running_words(facts: Facts) -> str:
+def running_words(facts: CalibrationFacts) -> str:
     """Head of printed pages: machine, run, date."""
-    date = measured(facts.result.origin) or f'written {facts.provenance["written"]}'
+    date = measurement_dates(facts.result.origin) or f'written {facts.provenance["written"]}'
     return f'{facts.machine.name}, run {facts.result.run_id}, {date}'
 
 
-def _unknown_words(facts: Facts) -> list[str]:
+def _unknown_words(facts: CalibrationFacts) -> list[str]:
     result, lines = facts.result, []
     if result.not_identifiable:
         lines.append(
-            f'Not known: {listed(result.not_identifiable)} cannot be determined from these '
+            f'Not known: {join_names(result.not_identifiable)} cannot be determined from these '
             f'data; they are zero in the tables.'
         )
     if facts.typical:
         lines.append(
-            f'Not declared in machine.yaml: {listed(facts.typical.missing)}; U includes typical '
-            f'values for them.'
+            f'Not declared in machine.yaml: {join_names(facts.typical.missing)}; U includes '
+            f'typical values for them.'
         )
     return lines or ['Not known: all motions were determined and all contributions declared.']
 
 
-def _tiles(facts: Facts) -> tuple[tuple[str, str, str], ...]:
+def _tiles(facts: CalibrationFacts) -> tuple[tuple[str, str, str], ...]:
     first, fit = facts.result.headline, facts.result.fit
     return (
         (
@@ -370,7 +370,7 @@ def _tiles(facts: Facts) -> tuple[tuple[str, str, str], ...]:
     )
 
 
-def limits_section(facts: Facts) -> Section:
+def limits_section(facts: CalibrationFacts) -> Section:
     """Verdict by the limits of machine.yaml, limit by limit."""
     verdict, typical = facts.result.machine_verdict, facts.typical
     rule = (
@@ -385,7 +385,7 @@ def limits_section(facts: Facts) -> Section:
     if typical:
         words.append(
             f'U includes typical values for what machine.yaml does not declare: '
-            f'{listed(typical.missing)}.'
+            f'{join_names(typical.missing)}.'
         )
     rows = tuple(_limit_row(one) for one in verdict.judged)
     head = ('Quantity', 'Value', 'U (95 %)', 'Limit', 'Unit', 'State')
@@ -393,7 +393,7 @@ def limits_section(facts: Facts) -> Section:
     return Section('limits', 'Verdict', tuple(words), facts.result.verdicts.to_dict(), (table,))
 
 
-def _limit_row(one: Judged) -> tuple[Cell, ...]:
+def _limit_row(one: LimitVerdict) -> tuple[Cell, ...]:
     what = MEANING.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
     value = '' if one.state == UNKNOWN else figure(1e6 * one.value, 1e6 * (one.U or one.value))
@@ -401,7 +401,7 @@ def _limit_row(one: Judged) -> tuple[Cell, ...]:
     return what, value, wide, f'{1e6 * one.limit:g}', unit, State(one.state, MOODS[one.state])
 
 
-def calibration_summary(facts: Facts) -> str:
+def calibration_summary(facts: CalibrationFacts) -> str:
     """Return the lines of a terminal; ``calibration_sections`` hold all the rest."""
     result, fit = facts.result, facts.result.fit
     lines = [
@@ -422,7 +422,7 @@ def calibration_summary(facts: Facts) -> str:
     return '\n'.join(lines)
 
 
-def _contributors_line(facts: Facts) -> str:
+def _contributors_line(facts: CalibrationFacts) -> str:
     first = facts.result.headline
     named = (
         f'{name} {micro_figure(size, first.expanded["mean"])}'
@@ -431,7 +431,7 @@ def _contributors_line(facts: Facts) -> str:
     return f'largest contributions, each alone, rms over the volume: {", ".join(named)}'
 
 
-def _squareness_line(facts: Facts) -> str:
+def _squareness_line(facts: CalibrationFacts) -> str:
     result, parts = facts.result, []
     for name in SQUARENESS:
         if name in result.not_identifiable:
@@ -447,7 +447,7 @@ def _distance_figure(value: float, fit: Fit) -> str:
     return micro_figure(value, fit.path_mae_after)
 
 
-def _warning_lines(facts: Facts) -> list[str]:
+def _warning_lines(facts: CalibrationFacts) -> list[str]:
     warned = typical_warnings(facts.typical)
     every = [w for w in facts.result.warnings if w not in warned]
     lines = [f'warning: {shortened(w, SUMMARY_WIDTH)}' for w in every[:SUMMARY_WARNINGS]]

@@ -21,16 +21,21 @@ from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
 from otf_core.model.provenance import moment
 from otf_core.prediction.absorbed import offset_words
-from otf_core.reports.calibration_facts import Facts, measured, run_table, stated
+from otf_core.reports.calibration_facts import (
+    CalibrationFacts,
+    measurement_dates,
+    run_table,
+    stated_tables,
+)
 from otf_core.reports.calibration_sections.first_screen import trackers
 from otf_core.reports.drawing.panel import (
     LEVELS,
     Panel,
     Scale,
-    around,
     heat_classes,
     heat_key,
     heat_step,
+    scale_around,
 )
 from otf_core.reports.drawing.scene import TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.page import (
@@ -38,7 +43,7 @@ from otf_core.reports.page import (
     Section,
     Table,
     dof_words,
-    listed,
+    join_names,
     micro,
     millimetres,
     whole_dof,
@@ -58,10 +63,10 @@ INFORMATION_SHARE = 1e-3
 """Smallest share of the information of a direction that has to be there."""
 
 
-def conditions_section(facts: Facts) -> Section:
+def conditions_section(facts: CalibrationFacts) -> Section:
     """Conditions and instrument: what was driven, when, with what, and what nobody stated."""
     result, given = facts.result, facts.machine.stated
-    tables, words = stated(facts.machine)
+    tables, words = stated_tables(facts.machine)
     tables += [run_table(n, run) for n, run in enumerate(result.runs, start=1)]
     data = {'instrument': dict(given.instrument), 'conditions': dict(given.conditions)}
     text = tuple(_run_line(number, run) for number, run in enumerate(result.runs, start=1))
@@ -79,7 +84,7 @@ def _run_line(number: int, run: RunResult) -> str:
     )
 
 
-def path_section(facts: Facts) -> Section:
+def path_section(facts: CalibrationFacts) -> Section:
     """The path with what the tables leave: in space and over time."""
     fit = facts.result.fit
     words = (
@@ -94,7 +99,7 @@ def path_section(facts: Facts) -> Section:
                    draw=lambda: _path_pictures(facts))  # fmt: skip
 
 
-def _path_pictures(facts: Facts) -> Sequence[Picture]:
+def _path_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     runs = facts.result.runs
     pictures = []
     for number, run in enumerate(runs[:DRAWN_RUNS], start=1):
@@ -118,7 +123,7 @@ def _path_pictures(facts: Facts) -> Sequence[Picture]:
     return pictures
 
 
-def _path_in_space(facts: Facts, run: RunResult) -> str:
+def _path_in_space(facts: CalibrationFacts, run: RunResult) -> str:
     low, high = facts.machine.lower, facts.machine.upper
     length = 1e6 * np.linalg.norm(run.residual, axis=0)
     items: list[Item] = [*box(low, high), *trackers(facts)]
@@ -162,12 +167,12 @@ def _residual_over_time(run: RunResult) -> tuple[str, ...]:
     ):
         square = np.sum(values**2, axis=0)
         rms = 1e6 * np.sqrt([square[a:b].mean() for a, b in bounds])
-        panel = Panel(along, around(rms, 'rms of a leg (µm)', zero=True))
+        panel = Panel(along, scale_around(rms, 'rms of a leg (µm)', zero=True))
         panels.append(panel.draw([panel.dots(middle, rms, kind)], f'residual {what}', what))
     return tuple(panels)
 
 
-def data_quality_section(facts: Facts) -> Section:
+def data_quality_section(facts: CalibrationFacts) -> Section:
     """What became of the samples: gaps, outliers, excluded, repeated, clock."""
     rows, data = [], []
     for number, run in enumerate(facts.result.runs, start=1):
@@ -208,7 +213,7 @@ def data_quality_section(facts: Facts) -> Section:
     return Section('data', 'Data quality', words, {'runs': data}, (table,))
 
 
-def _reading_remarks(facts: Facts) -> tuple[str, ...]:
+def _reading_remarks(facts: CalibrationFacts) -> tuple[str, ...]:
     """What was repaired or left out while recordings were read."""
     lines = [f'While reading {run.name or "the run"}: {remark}.'
             for run in facts.result.runs for remark in run.remarks]  # fmt: skip
@@ -246,7 +251,7 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
     return time, value, u
 
 
-def drift_section(facts: Facts) -> Section:
+def drift_section(facts: CalibrationFacts) -> Section:
     """Drift between start and end of a run, as the residuals show it."""
     rows: list[tuple[str, ...]] = []
     data, directions = [], []
@@ -263,7 +268,9 @@ def drift_section(facts: Facts) -> Section:
                   if abs(c) > w]  # fmt: skip
         data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
                      'time': float(time[-1] - time[0])})  # fmt: skip
-    verdict = f'Larger than U: along {listed(directions)}.' if directions else 'No drift beyond U.'
+    verdict = (
+        f'Larger than U: along {join_names(directions)}.' if directions else 'No drift beyond U.'
+    )
     words = (
         verdict,
         _moved_words(facts),
@@ -277,7 +284,7 @@ def drift_section(facts: Facts) -> Section:
                    draw=lambda: _drift_pictures(facts.result.runs))  # fmt: skip
 
 
-def _moved_words(facts: Facts) -> str:
+def _moved_words(facts: CalibrationFacts) -> str:
     """Whether tracker or target moved against the machine in mid-run."""
     result = facts.result
     lines = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
@@ -295,7 +302,7 @@ def _drift_pictures(runs: Sequence[RunResult]) -> Sequence[Picture]:
     parts = []
     for k, axis in enumerate(XYZ):
         y, wide = 1e6 * value[:, k], 2e6 * u[:, k]
-        scale = around(np.concatenate([y - wide, y + wide, [0.0]]), 'mean residual (µm)')
+        scale = scale_around(np.concatenate([y - wide, y + wide, [0.0]]), 'mean residual (µm)')
         panel = Panel(along, scale)
         kind = axis.lower()
         marks = [panel.level(0.0, 'soft'), panel.ranges(time, y - wide, y + wide, f'{kind} thin'),
@@ -305,7 +312,7 @@ def _drift_pictures(runs: Sequence[RunResult]) -> Sequence[Picture]:
                     columns=3)]  # fmt: skip
 
 
-def fit_section(facts: Facts) -> Section:
+def fit_section(facts: CalibrationFacts) -> Section:
     """Size and quality of the fit."""
     fit, result = facts.result.fit, facts.result
     budget = result.budget
@@ -342,7 +349,7 @@ def fit_section(facts: Facts) -> Section:
     return Section('fit', 'Fit', (), data, (Table(('', ''), rows),))
 
 
-def component_rms(facts: Facts) -> tuple[str, str]:
+def component_rms(facts: CalibrationFacts) -> tuple[str, str]:
     """Root mean square residual of the first two directions across the path, um."""
     rows = np.concatenate([run.residual for run in facts.result.runs], axis=1)
     a, b = (float(np.sqrt(np.mean(row**2))) for row in rows[:2])
@@ -370,7 +377,7 @@ PLACE_OF_B = (
 )
 
 
-def effects_section(facts: Facts) -> Section | None:
+def effects_section(facts: CalibrationFacts) -> Section | None:
     """What was found and done about effects; None where nobody asked for them."""
     stated, sentence = facts.result.effects, facts.result.effects_sentence
     introduction = (sentence,) if sentence else ()
@@ -406,7 +413,7 @@ def reference_words(result: CalibrationResult) -> str:
     where = (
         f'the target was at the offset {offsets[0]} from it'
         if len(offsets) == 1
-        else f'the targets were at the offsets {listed(offsets)} from it'
+        else f'the targets were at the offsets {join_names(offsets)} from it'
     )
     bound = result.offset_bound.sentence
     holds = (
@@ -421,7 +428,7 @@ def reference_words(result: CalibrationResult) -> str:
     )
 
 
-def conventions_section(facts: Facts) -> Section:
+def conventions_section(facts: CalibrationFacts) -> Section:
     """Conventions and gauge in words: signs, reference points, what u and U are."""
     machine, origin = facts.machine, facts.result.origin
     carried = {
@@ -449,7 +456,7 @@ def conventions_section(facts: Facts) -> Section:
         f"Student's t); bands are pointwise. "
         f'The full covariance is in error_tables.json (JCGM 102).',
     )
-    date = f'measured {measured(origin)}, ' if measured(origin) else ''
+    date = f'measured {measurement_dates(origin)}, ' if measurement_dates(origin) else ''
     text = (
         CONVENTION,
         FILES,
@@ -461,7 +468,7 @@ def conventions_section(facts: Facts) -> Section:
     return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE}, text=text)
 
 
-def provenance_section(facts: Facts) -> Section:
+def provenance_section(facts: CalibrationFacts) -> Section:
     """Versions, hashes, configuration, and how to repeat it."""
     result, about = facts.result, facts.provenance
     rows = [
@@ -486,7 +493,7 @@ def provenance_section(facts: Facts) -> Section:
                    {'run_id': result.run_id, 'provenance': dict(about)}, tables)  # fmt: skip
 
 
-def repeat_command(facts: Facts) -> str:
+def repeat_command(facts: CalibrationFacts) -> str:
     """The command that gives the same tables from the same recordings."""
     bags = ' '.join(o.name or 'BAG' for o in facts.result.origin) or 'BAG'
     config = facts.result.config

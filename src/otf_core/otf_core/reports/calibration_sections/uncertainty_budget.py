@@ -20,21 +20,21 @@ from otf_core.budget.budget import (
 from otf_core.model.declared import KEYS
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL
-from otf_core.model.quantities import quantity, scaled
+from otf_core.model.quantities import quantity, readable_unit
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_facts import (
     GRID,
     LISTED_CORRELATION,
     LISTED_PAIRS,
     BudgetLine,
-    Facts,
+    CalibrationFacts,
     correlations,
     format_budget,
 )
 from otf_core.reports.drawing.panel import Bar, bars, svg
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.style import text
-from otf_core.reports.page import Picture, Section, Table, dof_words, listed, micro
+from otf_core.reports.page import Picture, Section, Table, dof_words, join_names, micro
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
 """Evaluated from the observations (GUM 2.3.2); all others are type B."""
@@ -52,7 +52,7 @@ POWER_ITERATIONS = 60
 """Of the power method that finds the worst combination."""
 
 
-def budget_section(facts: Facts) -> Section:
+def budget_section(facts: CalibrationFacts) -> Section:
     """The uncertainty budget: every quantity as a bar, every source as a row."""
     result, budget = facts.result, facts.result.budget
     words = [
@@ -62,8 +62,8 @@ def budget_section(facts: Facts) -> Section:
     ]
     if budget.not_stated:
         words.append(
-            f'Not declared in machine.yaml: {listed(budget.not_stated)}; typical values are '
-            f'used for them as one source (presets {listed(TYPICAL)}).'
+            f'Not declared in machine.yaml: {join_names(budget.not_stated)}; typical values are '
+            f'used for them as one source (presets {join_names(TYPICAL)}).'
         )
     grid = facts.by_name[GRID]
     most = max(grid.parts, key=lambda name: grid.parts[name])
@@ -84,7 +84,7 @@ def budget_section(facts: Facts) -> Section:
                    draw=lambda: _budget_pictures(facts))  # fmt: skip
 
 
-def _source_row(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
+def _source_row(facts: CalibrationFacts, name: str, grid: BudgetLine) -> tuple[str, ...]:
     budget, part = facts.result.budget, grid.parts[name]
     freedoms = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))
     share = 100.0 * part**2 / max(grid.u**2, 1e-300)
@@ -102,10 +102,10 @@ def _source_row(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
     )
 
 
-def _stated_words(facts: Facts, name: str, part: float) -> tuple[str, str]:
+def _stated_words(facts: CalibrationFacts, name: str, part: float) -> tuple[str, str]:
     """What machine.yaml states for a source, and what the volume gets per unit of it."""
     if name == TYPICAL_SOURCE:
-        return f'typical: presets {listed(TYPICAL)}', '-'
+        return f'typical: presets {join_names(TYPICAL)}', '-'
     keys = next((s.keys for s in SYSTEMATIC if s.source == name), ())
     declared = facts.machine.uncertainty
     values = {k: declared.values[k] for k in keys if declared and declared.values.get(k)}
@@ -118,11 +118,11 @@ def _stated_words(facts: Facts, name: str, part: float) -> tuple[str, str]:
     if len(values) > 1:
         return words, '-'
     (key, value), *_ = values.items()
-    factor, unit = scaled(KEYS[key][0], value)
+    factor, unit = readable_unit(KEYS[key][0], value)
     return words, f'{1e6 * part / (factor * value):.3g} per {unit}'
 
 
-def _quantity_table(facts: Facts) -> Table:
+def _quantity_table(facts: CalibrationFacts) -> Table:
     names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
     rows = tuple(
         (
@@ -141,7 +141,7 @@ def _quantity_table(facts: Facts) -> Table:
                  title='By quantity and source')  # fmt: skip
 
 
-def _budget_pictures(facts: Facts) -> Sequence[Picture]:
+def _budget_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
     parts = []
     for unit, label in (('m', 'µm'), ('rad', 'µrad')):
@@ -166,13 +166,13 @@ def _quantity_bar(line: BudgetLine, names: Sequence[str], label: str) -> Bar:
     return Bar(name, shares, f'{micro(line.u, 3)} {label}')
 
 
-def correlations_section(facts: Facts) -> Section:
+def correlations_section(facts: CalibrationFacts) -> Section:
     """Correlations between tables: pairs, a picture of all of them, the worst combination."""
     covariance = facts.result.covariance
     strong = correlations(facts.tables, covariance)
     strongest = [c for c in strong if abs(c.r) > VERY_STRONG]
     share, members = worst_combination(facts)
-    listed_members = listed(f'{name} ({100 * part:.0f} %)' for name, part in members)
+    listed_members = join_names(f'{name} ({100 * part:.0f} %)' for name, part in members)
     words = (
         f'The least certain combination: {listed_members}; it accounts for {100 * share:.0f} % '
         f'of the total variance of the tables (um and urad weighted equally).',
@@ -192,7 +192,7 @@ def correlations_section(facts: Facts) -> Section:
                    draw=lambda: _correlation_pictures(facts))  # fmt: skip
 
 
-def worst_combination(facts: Facts) -> tuple[float, list[tuple[str, float]]]:
+def worst_combination(facts: CalibrationFacts) -> tuple[float, list[tuple[str, float]]]:
     """Share of the variance of the combination known worst, and of its largest members."""
     covariance = facts.result.covariance
     vector = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -207,7 +207,7 @@ def worst_combination(facts: Facts) -> tuple[float, list[tuple[str, float]]]:
     return largest / float(np.trace(covariance)), [m for m in members if m[1] > 0.02]
 
 
-def _largest_correlations(facts: Facts) -> Array:
+def _largest_correlations(facts: CalibrationFacts) -> Array:
     """Largest correlation in size between every two tables, shape (21, 21)."""
     covariance = facts.result.covariance
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -217,7 +217,7 @@ def _largest_correlations(facts: Facts) -> Array:
     return np.asarray(np.maximum.reduceat(rows, starts, axis=1))
 
 
-def _correlation_pictures(facts: Facts) -> Sequence[Picture]:
+def _correlation_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     r, unknown = _largest_correlations(facts), set(facts.result.not_identifiable)
     marks: list[str] = []
     for i, name in enumerate(TABLE_NAMES):

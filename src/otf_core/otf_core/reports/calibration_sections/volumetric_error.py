@@ -16,9 +16,9 @@ from otf_core.model.expanded import figure, micro_figure, micro_significant, sig
 from otf_core.model.frames import XYZ
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.volumetric import table_rows, table_values
-from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_facts import CalibrationFacts
 from otf_core.reports.calibration_sections.first_screen import contributions
-from otf_core.reports.drawing.panel import Bar, Panel, Scale, around, bars
+from otf_core.reports.drawing.panel import Bar, Panel, Scale, bars, scale_around
 from otf_core.reports.page import Picture, Section, Table, micro, micro_unit, millimetres
 
 COMPONENT_BINS = 24
@@ -28,7 +28,7 @@ MOVING_SHARE = 0.1
 """Share of the direction of travel from which an axis counts as moving."""
 
 
-def volume_section(facts: Facts) -> Section:
+def volume_section(facts: CalibrationFacts) -> Section:
     """The volumetric error in numbers, by direction, and what each motion adds."""
     first = facts.result.headline
     wide = first.expanded
@@ -64,7 +64,7 @@ def volume_section(facts: Facts) -> Section:
                    draw=lambda: _volume_pictures(facts))  # fmt: skip
 
 
-def _volume_pictures(facts: Facts) -> Sequence[Picture]:
+def _volume_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     spread = Picture(
         (
             *(_component_histogram(facts, k) for k in range(3)),
@@ -86,18 +86,18 @@ def _volume_pictures(facts: Facts) -> Sequence[Picture]:
     return [adds, spread]
 
 
-def _component_histogram(facts: Facts, axis: int) -> str:
+def _component_histogram(facts: CalibrationFacts, axis: int) -> str:
     values = 1e6 * facts.volume.error[:, axis]
-    reach = around(np.append(values, 0.0), f'd{XYZ[axis]} (µm)')
+    reach = scale_around(np.append(values, 0.0), f'd{XYZ[axis]} (µm)')
     edges = np.linspace(reach.low, reach.high, COMPONENT_BINS + 1)
     return _component_panel(
         reach, edges, np.histogram(values, edges)[0] / len(values), 'before', axis
     )
 
 
-def _expected_distribution(facts: Facts, axis: int) -> str:
+def _expected_distribution(facts: CalibrationFacts, axis: int) -> str:
     u = np.maximum(1e6 * facts.volume.u[:, axis], 1e-6)
-    reach = around(3.0 * float(u.max()) * np.array([-1.0, 1.0]), f'd{XYZ[axis]} (µm)')
+    reach = scale_around(3.0 * float(u.max()) * np.array([-1.0, 1.0]), f'd{XYZ[axis]} (µm)')
     edges = np.linspace(reach.low, reach.high, COMPONENT_BINS + 1)
     return _component_panel(
         reach, edges, np.diff(ndtr(edges[:, None] / u).mean(axis=1)), 'after', axis
@@ -105,7 +105,7 @@ def _expected_distribution(facts: Facts, axis: int) -> str:
 
 
 def _component_panel(reach: Scale, edges: Array, share: Array, kind: str, axis: int) -> str:
-    panel = Panel(reach, around(100.0 * share, 'share of points (%)', zero=True))
+    panel = Panel(reach, scale_around(100.0 * share, 'share of points (%)', zero=True))
     when = 'as it stands' if kind == 'before' else 'expected after'
     heading = f'along {XYZ[axis]}, {when}'
     return panel.draw([panel.columns(edges, 100.0 * share, kind)], f'errors {heading}', heading)
@@ -144,7 +144,7 @@ def _direction_name(sign: NDArray[np.int64]) -> str:
     return ' '.join(f'{marks[int(s)]}{axis}' for s, axis in zip(sign, XYZ, strict=True) if s)
 
 
-def deviations(facts: Facts, one: Diagonal) -> tuple[Array, Array]:
+def deviations(facts: CalibrationFacts, one: Diagonal) -> tuple[Array, Array]:
     """Deviation along a diagonal and its standard uncertainty, shape (DIAGONAL_POINTS,), m.
 
     Deviation at a point: the part of the error vector along the diagonal, less that at its start.
@@ -158,7 +158,7 @@ def deviations(facts: Facts, one: Diagonal) -> tuple[Array, Array]:
     return rows @ table_values(facts.tables), np.sqrt(np.maximum(variance, 0.0))
 
 
-def diagonals_section(facts: Facts) -> Section:
+def diagonals_section(facts: CalibrationFacts) -> Section:
     """Body and face diagonals as the tables predict them, in the manner of ISO 230-6."""
     rows, data, k = [], [], facts.k_volume
     for one in diagonals(facts.machine.lower, facts.machine.upper):
@@ -186,7 +186,7 @@ def diagonals_section(facts: Facts) -> Section:
     return Section('diagonals', 'Diagonals, predicted', words, {'predicted': data}, (table,))
 
 
-def coverage_section(facts: Facts) -> Section:
+def coverage_section(facts: CalibrationFacts) -> Section:
     """Coverage of the axes: how many samples lie where."""
     low, high = table_ranges(facts.tables)
     rows, data = [], {}
@@ -207,7 +207,7 @@ def coverage_section(facts: Facts) -> Section:
                    draw=lambda: _coverage_pictures(facts))  # fmt: skip
 
 
-def node_spacing(facts: Facts) -> str:
+def node_spacing(facts: CalibrationFacts) -> str:
     """What lies between the nodes, in words."""
     result = facts.result
     part = '' if result.fraction == 1 else f' over {result.fraction}'
@@ -218,7 +218,7 @@ def node_spacing(facts: Facts) -> str:
     )
 
 
-def _coverage_pictures(facts: Facts) -> Sequence[Picture]:
+def _coverage_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
     caption = (
         'Samples used over the travel of each axis: all of them (grey), and those taken while the '
         'axis moved (blue).'
@@ -226,7 +226,7 @@ def _coverage_pictures(facts: Facts) -> Sequence[Picture]:
     return [Picture(tuple(_coverage_panel(facts, k) for k in range(3)), caption, columns=3)]
 
 
-def _coverage_panel(facts: Facts, k: int) -> str:
+def _coverage_panel(facts: CalibrationFacts, k: int) -> str:
     runs, axis = facts.result.runs, facts.machine.axis_names[k]
     own = facts.machine.axes[axis]
     edges = 1e3 * np.linspace(own.min, own.max, TRAVEL_BINS + 1)
@@ -236,7 +236,8 @@ def _coverage_panel(facts: Facts, k: int) -> str:
     total = np.histogram(q, edges, weights=count)[0] / 1e3
     moving = np.histogram(q[moves], edges, weights=count[moves])[0] / 1e3
     panel = Panel(
-        Scale(edges[0], edges[-1], f'{axis} (mm)'), around(total, 'samples (thousands)', zero=True)
+        Scale(edges[0], edges[-1], f'{axis} (mm)'),
+        scale_around(total, 'samples (thousands)', zero=True),
     )
     marks = [panel.columns(edges, total, 'noise'), panel.columns(edges, moving, 'after')]
     return panel.draw(marks, f'samples along {axis}', axis)

@@ -106,7 +106,7 @@ def round_below(wished: float) -> float:
     return next(m * power for m in ROUND[2::-1] if m * power <= wished * (1.0 + 1e-9))
 
 
-def around(values: ArrayLike, label: str, *, zero: bool = False, marks: int = 4) -> Scale:
+def scale_around(values: ArrayLike, label: str, *, zero: bool = False, marks: int = 4) -> Scale:
     """Scale around values (NaN left out) with a little room; ``zero``: begins or ends there."""
     given = np.asarray(values, dtype=float)
     given = given[np.isfinite(given)]

@@ -20,15 +20,15 @@ from otf_core.effects.inputs import label_of
 from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.provenance import moment
 from otf_core.model.quantities import quantity
-from otf_core.reports.calibration_facts import measured, run_table, stated
-from otf_core.reports.drawing.panel import Bar, Panel, Scale, around, bars
+from otf_core.reports.calibration_facts import measurement_dates, run_table, stated_tables
+from otf_core.reports.drawing.panel import Bar, Panel, Scale, bars, scale_around
 from otf_core.reports.gap_sections.residual_views import (
     groups_side_by_side,
     size_pictures,
     volume_picture,
 )
-from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, listed
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, join_names
+from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.version import __version__
 
 # Causes of the gap: what was found, its functions, what stays open, what to measure next.
@@ -255,7 +255,7 @@ def _curve_panel(curve: Curve) -> str:
     ends = float(at[0]), max(float(at[-1]), float(at[0]) + 1e-9)
     panel = Panel(
         Scale(*ends, label),
-        around(np.concatenate([[0.0], low, high]), unit.replace('u', 'µ', 1)),
+        scale_around(np.concatenate([[0.0], low, high]), unit.replace('u', 'µ', 1)),
     )
     marks = [
         panel.level(0.0, 'soft'),
@@ -340,7 +340,7 @@ def _merged_wishes(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[
         own = [r for r in reasons if r not in hidden]
         unseen = [r for r in reasons if r in hidden]
         if unseen:
-            own.append('to see ' + listed(unseen))
+            own.append('to see ' + join_names(unseen))
         detail = f' ({"; ".join(details)})' if details else ''
         lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
     return lines
@@ -385,7 +385,7 @@ def heading(diagnosis: Diagnosis) -> Heading:
         ('Residual of the run', f'{gap.measured_um:.2f} um',
          f'its simulation leaves {gap.simulated_um:.2f} um')
     )  # fmt: skip
-    title = f'{GAP_TITLE} · {listed(diagnosis.runs)}'
+    title = f'{GAP_TITLE} · {join_names(diagnosis.runs)}'
     badge = State(VERDICT_WORDS.get(verdict, verdict), VERDICT_MOODS.get(verdict, ''))
     return Heading(title, diagnosis.sentence, (badge,), tuple(tiles), running_words(diagnosis))
 
@@ -393,8 +393,8 @@ def heading(diagnosis: Diagnosis) -> Heading:
 def running_words(diagnosis: Diagnosis) -> str:
     """Head of printed pages: machine, run, date."""
     machines = dict.fromkeys(o.machine.name for o in diagnosis.origin if o.machine)
-    date = measured(diagnosis.origin)
-    parts = [*machines, f'diagnosis of {listed(diagnosis.runs)}', *([date] if date else [])]
+    date = measurement_dates(diagnosis.origin)
+    parts = [*machines, f'diagnosis of {join_names(diagnosis.runs)}', *([date] if date else [])]
     return ', '.join(parts)
 
 
@@ -412,7 +412,7 @@ def _size_tile(cause: NamedCause) -> tuple[str, str, str] | None:
 def overview_section(diagnosis: Diagnosis) -> Section:
     """First screen: which cause, how large; where the gap lies; how far it shrinks."""
     gap = diagnosis.gap
-    words = [diagnosis.where.summary, *looked_at(diagnosis)]
+    words = [diagnosis.where.summary, *describe_search(diagnosis)]
     text = (
         f'verdict: {diagnosis.verdict}',
         diagnosis.sentence,
@@ -425,7 +425,7 @@ def overview_section(diagnosis: Diagnosis) -> Section:
                    draw=lambda: [where_picture(diagnosis)])  # fmt: skip
 
 
-def looked_at(diagnosis: Diagnosis) -> list[str]:
+def describe_search(diagnosis: Diagnosis) -> list[str]:
     """What was looked for and how small an effect would have been seen; nothing of a cause."""
     if diagnosis.causes:
         return []
@@ -446,9 +446,8 @@ def looked_at(diagnosis: Diagnosis) -> list[str]:
         f' {sizes[0]} to {sizes[1]} on.'
     ]
     if hidden:
-        words.append(
-            f'Not visible in these data, whatever their size: {listed(map(effect_name, hidden))}.'
-        )
+        names = join_names(map(effect_name, hidden))
+        words.append(f'Not visible in these data, whatever their size: {names}.')
     return words
 
 
@@ -566,7 +565,7 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
         dates = moment(one.first_ns), moment(one.last_ns)
         when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
-    tables, words = stated(diagnosis.machine)
+    tables, words = stated_tables(diagnosis.machine)
     shown = tuple(rows)
     if not isinstance(plain, AxisCalibration):
         tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]

@@ -18,14 +18,14 @@ from otf_core.reports.drawing.panel import (
     Bar,
     Panel,
     Scale,
-    around,
     bars,
     heat_classes,
     heat_key,
     heat_step,
+    scale_around,
 )
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.page import Picture, Section, listed
+from otf_core.reports.page import Picture, Section, join_names
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""
@@ -176,7 +176,7 @@ def size_pictures(diagnosis: Diagnosis) -> Picture:
         middle = np.array([view.time[a:b].mean() for a, b in view.bounds])
         run = f'{view.name}: ' if len(views) > 1 else ''
         for name, kind in shown:
-            panel = Panel(_time_scale(view), around([0.0, top], 'rms (µm)', zero=True))
+            panel = Panel(_time_scale(view), scale_around([0.0, top], 'rms (µm)', zero=True))
             marks = [
                 panel.line(middle, _leg_sizes(view, view.expected), 'noise'),
                 panel.dots(middle, _leg_sizes(view, getattr(view, name)), f'{kind} node'),
@@ -203,7 +203,7 @@ def _time_scale(view: RunView) -> Scale:
 
 def _size_panel(view: RunView, causes: bool, top: float) -> str:
     middle = np.array([view.time[a:b].mean() for a, b in view.bounds])
-    panel = Panel(_time_scale(view), around([0.0, top], 'rms (µm)', zero=True))
+    panel = Panel(_time_scale(view), scale_around([0.0, top], 'rms (µm)', zero=True))
     marks = [panel.line(middle, _leg_sizes(view, view.expected), 'noise')]
     for name, kind in _residual_names(causes):
         marks.append(panel.dots(middle, _leg_sizes(view, getattr(view, name)), f'{kind} node'))
@@ -215,7 +215,7 @@ def _mean_panel(view: RunView, causes: bool, axis: int) -> str:
         (_leg_means(view, getattr(view, n), axis), kind) for n, kind in _residual_names(causes)
     ]
     values = np.concatenate([[0.0], *(part[1] for part, _ in parts)])
-    panel = Panel(_time_scale(view), around(values, 'mean (µm)'))
+    panel = Panel(_time_scale(view), scale_around(values, 'mean (µm)'))
     marks = [panel.level(0.0, 'soft')]
     marks += [panel.dots(*part, f'{kind} node') for part, kind in parts]
     return panel.draw(marks, f'residual along {XYZ[axis]} against time', f'along {XYZ[axis]}')
@@ -297,8 +297,9 @@ def volume_picture(diagnosis: Diagnosis, planes: Sequence[tuple[int, int]]) -> P
     )
     across = [XYZ[3 - sum(plane)] for plane in planes]
     caption = (
-        f'The volume seen along {listed(across)}: colour is the root mean square of the residual '
-        f'in cells of the view, arrows its mean; the longest arrow of all is {longest:.2g} um.'
+        f'The volume seen along {join_names(across)}: colour is the root mean square of the '
+        f'residual in cells of the view, arrows its mean; the longest arrow of all is '
+        f'{longest:.2g} um.'
     )
     columns = 3 if len(planes) > 1 else 2
     return Picture(parts, caption, columns=columns, key=heat_key(step, top, 'µm'))
@@ -431,7 +432,9 @@ def _spectrum_panel(
             [svg_words(190.0, 100.0, 'no leg is long enough', 'middle soft')], heading, heading
         )
     x = Scale(float(reach.min()) / 1.1, float(reach.max()) * 1.1, name, logarithmic=True)
-    y = around(np.concatenate([line[1] for line in lines]), 'rms per half octave (µm)', zero=True)
+    y = scale_around(
+        np.concatenate([line[1] for line in lines]), 'rms per half octave (µm)', zero=True
+    )
     panel = Panel(x, y)
     marks = [panel.line(*line) for line in lines]
     marks += [panel.dots(a, b, f'{kind} node') for a, b, kind in lines[1:]]

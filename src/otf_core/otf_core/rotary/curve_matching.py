@@ -20,11 +20,11 @@ from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath, position_at
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.model.joints import Seen, Sight
+from otf_core.model.joints import ReflectorView, Sight
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
-from otf_core.rotary.track import MOST, STEP, Curve, Track, by_length, follow
+from otf_core.rotary.track import MOST, STEP, Curve, Track, assign_places, by_length
 
 BREAK = 1.9
 """s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""
@@ -67,7 +67,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedRun:
     """A run whose samples have places on the nominal curves.
 
     Attributes
@@ -181,7 +181,7 @@ def match(
     places: Mapping[str, Array] | None = None,
     *,
     quick: bool = False,
-) -> Matched:
+) -> MatchedRun:
     """Find pose, places of reflectors and the place of every sample.
 
     Parameters
@@ -253,7 +253,7 @@ def _first_pose(
         for f, curve in zip(chosen, curves, strict=True):
             if pose is not None:
                 band = 0.05 + 0.02 * curve.length
-                f.reach = follow(f.track, curve, pose.apply(f.track.xyz), band, f.reach)
+                f.reach = assign_places(f.track, curve, pose.apply(f.track.xyz), band, f.reach)
         source = np.concatenate([f.track.xyz for f in chosen])
         target = np.concatenate([c.at(f.reach) for f, c in zip(chosen, curves, strict=True)])
         before, pose = pose, _robust_fit(source, target)
@@ -287,7 +287,7 @@ def _refined(
 ) -> tuple[RigidTransform, dict[str, Array], dict[str, float]]:
     """Pose, places of reflectors on the table and lines of axes from the tracks of all parts."""
     known, location = dict(places), dict(lines or dict.fromkeys(machine.location, 0.0))
-    actual = with_lines(machine, location)
+    actual = apply_location_errors(machine, location)
     free = sorted(
         {
             f.part.path.target
@@ -314,7 +314,9 @@ def _refined(
             curve = _curve(actual, f, known)
             points = pose.apply(f.track.xyz)
             if far:
-                f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
+                f.reach = assign_places(
+                    f.track, curve, points, min(band, 0.5 * curve.length), f.reach
+                )
             name = f.part.path.target
             place, seen, tangent = closest(
                 sight_at(actual, name, known), curve, curve.place_at(f.reach), points
@@ -329,7 +331,7 @@ def _refined(
             known[name] = known[name] + step[at : at + 3]
         for k, scalar in enumerate(location, start=first):
             location[scalar] += float(step[k])
-        actual = with_lines(machine, location)
+        actual = apply_location_errors(machine, location)
         band = max(NARROWEST, 0.5 * band)
         far = float(np.abs(step[[0, 1, 2, *range(6, first)]]).max()) > NEAR
         if np.abs(step[[0, 1, 2, *range(6, size)]]).max() < SETTLED * 100:
@@ -339,7 +341,7 @@ def _refined(
 
 def _equations(
     points: Array,
-    seen: Seen,
+    seen: ReflectorView,
     tangent: Array,
     at_place: int | None,
     at_lines: Mapping[str, int],
@@ -364,7 +366,7 @@ def _equations(
     return np.asarray(normal), np.asarray(right)
 
 
-def with_lines(machine: Machine, location: Mapping[str, float]) -> Machine:
+def apply_location_errors(machine: Machine, location: Mapping[str, float]) -> Machine:
     """The machine with the lines of its rotary axes where location errors put them."""
     axes = dict(machine.axes)
     for name in machine.rotary_names:
@@ -380,7 +382,9 @@ def with_lines(machine: Machine, location: Mapping[str, float]) -> Machine:
     return replace(machine, axes=axes)
 
 
-def closest(sight: Sight, curve: Curve, place: Array, points: Array) -> tuple[Array, Seen, Array]:
+def closest(
+    sight: Sight, curve: Curve, place: Array, points: Array
+) -> tuple[Array, ReflectorView, Array]:
     """Closest places of a curve to points, from near ones.
 
     The direction of travel is that of a chord of some length about a place: chains of corners that
@@ -421,8 +425,8 @@ def _placed(
     pose: RigidTransform,
     places: Mapping[str, Array],
     location: Mapping[str, float],
-) -> Matched:
-    actual = with_lines(machine, location)
+) -> MatchedRun:
+    actual = apply_location_errors(machine, location)
     place, number = np.full(len(samples), np.nan), np.full(len(samples), -1, dtype=np.int64)
     distance, driven = [], []
     time = samples.time
@@ -435,6 +439,6 @@ def _placed(
         distance.append(float(np.median(off)))
         driven.append(float((f.reach.max() - f.reach.min()) / curve.length))
     parts = tuple(f.part for f in following)
-    return Matched(
+    return MatchedRun(
         machine, parts, pose, places, place, number, location, tuple(distance), tuple(driven)
     )

@@ -18,9 +18,9 @@ import numpy as np
 
 from otf_core.config import CalibrationConfig
 from otf_core.model.motions import ErrorMotion
+from otf_core.rotary.axis_solution import AxisSolution, place_equations, tables_of
+from otf_core.rotary.axis_unknowns import lag_block
 from otf_core.rotary.rows import build_rows
-from otf_core.rotary.solution import AxisSolution, place_equations, tables_of
-from otf_core.rotary.unknowns import lag_block
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import solve
 from otf_core.solving.unknowns import Unknowns, reversal_block

@@ -21,11 +21,7 @@ from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
-from otf_core.rotary.matching import Matched, match
-from otf_core.rotary.mismatch import check_matched, wrong_lines
-from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
-from otf_core.rotary.reseated import reseated
-from otf_core.rotary.reversal import (
+from otf_core.rotary.axis_reversal import (
     NONE,
     AxisLag,
     AxisReversal,
@@ -34,10 +30,14 @@ from otf_core.rotary.reversal import (
     significant,
     trial_of_reversal,
 )
+from otf_core.rotary.axis_solution import AxisSolution, solve_robustly, tables_of
+from otf_core.rotary.axis_unknowns import bases_of, layout, place_block
+from otf_core.rotary.curve_matching import MatchedRun, match
+from otf_core.rotary.mismatch import check_matched, wrong_lines
+from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
+from otf_core.rotary.reseated import find_reseated
 from otf_core.rotary.rows import AxisRun
-from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
 from otf_core.rotary.tabulation import AxisTables, tabulate
-from otf_core.rotary.unknowns import bases_of, layout, place_block
 from otf_core.solving.unknowns import Unknowns
 from otf_core.threads import one_thread
 
@@ -87,7 +87,7 @@ class AxisCalibration:
     machine: Machine
     made: AxisTables
     solution: AxisSolution
-    matched: tuple[Matched, ...]
+    matched: tuple[MatchedRun, ...]
     targets: Mapping[str, tuple[Array, Array]]
     driven: tuple[Array, Array]
     corners: Array
@@ -190,8 +190,8 @@ class _Job:
     free: tuple[str, ...]
 
     def solve(
-        self, matched: Sequence[Matched], places: Mapping[str, Array], failed: list[str]
-    ) -> tuple[AxisSolution, list[Matched], float]:
+        self, matched: Sequence[MatchedRun], places: Mapping[str, Array], failed: list[str]
+    ) -> tuple[AxisSolution, list[MatchedRun], float]:
         """Solve twice: the second time at places that the first tables give.
 
         ``failed`` takes words on reflectors that were re-seated.
@@ -213,7 +213,7 @@ class _Job:
         solve = partial(solve_robustly, noises=noises, config=self.config, progress=self.progress)
 
         def look(joint: AxisSolution) -> None:
-            failed.extend(text for solved in joint.runs for text in reseated(solved))
+            failed.extend(text for solved in joint.runs for text in find_reseated(solved))
 
         joint, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
         if self.config.reversal != NONE:
@@ -245,12 +245,12 @@ class _Job:
                     return seen.noise
             return noise_model(samples, spec, self.config.standstill_speed)
 
-    def _moved(self, matched: Sequence[Matched], joint: AxisSolution) -> list[Matched]:
+    def _moved(self, matched: Sequence[MatchedRun], joint: AxisSolution) -> list[MatchedRun]:
         pairs = zip(matched, self.stations, strict=True)
         return [replace(m, pose=joint.poses[k], places=joint.places) for m, k in pairs]
 
     def _runs(
-        self, matched: Sequence[Matched], places: Mapping[str, Array], tables: ErrorTables
+        self, matched: Sequence[MatchedRun], places: Mapping[str, Array], tables: ErrorTables
     ) -> list[AxisRun]:
         """Recordings reduced to pieces or stops."""
         runs = []
@@ -273,9 +273,9 @@ class _Job:
 
 def _match_all(
     recordings: Sequence[Recording], progress: Progress, same_station: bool
-) -> tuple[list[Matched], list[str]]:
+) -> tuple[list[MatchedRun], list[str]]:
     """Match all recordings; also what is to be noted of them."""
-    matched: list[Matched] = []
+    matched: list[MatchedRun] = []
     notes: list[str] = []
     progress('aligning', 0.0)
     for k, recording in enumerate(recordings):
@@ -320,7 +320,7 @@ def _mean_distance(runs: Sequence[AxisRun]) -> float:
     return float(np.concatenate(distances).mean())
 
 
-def driven_ranges(machine: Machine, matched: Sequence[Matched]) -> tuple[Array, Array]:
+def driven_ranges(machine: Machine, matched: Sequence[MatchedRun]) -> tuple[Array, Array]:
     """Lowest and highest position of every axis where it moves the reflector in view."""
     low = np.full(len(machine.axis_names), np.inf)
     high = -low
@@ -342,7 +342,7 @@ def driven_ranges(machine: Machine, matched: Sequence[Matched]) -> tuple[Array, 
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
 
 
-def common_places(machine: Machine, matched: Sequence[Matched]) -> dict[str, Array]:
+def common_places(machine: Machine, matched: Sequence[MatchedRun]) -> dict[str, Array]:
     """Places of the targets from the first recording that saw them."""
     places = {name: np.array(t.place) for name, t in machine.targets.items()}
     for one in reversed(list(matched)):
@@ -353,7 +353,7 @@ def common_places(machine: Machine, matched: Sequence[Matched]) -> dict[str, Arr
 
 def _assembled(
     recordings: Sequence[Recording],
-    matched: Sequence[Matched],
+    matched: Sequence[MatchedRun],
     joint: AxisSolution,
     config: CalibrationConfig,
     method: str,
@@ -414,7 +414,7 @@ def _assembled(
 
 def _fit_of(
     recordings: Sequence[Recording],
-    matched: Sequence[Matched],
+    matched: Sequence[MatchedRun],
     joint: AxisSolution,
     before: float,
     ratio: float,
@@ -471,7 +471,7 @@ def _warnings(tabulated: AxisTables) -> tuple[str, ...]:
 
 
 def advice_for(
-    machine: Machine, matched: Sequence[Matched], hidden: Sequence[str]
+    machine: Machine, matched: Sequence[MatchedRun], hidden: Sequence[str]
 ) -> dict[str, str]:
     """State for every error that the data do not show which path would show it."""
     advice = {}

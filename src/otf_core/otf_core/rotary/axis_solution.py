@@ -25,10 +25,10 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import is_motion
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
-from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scale_noise
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
+from otf_core.rotary.axis_unknowns import place_block
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
-from otf_core.rotary.unknowns import place_block
 from otf_core.solving.joint import MAX_RATIO_OF_CHANGES, FittedNoise, fit_noise
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
@@ -210,6 +210,14 @@ def _pose_equations(unknowns: Unknowns, stations: Iterable[int], size: float) ->
     return NormalEquations(matrix, right, 0.0, 0)
 
 
+def _sum_rows(
+    systems: Sequence[AxisSystem], unknowns: Unknowns, whiteners: Sequence[Whitener]
+) -> NormalEquations:
+    """Normal equations of the rows of all runs."""
+    pairs = zip(systems, whiteners, strict=True)
+    return reduce(add, [normal_equations(cast(Any, s), unknowns, w) for s, w in pairs])
+
+
 def _settle(
     runs: Sequence[AxisRun],
     noises: Sequence[NoiseModel],
@@ -225,7 +233,7 @@ def _settle(
     places = dict(runs[0].places)
     accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
     models = [
-        (noise, Misfit()) if own is None else (scaled(noise, own), misfit_of(own))
+        (noise, Misfit()) if own is None else (scale_noise(noise, own), misfit_of(own))
         for noise, own in zip(noises, fitted, strict=True)
     ]
     whiteners: list[Whitener] | None = None
@@ -244,11 +252,7 @@ def _settle(
         known = place_equations(machine, unknowns, places)
         first = iteration == 1 or (iteration == 2 and logs is None)
         if rough is None or solution is None or first or stuck:
-            parts = [
-                normal_equations(cast(Any, s), unknowns, w)
-                for s, w in zip(systems, whiteners, strict=True)
-            ]
-            normal = reduce(add, [*parts, known])
+            normal = _sum_rows(systems, unknowns, whiteners) + known
             if rough is None or first:
                 search = Search(normal, unknowns, accepted, limit)
                 rough = search.run(rough.logs if rough else logs)

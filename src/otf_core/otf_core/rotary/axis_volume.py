@@ -11,7 +11,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.machine import SPINDLE, TABLE, TOOL
 from otf_core.model.volume import VolumeErrors
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.rotary.calibrate import AxisCalibration
+from otf_core.rotary.axis_calibration import AxisCalibration
 
 LINEAR, ROTARY = 3, 4
 """Positions of every linear and of every rotary axis."""
