@@ -197,7 +197,7 @@ def test_source_that_goes_away_is_connected_to_again(make, tmp_path):
         ('hello', "column 1 is missing, there are 1; check .* 'hello'|column 1 is missing"),
         ('0.1;1;two;3', 'column 2 is not a number'),
         ('0.1;1;nan;3', 'column 2 is not a number'),
-        ('0.1;0;0;0', 'is none'),
+        ('0.1;0;0;0', 'is implausible'),
         ('0.1;1e9;0;0', 'check length'),
         ('9e99;1;2;3', 'stamp is out of range'),
         ('-9e9;1;2;3', 'stamp is out of range'),

@@ -53,7 +53,7 @@ def scripted(tmp_path, monkeypatch):
 
     def run(*transports, awaited=True, **changes):
         first, *others = transports
-        monkeypatch.setattr(reader, 'opened', lambda *_: others.pop(0))
+        monkeypatch.setattr(reader, 'open_source', lambda *_: others.pop(0))
         made.append(reader.Reader(read_description(described(tmp_path, **changes)), first))
         for transport in transports:
             transport.reader = made[-1]
