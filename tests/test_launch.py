@@ -101,7 +101,7 @@ def test_unknown_launch_arguments_are_refused(loop):
 
 
 def test_a_command_that_fails_fails_the_launch(loop):
-    ended = loop.content['ended']
+    ended = loop.content['shut_down_on_exit']
     event = SimpleNamespace(returncode=2, process_name='loop')
     with pytest.raises(RuntimeError, match='loop ended with exit code 2'):
         ended(event, SimpleNamespace(is_shutdown=False))
