@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,20 @@ from otf_core.calibration.calibration_result import (
     volume_errors,
 )
 from otf_core.calibration.first_sight import FirstSight
-from otf_core.calibration.machine_verdict import FAIL, NOT_STATED, OPEN, PASS, UNKNOWN
+from otf_core.calibration.machine_verdict import (
+    FAIL,
+    NOT_STATED,
+    OPEN,
+    PASS,
+    UNKNOWN,
+    Verdicts,
+)
 from otf_core.errors import ShapeError
 from otf_core.model.frames import RigidTransform
-from otf_core.model.motions import SQUARENESS, unit_of
+from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.model.volume import VolumeErrors
+from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
@@ -68,17 +76,26 @@ def tables_to_messages(tables: ErrorTables, run_id: str, stamp: Time) -> dict[st
 
 
 def all_tables_to_message(
-    result: CalibrationResult, tables: Iterable[ErrorTable], stamp: Time, method: str
+    result: CalibrationResult | AxisCalibration,
+    alignment: RigidTransform,
+    hidden: Collection[str],
+    tables: Iterable[ErrorTable],
+    stamp: Time,
+    method: str,
 ) -> TablesMessage:
-    """Return all errors of one calibration; where its files are is left empty.
+    """Return all errors of one calibration but those of rotary axes; its files are left empty.
 
     Parameters
     ----------
+    alignment : RigidTransform
+        Place of the tracker.
+    hidden : collection of str
+        Errors that the data do not show.
     tables : iterable of ErrorTable
         As of ``tables_to_messages``.
     """
     machine, run = result.tables.machine, result.origin[0]
-    squareness = {name: result.tables.squareness[name] for name in SQUARENESS}
+    squareness = {name: result.tables.squareness[name] for name in machine.squareness}
     return TablesMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -90,9 +107,9 @@ def all_tables_to_message(
         squareness=list(squareness),
         squareness_value=[entry.value for entry in squareness.values()],
         squareness_u=[entry.u for entry in squareness.values()],
-        squareness_identifiable=[name not in result.not_identifiable for name in squareness],
+        squareness_identifiable=[name not in hidden for name in squareness],
         tracker_link=machine.tracker.link,
-        alignment=transform_to_message(result.T_machine_tracker),
+        alignment=transform_to_message(alignment),
         software=f'otf_core {__version__}',
         first=time_from_ns(run.first_ns),
         last=time_from_ns(run.last_ns),
@@ -111,33 +128,29 @@ def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> Tran
     )
 
 
-def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
-    """Return the summary; what only the node knows (lost samples, folder) is left empty."""
-    fit, machine = result.fit, result.tables.machine
-    verdicts, first = result.verdicts, result.headline
-    sizes = motion_sizes(result.tables)
+def common_result(
+    result: CalibrationResult | AxisCalibration,
+    verdicts: Verdicts,
+    alignment: RigidTransform,
+    hidden: Collection[str],
+    stamp: Time,
+    method: str,
+) -> ResultMessage:
+    """Return what the summaries of all machines have in common; see ``all_tables_to_message``."""
+    fit, machine, sizes = result.fit, result.tables.machine, motion_sizes(result.tables)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
         status=verdicts.exit_code,
-        message=summary(result),
         measurement_good=verdicts.good,
         measurement_verdict=verdicts.measurement_words,
         machine_state=MACHINE_STATES[verdicts.machine_state],
         machine_verdict=verdicts.machine_words,
-        volumetric_error_mean=first.error['mean'],
-        volumetric_error_largest=first.error['max'],
-        expected_mean=first.expanded['mean'],
-        expected_largest=first.expanded['max'],
-        observed_mean=first.observed['mean'],
-        observed_largest=first.observed['max'],
-        coverage_factor=first.k,
-        systematic=first.systematic,
         machine=machine.name,
         chain=str(machine.chain),
         method=method,
         tracker_link=machine.tracker.link,
-        alignment=transform_to_message(result.T_machine_tracker),
+        alignment=transform_to_message(alignment),
         samples=fit.samples,
         used=fit.used,
         pieces=fit.pieces,
@@ -150,12 +163,30 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         motions=list(sizes),
         motion_largest=[largest for largest, _ in sizes.values()],
         motion_u=[u for _, u in sizes.values()],
-        not_identifiable=list(result.not_identifiable),
+        not_identifiable=list(hidden),
         warnings=list(result.warnings),
     )
-    for name in SQUARENESS:
+    for name in machine.squareness:
         setattr(message, name.lower(), result.tables.squareness[name].value)
         setattr(message, f'u_{name.lower()}', result.tables.squareness[name].u)
+    return message
+
+
+def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
+    """Return the summary; what only the node knows (lost samples, folder) is left empty."""
+    first, hidden = result.headline, result.not_identifiable
+    message = common_result(
+        result, result.verdicts, result.T_machine_tracker, hidden, stamp, method
+    )
+    message.message = summary(result)
+    message.volumetric_error_mean = first.error['mean']
+    message.volumetric_error_largest = first.error['max']
+    message.expected_mean = first.expanded['mean']
+    message.expected_largest = first.expanded['max']
+    message.observed_mean = first.observed['mean']
+    message.observed_largest = first.observed['max']
+    message.coverage_factor = first.k
+    message.systematic = first.systematic
     return message
 
 
@@ -233,7 +264,14 @@ def messages_of(
     volume = volume_to_message(volume_errors(result, provisional), result.run_id, stamp)
     return Messages(
         tables,
-        all_tables_to_message(result, tables.values(), stamp, method),
+        all_tables_to_message(
+            result,
+            result.T_machine_tracker,
+            result.not_identifiable,
+            tables.values(),
+            stamp,
+            method,
+        ),
         alignment_to_message(result.T_machine_tracker, stamp),
         message,
         volume,
