@@ -14,15 +14,14 @@ from typing import Any, cast
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.diagnosis.engine.gap_sizes import replace_louder
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects.state import state_in_parts
 from otf_core.effects.terms import State
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
-from otf_core.model.path import leg_bounds
-from otf_core.noise.departure import noise_departure
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
-from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
+from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Recording
 from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun, tables_of
@@ -93,14 +92,8 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
 
 def _measured_noise(recording: Recording, speed: float) -> NoiseModel:
     """Noise of the standstills; as specified up to what passes as that."""
-    samples, spec = recording.samples, recording.machine.tracker
-    noise = noise_model(samples, spec, speed)
-    seen = noise_departure(samples, spec, speed)
-    measured = standstill_noise(samples, find_standstills(samples, speed))
-    if seen is None or measured is None:
-        return noise
-    parts = zip(noise, measured.noise, seen.least > 1.0, strict=True)
-    return NoiseModel(*(own if loud else old for old, own, loud in parts))
+    noise = noise_model(recording.samples, recording.machine.tracker, speed)
+    return replace_louder(noise, recording, speed)
 
 
 def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
@@ -128,7 +121,7 @@ def _state(joint: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array
         pieces.part,
         pieces.stretch,
         q,
-        _rates(q, pieces),
+        pieces.rate,
         pieces.side,
         pieces.time,
         joint.poses[run.station],
@@ -137,17 +130,6 @@ def _state(joint: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array
         float(pieces.time.max() + pieces.duration[-1]),
         np.abs(pieces.step) * pieces.spread[:, None],
     )
-
-
-def _rates(q: Array, pieces: AxisPieces) -> Array:
-    """Speeds of the axes from the neighbours of every piece, shape (p, k)."""
-    rates = np.zeros_like(q)
-    if pieces.standstill:
-        return rates
-    for low, high in leg_bounds(pieces.stretch):
-        if high - low > 1:
-            rates[low:high] = np.gradient(q[low:high], pieces.time[low:high], axis=0)
-    return rates
 
 
 def simulated_um(rows: Rows) -> float:

@@ -249,13 +249,18 @@ def with_measured_noise(run: Run, speed: float) -> Run:
     Up to ``noise.departure.MAX_LEVEL_RATIO`` it passes as specified, and a solution takes it as
     specified; but what is left of a gap has to be compared with the noise that was there.
     """
-    samples = run.recording.samples
-    seen = noise_departure(samples, run.machine.tracker, speed)
+    return replace(run, noise=replace_louder(run.noise, run.recording, speed))
+
+
+def replace_louder(noise: NoiseModel, recording: Recording, speed: float) -> NoiseModel:
+    """Take the noise of the standstills for those components in which it is clearly louder."""
+    samples, spec = recording.samples, recording.machine.tracker
+    seen = noise_departure(samples, spec, speed)
     measured = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None or measured is None:
-        return run
-    parts = zip(run.noise, measured.noise, seen.least > 1.0, strict=True)
-    return replace(run, noise=NoiseModel(*(own if loud else old for old, own, loud in parts)))
+        return noise
+    parts = zip(noise, measured.noise, seen.least > 1.0, strict=True)
+    return NoiseModel(*(own if loud else old for old, own, loud in parts))
 
 
 def _runs(rows: Rows) -> Sequence[Run]:
