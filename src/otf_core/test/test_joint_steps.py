@@ -29,12 +29,12 @@ def test_steps_that_grow_make_the_normal_matrix_anew(monkeypatch, factor):
     def solved():
         return joint.solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
 
-    right, improved = solved(), joint._improved
+    right, improved = solved(), joint.newton_step
 
     def too_far(solution, *rest):
         better = improved(solution, *rest)
         return replace(solution, value=solution.value + factor * (better.value - solution.value))
 
-    monkeypatch.setattr(joint, '_improved', too_far)
+    monkeypatch.setattr(joint, 'newton_step', too_far)
     (found,), (wanted,) = solved().runs, right.runs
     assert np.abs(found.residual - wanted.residual).max() < 2e-8

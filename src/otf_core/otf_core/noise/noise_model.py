@@ -174,6 +174,19 @@ def misfit_of(logs: Array) -> Misfit:
     return Misfit(float(np.exp(0.5 * logs[INDEPENDENT])), float(np.exp(0.5 * logs[LASTING])))
 
 
+def noise_and_misfit(noise: NoiseModel, fitted: Array | None) -> tuple[NoiseModel, Misfit]:
+    """Noise of single samples, and what a model leaves besides, for logarithms that were fitted.
+
+    Parameters
+    ----------
+    fitted : ndarray, shape (5,), optional
+        See ``scale_noise`` and ``misfit_of``; the noise as it is, and no misfit, without them.
+    """
+    if fitted is None:
+        return noise, Misfit()
+    return scale_noise(noise, fitted), misfit_of(fitted)
+
+
 def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
     """The two axes of the path coordinate system perpendicular to the path (paper Eq. 1).
 

@@ -30,7 +30,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
-from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scale_noise
+from otf_core.noise.noise_model import Misfit, NoiseModel, noise_and_misfit
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, FollowedTrack, align, line_step
@@ -85,9 +85,7 @@ class Observed:
     @property
     def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
         """Noise of single samples, and what the model leaves besides: as far as is known."""
-        if self.fitted is None:
-            return self.noise, Misfit()
-        return scale_noise(self.noise, self.fitted), misfit_of(self.fitted)
+        return noise_and_misfit(self.noise, self.fitted)
 
 
 AnyRun = TypeVar('AnyRun', bound=Observed)
@@ -112,10 +110,10 @@ class Recording:
         What was repaired or left out of it, in words; warnings of every result.
     signals : mapping of str to Signal
         Recorded beside the samples; possible causes in a diagnosis.
-    seen : Followed, optional
+    seen : FollowedTrack, optional
         What was found of the track before its last samples came; it saves time and changes
         nothing.
-    left_out : tuple of LeftOut
+    left_out : tuple of SkippedLines
         Lines of a text that are not samples, by reason.
     axis_paths : tuple of AxisPath
         Parts that were driven, of a machine with rotary axes; ``path`` is their track then.
@@ -161,7 +159,7 @@ class Run(Observed):
         As published.
     read : tuple of str
         Remarks of the recording.
-    left_out : tuple of LeftOut
+    left_out : tuple of SkippedLines
         See ``Recording``.
     """
 

@@ -25,11 +25,17 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import is_motion
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
-from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scale_noise
+from otf_core.noise.noise_model import Misfit, NoiseModel, noise_and_misfit
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
 from otf_core.rotary.axis_unknowns import place_block
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
-from otf_core.solving.joint import MAX_RATIO_OF_CHANGES, FittedNoise, fit_noise
+from otf_core.solving.joint import (
+    MAX_RATIO_OF_CHANGES,
+    FittedNoise,
+    fit_noise,
+    newton_step,
+    residuals_of,
+)
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, solve
@@ -232,10 +238,7 @@ def _settle(
     poses = {run.station: run.pose for run in runs}
     places = dict(runs[0].places)
     accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
-    models = [
-        (noise, Misfit()) if own is None else (scale_noise(noise, own), misfit_of(own))
-        for noise, own in zip(noises, fitted, strict=True)
-    ]
+    models = [noise_and_misfit(*pair) for pair in zip(noises, fitted, strict=True)]
     whiteners: list[Whitener] | None = None
     rough: Roughness | None = None
     solution: Solution | None = None
@@ -263,9 +266,12 @@ def _settle(
             solution = newton
         else:
             solution = replace(newton, value=solution.value)
-            solution = _improved(solution, unknowns, rough, systems, whiteners, known)
+            back = _pull_back(unknowns, rough, solution.value)
+            solution = newton_step(
+                solution, unknowns, cast(Any, systems), whiteners, back, known.right
+            )
         before, last = residuals, change
-        residuals = _left_by(systems, solution)
+        residuals = residuals_of(cast(Any, systems), solution)
         value = solution.value
         tables = tables_of(machine, unknowns, value)
         change = _change(residuals, before)
@@ -288,36 +294,17 @@ def _settle(
     )
 
 
-def _left_by(systems: Sequence[AxisSystem], solution: Solution) -> list[Array]:
-    """What a solution leaves of the deviations of every run, (c, p), m."""
-    return [s.deviation - s.rows.times(solution.value) for s in systems]
+def _pull_back(unknowns: Unknowns, rough: Roughness, value: Array) -> Array:
+    """Pull of the prior on the free unknowns, those of the motions alone.
 
-
-def _improved(
-    solution: Solution,
-    unknowns: Unknowns,
-    rough: Roughness,
-    systems: Sequence[AxisSystem],
-    whiteners: Sequence[Whitener],
-    known: NormalEquations,
-) -> Solution:
-    """One Newton step with the normal matrix of an earlier iteration; see ``solving.joint``.
-
-    Only what is known of the motions pulls: the little that is assumed of the size of all others
-    would move what the data do not show, step by step, without an end.
+    The little that is assumed of the size of all others would move what the data do not show,
+    step by step, without an end.
     """
-    pull = np.zeros(unknowns.full)
-    for system, whitener, rest in zip(
-        systems, whiteners, _left_by(systems, solution), strict=True
-    ):
-        pull += system.rows.transposed(whitener.weighted(rest))
-    free = free_values(unknowns, solution.value)
+    free = free_values(unknowns, value)
     for name, block in unknowns.free_blocks.items():
         if not is_motion(name):
             free[block] = 0.0
-    step = unknowns.gauge.T @ pull + known.right - rough.precision @ free
-    lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
-    return replace(solution, value=solution.value + lifted @ step)
+    return np.asarray(rough.precision @ free)
 
 
 def _change(residuals: Sequence[Array], before: Sequence[Array]) -> float:

@@ -84,7 +84,7 @@ class FittedNoise:
     Attributes
     ----------
     logs : ndarray, shape (5,)
-        For ``noise_model.scaled`` and ``noise_model.misfit_of``.
+        For ``noise_model.scale_noise`` and ``noise_model.misfit_of``.
     u : ndarray, shape (5,)
         Their standard uncertainties.
     """
@@ -479,7 +479,8 @@ def solve_jointly(
             normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
             solution = solve(normal, unknowns, limit, accepted, rough.precision)
         else:
-            solution = _improved(solution, unknowns, rough, systems, whiteners)
+            pull_back = rough.precision @ free_values(unknowns, solution.value)
+            solution = newton_step(solution, unknowns, systems, whiteners, pull_back)
         before, residuals, last = residuals, residuals_of(systems, solution), change
         change = max(float(np.abs(a - b).max()) for a, b in zip(residuals, before, strict=True))
         stuck = change > MAX_RATIO_OF_CHANGES * last
@@ -571,24 +572,31 @@ def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solutio
     return replace(solution, value=value)
 
 
-def _improved(
+def newton_step(
     solution: Solution,
     unknowns: Unknowns,
-    rough: Roughness,
     systems: Sequence[System],
     whiteners: Sequence[Whitener],
+    pull_back: Array,
+    known: Array | float = 0.0,
 ) -> Solution:
-    """One Newton step with the normal matrix of the first iteration, which hardly changes.
+    """One Newton step with the normal matrix of an earlier iteration, which hardly changes.
 
     With C the covariance of the solution and K^-1 the precision of the prior, the estimates x
-    move by C (A^T W (y - A x) - K^-1 x).
+    move by C (A^T W (y - A x) + b - K^-1 x).
+
+    Parameters
+    ----------
+    pull_back : ndarray, shape (free,)
+        K^-1 x.
+    known : ndarray, shape (free,), optional
+        b, right side of the normal equations of what is known beside the rows.
     """
     pull = np.zeros(unknowns.full)
     for system, whitener, rest in zip(
         systems, whiteners, residuals_of(systems, solution), strict=True
     ):
         pull += system.rows.transposed(whitener.weighted(rest))
-    free = free_values(unknowns, solution.value)
-    step = unknowns.gauge.T @ pull - rough.precision @ free
+    step = unknowns.gauge.T @ pull + known - pull_back
     lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
     return replace(solution, value=solution.value + lifted @ step)
