@@ -13,6 +13,7 @@ from otf_core.arrays import Array, Index
 from otf_core.effects.base import State
 from otf_core.effects.history import joint_history, path_history
 from otf_core.effects.terms import Turning
+from otf_core.model.axis_path import travel_per_unit
 from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
@@ -84,8 +85,6 @@ def state_on_path(
     )
 
 
-LEVER = 0.2
-"""m; radius on which a rotation counts as travel."""
 STANDS = 1e-9
 """Share of the speed of the axes below which one of them stands."""
 
@@ -130,8 +129,7 @@ def state_in_parts(
     turning, speed = _turning(machine, targets, places, part, q, rates, pose)
     if spread is not None:
         turning = replace(turning, spread=spread)
-    scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in axes])
-    along = rates * scale
+    along = rates * travel_per_unit(machine)
     size = np.linalg.norm(along, axis=1, keepdims=True)
     along = np.where(np.abs(along) > STANDS * size, along, 0.0)
     direction = along / np.maximum(size, 1e-300)

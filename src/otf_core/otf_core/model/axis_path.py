@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import InputError, ShapeError
@@ -22,6 +23,10 @@ MIN_MOTION = 1e-9
 """m or rad; corners that differ by less are one."""
 MOST_TURNS = 30.0
 """Turns of an endless axis beyond which its positions are in degrees, most likely."""
+LEVER = 0.2
+"""m; a rotation counts as travel on this radius."""
+SMOOTH = 0.2
+"""Change of the unit direction in the axes below which a corner is driven through."""
 TRACK_STEP, TRACK_TURN = 5e-3, 0.03
 """m of travel and rad of rotation between points of a track that stands for the curve."""
 
@@ -85,6 +90,18 @@ class AxisPath:
         _check_ranges(machine, q)
         moved = np.abs(np.diff(q, axis=0)).max(axis=1) > MIN_MOTION
         return AxisPath(machine.axis_names, q[np.append(True, moved)], self.target)
+
+
+def travel_per_unit(machine: Machine) -> Array:
+    """Travel (k,) that a unit of every axis counts as, m: a rotation on the radius ``LEVER``."""
+    return np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+
+
+def driven_through(machine: Machine, positions: Array) -> NDArray[np.bool_]:
+    """Which of the corners (n - 2,) between the ends are smooth."""
+    legs = np.diff(positions, axis=0) * travel_per_unit(machine)
+    unit = legs / np.linalg.norm(legs, axis=1)[:, None]
+    return np.asarray(np.linalg.norm(np.diff(unit, axis=0), axis=1) <= SMOOTH)
 
 
 def _check_ranges(machine: Machine, q: Array) -> None:

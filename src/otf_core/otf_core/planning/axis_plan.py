@@ -7,14 +7,13 @@ from collections.abc import Sequence
 
 from otf_core.arrays import Array
 from otf_core.config import ForecastConfig, PlannerConfig
-from otf_core.model.axis_path import AxisPath
+from otf_core.model.axis_path import LEVER, AxisPath
 from otf_core.model.machine import Machine
 from otf_core.model.plan import AxisPlan
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.axis_programs import on_axis_increment
 from otf_core.planning.part_choice import choose_parts
 from otf_core.planning.rotary_paths import (
-    LEVER,
     TURN_RATE,
     PlannedPart,
     default_tracker_place,

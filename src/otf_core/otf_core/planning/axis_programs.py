@@ -17,7 +17,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath
+from otf_core.model.axis_path import AxisPath, driven_through
 from otf_core.model.joints import Sight
 from otf_core.model.machine import TOOL, Machine
 from otf_core.planning.nc.dialect import AxisMove, Dialect, comment_lines
@@ -25,7 +25,6 @@ from otf_core.planning.rotary_paths import (
     STOP_TIME,
     PlannedPart,
     creeps,
-    driven_through,
     seconds_of_legs,
 )
 

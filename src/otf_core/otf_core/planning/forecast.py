@@ -506,7 +506,7 @@ class PlannedSystematic:
     noise, with_declared, with_typical : float
         m, k = 1: of the noise alone; with the declared contributions; with typical values for
         the missing keys too.
-    expected : Expected
+    expected : ExpectedRemainder
         Expanded, with all of them: what a calibration would state first.
     """
 

@@ -74,7 +74,9 @@ def choose_parts(
         chains += [c for c in candidate_chains(machine, few) if c.is_lines]
     chains = sorted(chains, key=lambda c: (list(machine.targets).index(c.target), not c.is_lines))
     choice = _Choice(machine, chains, place, config, judged, noise, time_budget)
-    selected = list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.made()
+    selected = (
+        list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.choose()
+    )
     return parts_of(machine, [chains[k] for k in selected])
 
 
@@ -117,7 +119,7 @@ class _Choice:
         sizes += [len(self.judge.nodes[m.axis]) for m in self.machine.motions]
         return [0, *accumulate(sizes[:-1])]
 
-    def made(self) -> list[int]:
+    def choose(self) -> list[int]:
         """Choose: take out until the time is kept, then put back what still fits.
 
         Raises

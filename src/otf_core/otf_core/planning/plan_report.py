@@ -111,7 +111,7 @@ class PlanRequest:
         m, machine frame.
     noise : NoiseModel, optional
         As specified in machine.yaml if not given.
-    questions : tuple of Question
+    questions : tuple of OpenQuestion
         What a diagnosis left open; the shortest path that answers is chosen then, within
         ``time_budget``.
     before : tuple of MeasuredRun

@@ -27,7 +27,12 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.axis_path import (
+    AxisPath,
+    driven_through,
+    position_at,
+    travel_per_unit,
+)
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.machine import BED, SPINDLE, TABLE, TOOL, Machine
@@ -67,12 +72,8 @@ STOP_TURN, STOP_TIME = np.radians(15.0), 1.0
 """rad between stops of a rotary axis and s at each."""
 SWEEPS = (1, 2, 3)
 """Sweeps of the second rotary axis per range of the first, one reflector place after the other."""
-LEVER = 0.2
-"""m; a rotation counts as travel on this radius where a path is cut into pieces."""
 STILL = 1e-4
 """Travel of the reflector per travel of the axes below which nothing is stated across it."""
-SMOOTH = 0.2
-"""Change of the unit direction in the axes below which a corner is driven through."""
 SMR_ANGLE = np.radians(30.0)
 """rad; half-angle of the cone of beams that a spherically mounted reflector returns."""
 SIGHT_STEPS, FACINGS = 24, 400
@@ -448,18 +449,6 @@ def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
     return np.asarray(np.maximum(travel / feed, angle / TURN_RATE))
 
 
-def driven_through(machine: Machine, q: Array) -> NDArray[np.bool_]:
-    """Tell of the corners (n - 2,) between the ends which are smooth."""
-    legs = np.diff(q, axis=0) * _scale(machine)
-    unit = legs / np.linalg.norm(legs, axis=1)[:, None]
-    return np.asarray(np.linalg.norm(np.diff(unit, axis=0), axis=1) <= SMOOTH)
-
-
-def _scale(machine: Machine) -> Array:
-    """Lengths (k,) of a unit of every axis, m: a rotation acts on the radius ``LEVER``."""
-    return np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
-
-
 @dataclass(frozen=True)
 class _Cut:
     """Pieces of one part: places on its path and times."""
@@ -474,7 +463,7 @@ class _Cut:
 def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: float) -> _Cut:
     """Cut a part into pieces of equal travel, with times at the speed of its slowest leg."""
     q = part.path.positions
-    length = np.linalg.norm(np.diff(q, axis=0) * _scale(machine), axis=1)
+    length = np.linalg.norm(np.diff(q, axis=0) * travel_per_unit(machine), axis=1)
     stretch = np.cumsum(np.append(True, ~driven_through(machine, q))) - 1
     per_metre = seconds_of_legs(machine, q, config.feed) / length
     reach = np.append(0.0, length.cumsum())
@@ -519,7 +508,7 @@ def _pieces(
     middle = position_at(q, 0.5 * (cut.first + cut.last))
     along = sight.nominal(last) - sight.nominal(first)
     size = np.linalg.norm(along, axis=1)
-    scale = _scale(machine)
+    scale = travel_per_unit(machine)
     samples = np.floor(cut.duration * judged.rate).astype(np.int64)
     keep = (size > STILL * np.linalg.norm((last - first) * scale, axis=1)) & (samples > 0)
     own = np.flatnonzero(keep)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.model.axis_path import position_at
+from otf_core.model.axis_path import driven_through, position_at, travel_per_unit
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -28,10 +28,6 @@ from otf_core.pieces.pieces import outlying
 from otf_core.rotary.curve_matching import MatchedRun, closest
 from otf_core.rotary.track import Curve
 
-LEVER = 0.2
-"""m; a rotation counts as travel on this radius where lengths of pieces and corners are meant."""
-SMOOTH = 0.2
-"""Change of the unit direction in the axes below which a corner is driven through."""
 TOGETHER = 60
 """Pieces that share slow noise at most."""
 FEW = 2
@@ -127,7 +123,7 @@ class AxisPieces:
 
 @dataclass(frozen=True)
 class _Reach:
-    """Lengths along a path by the travel of its axes, rotations on the radius ``LEVER``.
+    """Lengths along a path by the travel of its axes, see ``axis_path.travel_per_unit``.
 
     Attributes
     ----------
@@ -145,15 +141,12 @@ class _Reach:
 
     @classmethod
     def of(cls, machine: Machine, positions: Array) -> _Reach:
-        scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
-        legs = np.diff(positions, axis=0) * scale
-        length = np.linalg.norm(legs, axis=1)
-        unit = legs / length[:, None]
-        turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
+        length = np.linalg.norm(np.diff(positions, axis=0) * travel_per_unit(machine), axis=1)
+        turned = ~driven_through(machine, positions)
         stretch = np.append(0, np.cumsum(turned)).astype(np.int64)
         corners = np.append(0.0, np.cumsum(length))
         first = np.flatnonzero(np.append(True, turned))
-        ends = np.stack([corners[first], corners[np.append(first[1:], len(legs))]], axis=1)
+        ends = np.stack([corners[first], corners[np.append(first[1:], len(length))]], axis=1)
         return cls(corners, stretch, ends)
 
 

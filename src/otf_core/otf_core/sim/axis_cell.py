@@ -18,7 +18,7 @@ from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.state import state_in_parts
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.axis_path import AxisPath, position_at, travel_per_unit
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight, exact_position
 from otf_core.model.machine import Machine
@@ -31,8 +31,6 @@ from otf_core.sim.tracker import measure, place_tracker, specified_noise
 
 BROKEN_BEAM = 4.0
 """s; for which the beam is broken between two parts."""
-LEVER = 0.2
-"""m; a rotation counts as travel on this radius for feed and smoothness."""
 STANDS = 1e-6
 """m/s and rad/s; a slower axis stands."""
 SMOOTH = 0.2
@@ -67,7 +65,7 @@ class JointDrive:
     machine : Machine
     positions : ndarray, shape (n, k), m and rad
     feed, acceleration : float
-        m/s and m/s^2, of the axes together; a rotation counts as travel on the radius ``LEVER``.
+        m/s and m/s^2, of the axes together; see ``axis_path.travel_per_unit``.
     dwell : float
         s, at the ends of every stretch.
     stops : bool
@@ -83,8 +81,7 @@ class JointDrive:
         dwell: float,
         stops: bool = False,
     ) -> None:
-        scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
-        legs = np.diff(positions, axis=0) * scale
+        legs = np.diff(positions, axis=0) * travel_per_unit(machine)
         length = np.linalg.norm(legs, axis=1)
         unit = legs / length[:, None]
         turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
