@@ -67,7 +67,7 @@ class AxisCalibration:
 
     Attributes
     ----------
-    matched : tuple of Matched
+    matched : tuple of MatchedRun
         Of every recording.
     targets : mapping of target to (ndarray, ndarray), each of shape (3,), m
         Place and its standard uncertainty, of those that were seen.
@@ -105,11 +105,6 @@ class AxisCalibration:
     def tables(self) -> ErrorTables:
         """Error tables with their standard uncertainties."""
         return self.made.tables
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 4 where a quality gate failed."""
-        return 4 if self.failed_gates else 0
 
 
 def calibrate_axes(
@@ -199,7 +194,7 @@ class _Job:
         Returns
         -------
         done : AxisSolution
-        matched : list of Matched
+        matched : list of MatchedRun
             With its poses and places.
         before : float
             m; mean distance of the pieces from the curves at the first poses.

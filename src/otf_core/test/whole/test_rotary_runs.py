@@ -18,6 +18,7 @@ from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.reports.rotary_calibration import verdicts_of
 from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.rotary.curve_matching import match
 from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
@@ -123,7 +124,7 @@ def test_centre_that_is_wrong_by_more_than_a_millimetre_fails_the_gate():
     axes = {**m.axes, 'A': replace(m.axes['A'], centre=(0.0, 0.0, 0.023))}
     recording = replace(recorded(), machine=replace(m, axes=axes))
     result = calibrate_axes([recording], CalibrationConfig(), silent)
-    assert result.exit_code == 4
+    assert verdicts_of(result).exit_code == 4
     assert 'axes: A: centre' in result.failed_gates[0] and '0.01999] m' in result.failed_gates[0]
 
 
