@@ -8,7 +8,7 @@ import pytest
 
 from otf_calibrator.intake import Batch
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.parts import TOGETHER, PartsHeard
+from otf_calibrator.parts import TOGETHER, PartsCollector
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_axes
@@ -34,7 +34,7 @@ class Plans:
     """What a calibrator makes of parts."""
 
     def __init__(self):
-        self.heard, self.now = PartsHeard(), 100.0
+        self.heard, self.now = PartsCollector(), 100.0
 
     def take(self, parts, stamps, driving=False, apart=0.0):
         found = []

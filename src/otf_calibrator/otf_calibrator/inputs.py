@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from otf_calibrator.collector import PathTaken
 from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.parts import Heard
+from otf_calibrator.parts import PartReception
 from otf_calibrator.session import Session, Settings
 from otf_core.arrays import Array
 from otf_core.bags.bag_signals import topic_of
@@ -102,9 +102,9 @@ class PathReceiver:
             log.error(f'{self._axes} of {sender} ignored: {error}')
             return
         text = f"part '{part.target}' of {len(part.positions)} corners"
-        if heard == Heard.NEXT:
+        if heard == PartReception.NEXT:
             log.warning(f'{text} was published in mid-run by {sender}; {heard.value}')
-        elif heard != Heard.KNOWN:
+        elif heard != PartReception.KNOWN:
             log.info(f'{text}, for {len(self._session.collector.buffer)} samples so far')
 
     def _receive(self, message: Path) -> None:

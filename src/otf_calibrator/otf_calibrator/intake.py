@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from otf_calibrator.collector import Collector, PathTaken
 from otf_calibrator.losses import lost_words
-from otf_calibrator.parts import Heard, PartsHeard
+from otf_calibrator.parts import PartReception, PartsCollector
 from otf_calibrator.publishers import Choice, SequenceWatch
 from otf_calibrator.request import Request
 from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
@@ -125,7 +125,7 @@ class Intake:
         self.journal: Journal | None = None
         self.signals = SignalBuffer()
         self.machine: Machine | None = None
-        self._parts = PartsHeard()
+        self._parts = PartsCollector()
         self._sequence, self._choice = SequenceWatch(publishers), Choice()
         self._apart = 0
         self._gaps: set[bytes] = set()
@@ -140,7 +140,9 @@ class Intake:
             self.journal.message(PATH, message)
         return fate
 
-    def part(self, part: AxisPath, machine: Machine, message: bytes, stamp_ns: int) -> Heard:
+    def part(
+        self, part: AxisPath, machine: Machine, message: bytes, stamp_ns: int
+    ) -> PartReception:
         """Take a part of a run of a machine with rotary axes, and its message.
 
         Raises
@@ -152,8 +154,8 @@ class Intake:
         collector, now = self._collector, time.monotonic()
         self.machine = machine
         heard = self._parts.take(part, message, stamp_ns, now, collector.driving)
-        if heard in (Heard.ADDED, Heard.NEW):
-            self._use_parts(further=heard == Heard.ADDED)
+        if heard in (PartReception.ADDED, PartReception.NEW):
+            self._use_parts(further=heard == PartReception.ADDED)
         return heard
 
     def _use_parts(self, *, further: bool) -> None:

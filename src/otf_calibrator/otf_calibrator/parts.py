@@ -22,7 +22,7 @@ SAME = 1e-9
 """m or rad; corners that differ by less are the same."""
 
 
-class Heard(Enum):
+class PartReception(Enum):
     """What becomes of a part that arrives."""
 
     KNOWN = 'it is known already'
@@ -64,14 +64,14 @@ class PartsPlan:
         self._stamps, self._came = {stamp_ns}, now
 
     def goes_on(self, stamp_ns: int, now: float) -> bool:
-        """Tell whether a part that comes now is of the same sending."""
+        """Return whether a part that comes now is of the same sending."""
         if stamp_ns in self._stamps:
             return True
         own_stamps = len(self._stamps) == len(self.parts)
         return bool(self.parts) and own_stamps and now - self._came < TOGETHER
 
     def long_ago(self, now: float) -> bool:
-        """Tell whether its last part came some time ago."""
+        """Return whether its last part came some time ago."""
         return now - self._came >= TOGETHER
 
     @property
@@ -80,7 +80,7 @@ class PartsPlan:
         return self._one_by_one or len(self.parts) == 1
 
 
-class PartsHeard:
+class PartsCollector:
     """Takes parts as they arrive.
 
     Attributes
@@ -97,7 +97,7 @@ class PartsHeard:
 
     def take(
         self, part: AxisPath, message: bytes, stamp_ns: int, now: float, driving: bool
-    ) -> Heard:
+    ) -> PartReception:
         """Take a part.
 
         Parameters
@@ -113,28 +113,28 @@ class PartsHeard:
         plan, again, self._again = self.plan, self._again, 0
         if self._next.goes_on(stamp_ns, now):
             self._next.add(part, message, stamp_ns, now)
-            return Heard.NEXT
+            return PartReception.NEXT
         if again or self._begins_again(part, stamp_ns, now, driving):
             if _same(part, plan.parts[again]):
                 plan.comes_again(stamp_ns, now)
                 self._again = (again + 1) % len(plan.parts)
-                return Heard.KNOWN
+                return PartReception.KNOWN
             before = PartsPlan(plan.parts[:again], plan.messages[:again])
             before.comes_again(stamp_ns, now)
         elif plan.goes_on(stamp_ns, now) or (driving and plan.open):
             plan.add(part, message, stamp_ns, now)
-            return Heard.ADDED
+            return PartReception.ADDED
         else:
             before = PartsPlan()
         before.add(part, message, stamp_ns, now)
         if driving:
             self._next = before
-            return Heard.NEXT
+            return PartReception.NEXT
         self.plan, self._next = before, PartsPlan()
-        return Heard.NEW
+        return PartReception.NEW
 
     def _begins_again(self, part: AxisPath, stamp_ns: int, now: float, driving: bool) -> bool:
-        """Tell whether a part is the first of the known plan once more."""
+        """Return whether a part is the first of the known plan once more."""
         plan, resumed = self.plan, self._resumed
         if not plan.parts or not _same(part, plan.parts[0]):
             return False

@@ -207,7 +207,7 @@ class BagContent:
         Stamps strictly increase.
     remarks : tuple of str
         What was repaired or left out, in words.
-    left_out : tuple of LeftOut
+    left_out : tuple of SkippedLines
         Lines of a text that are not samples, by reason.
     signals : mapping of SignalSpec to Signal
         To be written beside them; reading is ``signals.read_signals``.
@@ -229,7 +229,7 @@ def read_bag(
     """Read points and path.
 
     Points are taken in the order of reception (log time) and then put in the order of their own
-    stamps, see ``sample_order.in_time_order``. A path that was published several times must be
+    stamps, see ``sample_order.sort_by_time``. A path that was published several times must be
     the same each time.
 
     Parameters
@@ -241,7 +241,7 @@ def read_bag(
     recover : bool
         Leave out damaged chunks inside an MCAP file as well, instead of refusing the bag.
     point, path : Topic
-        See ``topics.called`` for other names.
+        See ``rosbag2_metadata.rename_topic`` for other names.
 
     Raises
     ------

@@ -133,7 +133,7 @@ class BagReading:
         What was left out.
     foreign : Counter of str
         Points left out for their frame, by frame_id.
-    left_out : list of LeftOut
+    left_out : list of SkippedLines
         Empty: what a bag leaves out stands in its remarks.
     said : list of str
         How it was read, where that is not as usual.

@@ -315,7 +315,7 @@ class Nature(UnknownEffect):
     ----------
     form : callable(View)
         Displacement (n, 3), m, or that and what it depends on.
-    depends : Depends
+    depends : EffectInputs
         Where the form does not say it.
     """
 

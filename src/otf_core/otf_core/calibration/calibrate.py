@@ -138,7 +138,7 @@ class SolvedRecordings(ExaminedRecordings):
 
     Attributes
     ----------
-    outliers : tuple of LeftOut
+    outliers : tuple of OutlierPlaces
         What was left out of every run as outliers.
     """
 
@@ -201,7 +201,7 @@ def assemble(
     ----------
     findings : sequence of Finding
         Of the examination of its runs.
-    removed : TakenOff, optional
+    removed : RemovedEffects, optional
         Effects that were taken off the runs.
     """
     runs = solved.runs

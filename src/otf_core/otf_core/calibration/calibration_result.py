@@ -418,7 +418,7 @@ class RunResult:
         What was repaired or left out while the recording was read.
     rate : float
         Hz, usual rate of the samples.
-    lost : Lost
+    lost : LostSamples
         Samples missing according to the stamps.
     noise : NoiseModel
         Noise of single samples as the residuals show it.

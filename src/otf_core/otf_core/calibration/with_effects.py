@@ -303,7 +303,7 @@ def calibrate_without_effects(
 
     Parameters
     ----------
-    effects : sequence of Taken
+    effects : sequence of RemovableEffect
         At least one.
     progress : callable(stage, fraction), optional
     """
@@ -352,9 +352,9 @@ def pair_with_plain(
 
     Parameters
     ----------
-    corrected : Corrected, optional
+    corrected : CorrectedCalibration, optional
         See ``calibrate_without_effects``; None where nothing was taken off.
-    taking : sequence of Taken
+    taking : sequence of RemovableEffect
         Effects that were taken off.
     words : str
         What was done, in a sentence.

@@ -69,7 +69,7 @@ class CheckedRecording:
         Of the tables.
     remarks : tuple of str
         What was repaired while it was read.
-    left_out : tuple of LeftOut
+    left_out : tuple of SkippedLines
         Lines of a text table that are not samples.
     said : tuple of str
         How it was read, where that is not as usual.
@@ -120,7 +120,7 @@ def look(
     ----------
     machine : Machine, optional
         Without it the path is followed, but axes and uncertainties are not stated.
-    given : Given
+    given : ReadingOptions
         How it is read.
 
     Raises
@@ -658,7 +658,7 @@ class CheckReport:
 
     Attributes
     ----------
-    checked : mapping of str to Checked
+    checked : mapping of str to CheckOutcome
         By the names of the checks.
     """
 
@@ -699,7 +699,7 @@ def check(
     ----------
     source : str
         A bag, or a table of samples as text.
-    given : Given
+    given : ReadingOptions
         How it is read.
 
     Raises

@@ -47,7 +47,7 @@ class CausesToRemove:
 
     Attributes
     ----------
-    told : tuple of Told
+    told : tuple of CauseWords
         Of every cause.
     applied : tuple of tuple of AppliedEffect
         For every run the causes with their parameters.
@@ -111,7 +111,7 @@ def pair_with_corrected(
 
     Parameters
     ----------
-    corrected : Corrected, optional
+    corrected : CorrectedCalibration, optional
         See ``calibrate_without_causes``.
     sentence : str
         What the diagnosis says.

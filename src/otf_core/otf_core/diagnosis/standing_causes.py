@@ -90,7 +90,7 @@ class StandingCauses:
 
         Parameters
         ----------
-        other : Standing, optional
+        other : StandingCauses, optional
             Without causes: what else may explain the gap.
         """
         odds = -np.inf if other is None or other is self else other.evidence - self.evidence

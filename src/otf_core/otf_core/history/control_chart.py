@@ -377,7 +377,7 @@ class History:
         Since then; None from fewer than two runs.
     last : Drift, optional
         Of the last step alone, if no event lies in it.
-    due : Due, optional
+    due : DueDate, optional
         None without a drift, and where an event has no run after it.
     """
 

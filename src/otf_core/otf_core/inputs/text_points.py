@@ -298,7 +298,7 @@ class TextReading:
         Empty.
     remarks : list of str
         What was left out.
-    left_out : list of LeftOut
+    left_out : list of SkippedLines
         Lines that are not samples, by reason.
     said : list of str
         How the file was read.

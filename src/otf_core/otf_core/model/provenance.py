@@ -53,7 +53,7 @@ class Origin:
         See ``RUN_HASH``: the same for copies of a bag in another storage.
     machine : Machine, optional
         As it was described for this run.
-    left_out : tuple of LeftOut
+    left_out : tuple of SkippedLines
         Lines of a text that are not samples, by reason.
     """
 

@@ -73,7 +73,7 @@ class NoiseReport:
         Hz.
     distance : float
         m, mean length of the beam in the standstills.
-    lost : Lost
+    lost : LostSamples
         Of the whole recording.
     drift : Drift or None
         None without a long standstill.

@@ -517,7 +517,7 @@ def write_calibration(
         Write report.html.
     certificate : bool
         Write certificate.html.
-    facts : Facts, optional
+    facts : CalibrationFacts, optional
         Worked out if not given.
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json

@@ -393,7 +393,7 @@ def closest(
     Returns
     -------
     place : ndarray, shape (n,)
-    seen : Seen
+    seen : ReflectorView
         Reflector there.
     tangent : ndarray, shape (n, 3)
         Unit direction of travel.

@@ -115,7 +115,7 @@ class ShapeChoice(Generic[AnyRun]):
     runs : list of Observed
         With poses to start from.
     improved : list of Observed
-        The same after one linear solution, see ``joint.improved_runs``.
+        The same after one linear solution, see ``joint.improve_runs``.
     start : Start
         What that found.
     evidence : mapping of name to float

@@ -103,7 +103,7 @@ class EqualLegs:
     pieces : ndarray of int64, shape (n, m)
     held : ndarray, shape (c, n, m, m), 1/m, or Covariances
         ``inverse``, or what it is made of.
-    known : Moments, optional
+    known : CovarianceMoments, optional
         ``moments``, where the covariances were at hand.
     """
 

@@ -450,7 +450,7 @@ def align(
 
     Parameters
     ----------
-    seen : Followed, optional
+    seen : FollowedTrack, optional
         Of the same run before its last samples; saves time if the target has not moved since.
 
     Raises

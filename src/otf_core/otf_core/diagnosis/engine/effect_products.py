@@ -397,7 +397,7 @@ class ProductsBeside:
 
     Attributes
     ----------
-    candidates : mapping of effect name to sequence of Tried
+    candidates : mapping of effect name to sequence of ShapeProducts
         Those that may be named beside the causes.
     basis : ndarray, shape (r, q)
         Orthonormal, of the columns of the causes.
@@ -435,7 +435,7 @@ class Pool:
 
     Attributes
     ----------
-    groups : mapping of effect name to sequence of Tried
+    groups : mapping of effect name to sequence of ShapeProducts
     basis : ndarray, shape (r, q)
         Orthonormal.
     amount : ndarray, shape (q,)

@@ -294,7 +294,7 @@ class Rows:
     def products_in_run(
         self, turned: Array, effect: Effect, shapes: Sequence[Shape], run: int, count: int
     ) -> Array:
-        """Products (s, q, k) of ``Pulled.turned`` of a run with displacements by k terms."""
+        """Products (s, q, k) of ``WhitenedColumns.turned`` of a run with displacements."""
         if isinstance(effect, TimeFunctions):
             return effect.products(self.states[run], shapes, turned)
         products = np.zeros((len(shapes), turned.shape[2], count))

@@ -555,7 +555,7 @@ def tried_effects(
 
     Returns
     -------
-    tried : mapping of effect name to list of Tried
+    tried : mapping of effect name to list of ShapeProducts
     visible : mapping of effect name to Visibility
     """
 

@@ -15,9 +15,9 @@ import numpy as np
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, OneOf, Trial
 from otf_core.model.machine import Machine
+from otf_core.model.motions import DIRECTIONS
 
 ACROSS = {'A': 'BC', 'B': 'AC', 'C': 'AB'}
-DIRECTION = {a: k for k, a in enumerate('XYZABC')}
 
 
 def tilted_axis(machine: Machine) -> tuple[str, str] | None:
@@ -61,7 +61,7 @@ class BearingTilt(Effect):
         own, by = state.q[:, machine.column(axis)], np.sin(state.q[:, machine.column(other)])
         names, columns = [], []
         for letter in ACROSS[axis]:
-            influence = turning.motions[:, :, machine.column(axis), DIRECTION[letter]]
+            influence = turning.motions[:, :, machine.column(axis), DIRECTIONS.index(letter)]
             for part, wave in (('S', np.sin(own)), ('C', np.cos(own))):
                 names.append(f'{part}_E{letter}{axis}')
                 columns.append(influence * (by * wave)[:, None])

@@ -14,6 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, OneOf, Trial
 
@@ -57,15 +58,8 @@ class FacingIncidence(Effect):
         if turning is not None:
             beam = state.beam / np.linalg.norm(state.beam, axis=1, keepdims=True)
             axis = turning.facing
-            across = (
-                turning.link[:, :, 0]
-                - np.einsum('ni,ni->n', turning.link[:, :, 0], axis)[:, None] * axis
-            )
+            across, other = (_across(turning.link[:, :, k], axis) for k in (0, 1))
             flat = np.linalg.norm(across, axis=1, keepdims=True) < 0.1
-            other = (
-                turning.link[:, :, 1]
-                - np.einsum('ni,ni->n', turning.link[:, :, 1], axis)[:, None] * axis
-            )
             across = np.where(flat, other, across)
             across = across / np.linalg.norm(across, axis=1, keepdims=True)
             up = np.cross(axis, across)
@@ -79,3 +73,8 @@ class FacingIncidence(Effect):
                 columns[own, :, 1 + 2 * number] = beam[own] * (scale * u)[own, None]
                 columns[own, :, 2 + 2 * number] = beam[own] * (scale * w)[own, None]
         return Terms(names, units, ('',) * len(names), columns)
+
+
+def _across(vectors: Array, axis: Array) -> Array:
+    """Parts of vectors (n, 3) across unit vectors (n, 3)."""
+    return np.asarray(vectors - np.einsum('ni,ni->n', vectors, axis)[:, None] * axis)
