@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from otf_calibrator.children import CalibrationTask, DiagnosisTask, Failure, Solved
+from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.diagnosis.diagnose import NONE, calibrate_with_effects, diagnose
 from otf_core.errors import OtfError
@@ -23,7 +24,6 @@ from otf_core.live.stages import DIAGNOSE, Progress, of_whole
 from otf_core.memory import give_back, seldom_look_for_cycles
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
-from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.sim.twin import twin_recording
 
 

@@ -25,13 +25,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, Any
 
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.errors import OtfError
 from otf_core.live.stages import Progress
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.axis_calibration import AxisCalibration
 
 MODULE = 'otf_calibrator.child'
 LOOK = 0.05

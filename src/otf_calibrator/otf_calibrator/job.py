@@ -22,6 +22,7 @@ from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import EarlyCalibration, Request
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import sort_by_time
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
@@ -46,7 +47,6 @@ from otf_core.reports.calibration import (
     write_residuals_of_both,
     write_with_effects,
 )
-from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import FollowedTrack
 

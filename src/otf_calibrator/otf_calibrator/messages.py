@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Time
 from otf_calibrator.children import AnyCalibration
 from otf_calibrator.job import CalibrationOutput
 from otf_core.arrays import Array
-from otf_core.rotary.axis_calibration import AxisCalibration
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_ros import convert_result, convert_rotary
 from otf_ros.convert_result import Messages
 

@@ -10,6 +10,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
 
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import (
     CalibrationResult,
     motion_sizes,
@@ -29,7 +30,6 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.model.volume import VolumeErrors
-from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable

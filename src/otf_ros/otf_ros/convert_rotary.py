@@ -10,10 +10,9 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
 
 from otf_core.arrays import Array
+from otf_core.calibration.axis_calibration import AxisCalibration, first_pose, volume_errors
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.reports.rotary_calibration import verdicts_of, volume_sizes
-from otf_core.rotary.axis_calibration import AxisCalibration, first_pose
-from otf_core.rotary.axis_volume import volume_errors
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, TargetPlace
 from otf_msgs.msg import ErrorTables as TablesMessage

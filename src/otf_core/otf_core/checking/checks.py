@@ -15,6 +15,7 @@ from otf_core.arrays import Array, Index
 from otf_core.bags.bag_reading import ReceivedPoints, advice_of, choose_publisher, path_of
 from otf_core.bags.rosbag2_metadata import AXES
 from otf_core.bags.sample_order import MixedSamples, Screening, sort_by_time
+from otf_core.calibration.axis_calibration import AxisCalibration, calibrate_axes
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
@@ -36,7 +37,6 @@ from otf_core.planning.forecast import (
     planned_systematic,
     solution_of_pieces,
 )
-from otf_core.rotary.axis_calibration import AxisCalibration, calibrate_axes
 from otf_core.rotary.curve_matching import BREAK
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align

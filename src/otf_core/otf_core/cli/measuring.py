@@ -102,6 +102,7 @@ def _calibrate_axes(
     progress: Callable[[str, float], None],
 ) -> int:
     """Error tables of a machine with rotary axes."""
+    from otf_core.calibration.axis_calibration import calibrate_axes
     from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.reports.rotary_calibration import (
         sections,
@@ -109,7 +110,6 @@ def _calibrate_axes(
         verdicts_of,
         write_calibration,
     )
-    from otf_core.rotary.axis_calibration import calibrate_axes
 
     for option in ('residuals_csv', 'certificate'):
         if getattr(arguments, option):

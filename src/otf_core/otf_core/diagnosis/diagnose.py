@@ -17,6 +17,7 @@ import numpy as np
 
 from otf_core.ahead import Ahead
 from otf_core.arrays import Array
+from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.calibration.calibrate import (
     ExaminedRecordings,
     SolvedRecordings,
@@ -68,7 +69,6 @@ from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Recording, Run, reduce_recording
-from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
 from otf_core.solving.unknowns import Basis
 from otf_core.threads import limit_to_one_thread

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.groups import RunView
@@ -15,7 +16,6 @@ from otf_core.effects import AppliedEffect
 from otf_core.model.machine import Machine
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
-from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.solving.reversal import Reversal
 
 

@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.diagnosis.engine.gap_sizes import replace_louder
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects.state import state_in_parts
@@ -23,7 +24,6 @@ from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun, tables_of
 from otf_core.rotary.reduction import AxisPieces
 from otf_core.rotary.rows import AxisRows

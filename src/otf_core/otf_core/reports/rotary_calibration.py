@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.calibration.axis_calibration import AxisCalibration, first_pose
 from otf_core.calibration.machine_verdict import Verdicts, judge_axes
 from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_unit, micro_with_expanded, with_expanded
@@ -35,7 +36,6 @@ from otf_core.reports.page import (
     page_html,
     sections_to_text,
 )
-from otf_core.rotary.axis_calibration import AxisCalibration, first_pose
 from otf_core.rotary.axis_reversal import CONSTANT, NONE
 from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 

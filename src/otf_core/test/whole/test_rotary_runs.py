@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rotary_cells import BAG, machine, recorded, truth
 
+from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.cli import main
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
@@ -19,7 +20,6 @@ from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.reports.rotary_calibration import verdicts_of
-from otf_core.rotary.axis_calibration import calibrate_axes
 from otf_core.rotary.curve_matching import match
 from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
 from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.diagnosis.cause_parameters import SCALES, Curve, at_words
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.placement import TIME, VOLUME, groupings_by_view
@@ -28,7 +29,6 @@ from otf_core.reports.gap_sections.residual_views import (
     volume_picture,
 )
 from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, join_names
-from otf_core.rotary.axis_calibration import AxisCalibration
 from otf_core.version import __version__
 
 # Causes of the gap: what was found, its functions, what stays open, what to measure next.

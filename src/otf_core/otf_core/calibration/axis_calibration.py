@@ -13,14 +13,18 @@ from otf_core.arrays import Array
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import SPINDLE, TABLE, Machine
+from otf_core.model.joints import Sight
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.provenance import Origin, origins
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.volume import VolumeErrors
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
+from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.rotary.axis_reversal import (
     NONE,
     AxisLag,
@@ -528,3 +532,29 @@ def _rotary_advice(machine: Machine, name: str, axis: str, nests: set[str], runs
 def first_pose(result: AxisCalibration) -> RigidTransform:
     """Pose of the tracker in the first recording, to the link that it stands on."""
     return result.solution.poses[0]
+
+
+LINEAR, ROTARY = 3, 4
+"""Positions of every linear and of every rotary axis."""
+
+
+def volume_errors(result: AxisCalibration, provisional: bool = False) -> VolumeErrors:
+    """Return the errors on a grid over the driven ranges of all axes, frame of the table."""
+    machine, (low, high) = result.machine, result.driven
+    ends = [_places(result, k, float(low[k]), float(high[k])) for k in range(len(low))]
+    q = np.stack([mesh.ravel() for mesh in np.meshgrid(*ends, indexing='ij')], axis=1)
+    place = np.array(machine.targets[TOOL].place)
+    points = Sight(machine, TABLE, SPINDLE, place).nominal(q)
+    nodes: dict[str, Array] = {m: result.tables.motions[m].position for m in machine.motions}
+    u = prediction_uncertainty(machine, nodes, result.made.covariance, q)
+    errors = displacement(result.tables, q)
+    return VolumeErrors(points, errors, u, provisional, machine.axis_names, q)
+
+
+def _places(result: AxisCalibration, column: int, low: float, high: float) -> Array:
+    """Positions of one axis: one if it was not driven, no full turn twice."""
+    if high - low <= 0.0:
+        return np.array([low])
+    axis = result.machine.axes[result.machine.axis_names[column]]
+    count = ROTARY if axis.rotary else LINEAR
+    return np.linspace(low, high, count, endpoint=not axis.endless)
