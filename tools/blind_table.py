@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of a blind trial in docs/blind-trial.md, as commands wrote it.
 
-``python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT`` takes the folders of ``./otf blind`` with and
-without ``--leave-one-out``, puts their rows between the marks as one table, and the reliability
-diagram of the first into docs/images.
+``python3 tools/blind_table.py TRIAL [FIVE_AXES] LEAVE_ONE_OUT`` takes the folders of
+``./otf blind`` without an option, with ``--five-axes`` and with ``--leave-one-out``, puts their
+rows between the marks as one table, and the reliability diagram of the first into docs/images.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ def with_table(text: str, table: str) -> str:
     return f'{head}{BEGIN}\n\n{table.strip()}\n\n{END}{tail}'
 
 
-def joined(trial: str, without: str) -> str:
-    """One table of two: command, conditions, rows, and what follows the first."""
-    first, second = (text.strip().split('\n\n') for text in (trial, without))
-    rows = second[2].split('\n', 2)[2]
-    return '\n\n'.join([*first[:2], *second[:2], f'{first[2]}\n{rows}', *first[3:]])
+def joined(*tables: str) -> str:
+    """One table of several: commands, conditions, rows, and what follows each."""
+    every = [text.strip().split('\n\n') for text in tables]
+    head = [part for one in every for part in one[:2]]
+    rows = [every[0][2], *(one[2].split('\n', 2)[2] for one in every[1:])]
+    return '\n\n'.join([*head, '\n'.join(rows), *(part for one in every for part in one[3:])])
 
 
 def main(folders: list[str]) -> None:
     """Write the page."""
-    if len(folders) != 2:
-        raise SystemExit('usage: python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT')
+    if len(folders) not in (2, 3):
+        raise SystemExit('usage: python3 tools/blind_table.py TRIAL [FIVE_AXES] LEAVE_ONE_OUT')
     tables = [(Path(f) / TABLE).read_text(encoding='utf-8') for f in folders]
     text = with_table(PAGE.read_text(encoding='utf-8'), joined(*tables))
     PAGE.write_text(text, encoding='utf-8')

@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 
 from otf_core.blind import forms
+from otf_core.blind.axis_cases import KINDS_OF, OF_LINEAR, draw_fault
+from otf_core.blind.axis_nature import FAULTS, Errors
+from otf_core.blind.axis_observer import AxisObserver
+from otf_core.blind.axis_run import MACHINES, draw_axis_cell
 from otf_core.blind.cases import KINDS, TAKE_TURNS, TILTS, draw_names, kinds_of, names_of
 from otf_core.blind.depends import WITHOUT, kin_of
 from otf_core.blind.draw import draw_effect, draw_trial, nodal, scale_effect
@@ -18,8 +22,10 @@ from otf_core.blind.observer import make_ruler, sample_state, see
 from otf_core.blind.outcome import NOISE
 from otf_core.blind.seal import orders
 from otf_core.diagnosis.engine.time_courses import DECOYS
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import EVERY, REGISTRY, AppliedEffect
+from otf_core.model.joints import Sight
 from otf_core.model.kinematics import exact_position
+from otf_core.model.machine import machine_from_dict
 from otf_core.model.plan import check_inside
 from otf_core.sim.cell import simulate
 
@@ -45,7 +51,7 @@ def test_same_seed_draws_the_same_cell(trial):
     assert np.array_equal(again.plan.path.points, trial.plan.path.points)
 
 
-@pytest.mark.parametrize('seed', range(12))
+@pytest.mark.parametrize('seed', range(4))
 def test_drawn_paths_stay_inside_the_ranges(seed):
     drawn = draw_trial('000', np.random.default_rng(seed))
     check_inside(drawn.plan.path, drawn.machine)
@@ -251,3 +257,67 @@ def test_step_is_zero_before_its_moment(state):
     moved = step.effect.displacement(state, step.parameters)
     assert not moved[state.time < 100.0].any()
     assert np.all(moved[state.time > 100.0, 0] == 1e-6)
+
+
+# Machines with rotary axes: a nature of their own.
+
+
+@pytest.fixture(scope='module')
+def cell():
+    return draw_axis_cell('rotary', np.random.default_rng(5))
+
+
+@pytest.fixture(scope='module')
+def axis_observer(cell):
+    return AxisObserver.of(cell)
+
+
+@pytest.mark.parametrize('kind', MACHINES)
+def test_nature_with_rotary_axes_is_driven_in_range_and_is_the_machine_that_it_states(kind):
+    drawn = draw_axis_cell(kind, np.random.default_rng(3))
+    machine = machine_from_dict(drawn.machine.spec)
+    for part, driven in zip(drawn.parts, drawn.driven, strict=True):
+        assert np.all(part.corners >= machine.lower - 1e-9)
+        assert np.all(part.corners <= machine.upper + 1e-9)
+        link, place = drawn.machine.target(part.target)
+        q = driven.q[::500]
+        sight = Sight(machine, machine.tracker.link, link, place)
+        own = drawn.machine.place(q, Errors(), link, place)
+        assert np.allclose(own, sight.nominal(q), atol=1e-9)
+        known = next(n for n in drawn.errors.constants if n.endswith('C'))
+        moved = drawn.machine.place(q, Errors({}, {known: 1e-4}), link, place) - own
+        turns = np.ptp(q[:, drawn.machine.column('C')]) > 0.0
+        assert moved.any() == (turns and 'C' in {j.name for j in sight.joints})
+
+
+@pytest.mark.parametrize('kind', MACHINES)
+def test_faults_of_rotary_axes_displace_in_proportion(kind):
+    drawn = draw_axis_cell(kind, np.random.default_rng(2))
+    rng = np.random.default_rng(1)
+
+    part = replace(drawn.driven[2], clock=drawn.driven[2].clock[::10], again=True)
+
+    def moved(*faults):
+        return drawn.machine.seen(part, drawn.errors, drawn.places, drawn.tracker, faults)
+
+    for name in KINDS_OF[kind]:
+        fault = draw_fault(name, drawn.machine, rng, ''.join(drawn.machine.turning))
+        once, twice = (moved(fault.scaled(f)) - moved() for f in (1.0, 2.0))
+        assert 1e-7 < np.abs(once).max() < 1e-4, name
+        assert np.linalg.norm(twice - 2 * once) < 0.05 * np.linalg.norm(once), name
+    assert set(FAULTS.values()) <= set(EVERY) and set(OF_LINEAR) < set(FAULTS)
+
+
+def test_observer_of_rotary_axes_follows_other_errors_and_knows_the_noise(cell, axis_observer):
+    constants = {n: v + 1e-5 for n, v in cell.errors.constants.items()}
+    raised = Errors({n: (lambda q, f=f: f(q) + 1e-5) for n, f in cell.errors.motions.items()},
+                    constants)  # fmt: skip
+    moves = [cell.machine.seen(p, raised, cell.places, cell.tracker) - plain
+             for p, plain in zip(cell.driven, axis_observer.plain, strict=True)]  # fmt: skip
+    assert np.abs(moves[0]).max() > 1e-5
+    assert axis_observer.left(moves)[0] < 3e-8
+    points = cell.measured(axis_observer.plain).xyz @ cell.rotation.T + cell.tracker
+    cuts = np.cumsum([len(p) for p in axis_observer.plain])[:-1]
+    noise = [a - b for a, b in zip(np.split(points, cuts), axis_observer.plain, strict=True)]
+    rows, unknowns = axis_observer.columns.shape
+    assert axis_observer.left(noise)[1] ** 2 == pytest.approx(rows - unknowns, rel=0.1)

@@ -136,7 +136,6 @@ def test_a_cause_amid_small_ones_is_judged_by_itself_and_by_what_is_claimed_besi
     assert [o.result for o in cells] == ['right', 'right', 'wrong']
     rows = {r.name: r.hits for r in summary(cells) if r.of == 3}
     assert rows['one cause amid small ones: named first'] == 2
-    assert rows[', at most one needless cause'] == 2
     assert rows[', none claimed'] == 2
 
 
@@ -155,7 +154,7 @@ def test_published_tables_are_the_rows_of_the_score(tmp_path):
     ended = {'exit': 0, 'message': '', 'sha256': 'f' * 64, 'seconds': 12.3}
     state = json.dumps({'inputs': '', 'outcome': ended})
     (tmp_path / '.fleet' / 'answers-000.json').write_text(state)
-    measured = TrialConditions.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
+    measured = TrialConditions.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01')
     text = fragment(measured, criteria(cells), 'Sizes: none.')
     assert './otf blind --trials 3 --seed 7 --out blind\n' in text
     assert '| nothing: no cause reported | 3 of 3 (100 %) | 29 % to 100 % |' in text

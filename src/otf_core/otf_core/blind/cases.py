@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.blind.axis_cases import AXIS_KINDS
 from otf_core.blind.depends import EffectInputs, catalogue_depends
 from otf_core.blind.draw import Trial, draw_effect, draw_trial, nodal, scale_effect
 from otf_core.blind.forms import TILT
@@ -54,25 +55,26 @@ class CellFamily:
 
 
 KINDS = {
-    'none': CellFamily(0.06),
-    'one': CellFamily(0.12, 0.7e-6),
-    'faint': CellFamily(0.06, 0.3e-6, 0.7e-6),
-    'departed': CellFamily(0.13, 1e-6, 6e-6),
-    'tilt': CellFamily(0.10, 1e-6, 6e-6, seen=True),
-    'large': CellFamily(0.06, 20e-6, 30e-6, displaced=True),
-    'mixture': CellFamily(0.12, 0.7e-6, 6e-6, seen=True),
-    'as_is': CellFamily(0.10, 2e-6, 6e-6, seen=True, small=True),
-    'small': CellFamily(0.04, small=True),
-    'unknown': CellFamily(0.10, 1e-6, 6e-6),
+    'none': CellFamily(0.05),
+    'one': CellFamily(0.10, 0.7e-6),
+    'faint': CellFamily(0.05, 0.3e-6, 0.7e-6),
+    'departed': CellFamily(0.11, 1e-6, 6e-6),
+    'tilt': CellFamily(0.07, 1e-6, 6e-6, seen=True),
+    'large': CellFamily(0.05, 20e-6, 30e-6, displaced=True),
+    'mixture': CellFamily(0.10, 0.7e-6, 6e-6, seen=True),
+    'as_is': CellFamily(0.08, 2e-6, 6e-6, seen=True, small=True),
+    'small': CellFamily(0.03, small=True),
+    'unknown': CellFamily(0.08, 1e-6, 6e-6),
     'signal': CellFamily(0.03, 1e-6, 6e-6),
-    'places': CellFamily(0.04),
+    'places': CellFamily(0.03),
     'long': CellFamily(0.04, 2e-6, 10e-6, seen=True),
+    **{name: CellFamily(share) for name, share in AXIS_KINDS.items()},
 }
 """Families: nothing; one of the catalogue; a faint one; a known cause in another form; a table
 that tilts; a very large one, of either; two or three of either; one of either amid small ones;
 small ones alone; a cause of no catalogue; a known one that follows a signal recorded beside the
 samples; one of the catalogue seen from two tracker places; one of either on a machine of 2 m to
-6 m."""
+6 m; and those of machines with rotary axes, see ``axis_cases``."""
 SMALL = (0.1e-6, 0.5e-6)
 """m; sizes of small causes."""
 SMALL_COUNT = (4, 6)
@@ -278,11 +280,13 @@ def draw_names(kind: str, turn: int, rng: Rng) -> list[str]:
     return _apart(int(kind in ('as_is', LONG)), rng)
 
 
-def kinds_of(count: int, seed: int) -> list[tuple[str, int]]:
+def kinds_of(
+    count: int, seed: int, families: Sequence[str] = tuple(KINDS)
+) -> list[tuple[str, int]]:
     """Kind of every cell and how many of its kind came before, in shares of ``KINDS``."""
     rng = np.random.default_rng([seed, 0])
-    names, shares = list(KINDS), np.array([k.share for k in KINDS.values()])
-    wanted = shares * count
+    names, shares = list(families), np.array([KINDS[n].share for n in families])
+    wanted = shares / shares.sum() * count
     numbers = np.floor(wanted).astype(int)
     for k in np.argsort(numbers - wanted)[: count - numbers.sum()]:
         numbers[k] += 1

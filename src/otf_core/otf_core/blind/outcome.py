@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from otf_core.blind.depends import named_rightly
-from otf_core.effects import REGISTRY, BelongsTo, names_of
+from otf_core.effects import EVERY, BelongsTo, names_of
 from otf_core.model.declared_signals import HEAD
 
 NOISE = names_of(BelongsTo.NOISE)
@@ -76,6 +76,8 @@ class Outcome:
     simulated_off : float, optional
         Residual of the simulation as the answer has it less that of the truth without causes,
         over its stated standard uncertainty.
+    stated_off : tuple of float
+        Sizes stated for causes of machines with rotary axes less the true ones, in shares of them.
     """
 
     cell: str
@@ -97,6 +99,7 @@ class Outcome:
     inputs_among: bool | None = None
     follows: bool | None = None
     simulated_off: float | None = None
+    stated_off: tuple[float, ...] = ()
 
     @property
     def is_right(self) -> bool:
@@ -105,10 +108,15 @@ class Outcome:
 
 
 def is_visible(part: Mapping[str, Any]) -> bool:
-    """Return whether an effect of the key leaves enough to be seen."""
+    """Return whether an effect of the key leaves enough to be seen.
+
+    Of machines with rotary axes an observer judges alone: gears leave next to nothing in means.
+    """
     if part['effect'] in NOISE:
         return True
-    blurred = any(REGISTRY[name].wave is not None for name in part['names'])
+    if 'stated' in part:
+        return bool(part['snr'] >= VISIBLE_SNR)
+    blurred = any(EVERY[name].wave is not None for name in part['names'])
     size = max(part['size_um'], part['raw_um'] if blurred else 0.0)
     return bool(part['snr'] >= VISIBLE_SNR and size >= VISIBLE_UM)
 
@@ -221,9 +229,23 @@ def _follows(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> b
 def _simulated_off(entry: Mapping[str, Any], answer: Mapping[str, Any]) -> float | None:
     """How far the simulated residual is from that of the truth, in standard uncertainties."""
     gap = answer.get('gap') or {}
-    if not gap.get('simulated_u_um'):
+    if not gap.get('simulated_u_um') or entry['simulated_um'] is None:
         return None
     return float((gap['simulated_um'] - entry['simulated_um']) / gap['simulated_u_um'])
+
+
+def _stated_off(parts: Causes, causes: Causes) -> tuple[float, ...]:
+    """Deviations of the sizes stated for causes that are there, as shares of the true ones."""
+    shares = []
+    for part in parts:
+        true = part.get('stated', {})
+        for cause in causes:
+            said = [s for s in cause.get('sizes', ()) if s['unit'] == true.get('unit')]
+            own = [s for s in said if any(f'of {a}' in s['of'] for a in part['axes'])] or said
+            if cause['effect'] == part['effect'] and own:
+                largest = max(abs(s['value']) for s in own)
+                shares.append(largest / true['value'] - 1.0)
+    return tuple(shares)
 
 
 def outcome(
@@ -273,5 +295,6 @@ def outcome(
         gap_left=_remaining_share(answer),
         follows=_follows(parts, answer),
         simulated_off=None if first_place else _simulated_off(entry, answer),
+        stated_off=_stated_off(parts, causes),
         **_inputs(parts, answer, exclude),
     )

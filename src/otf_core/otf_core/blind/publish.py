@@ -205,6 +205,9 @@ def leave_one_out_table(
 
 
 TABLE, DIAGRAM = 'table.md', 'reliability.svg'
+LEAVE_ONE_OUT, FIVE_AXES = '--leave-one-out', '--five-axes'
+FOLDERS = {'': 'blind', LEAVE_ONE_OUT: 'without', FIVE_AXES: 'five'}
+"""Options of the command, and the folders that its words name."""
 
 
 @dataclass(frozen=True)
@@ -217,6 +220,8 @@ class TrialConditions:
         SHA-256 of the sealed key.
     seconds : tuple of float
         Of every diagnosis.
+    option : str
+        Of the command; a key of ``FOLDERS``.
     """
 
     cells: int
@@ -224,21 +229,22 @@ class TrialConditions:
     date: str
     key: str
     seconds: tuple[float, ...]
-    leave_one_out: bool
+    option: str = ''
 
     @classmethod
     def of(
-        cls, folder: Path, entries: Sequence[Mapping[str, Any]], date: str, leave_one_out: bool
+        cls, folder: Path, entries: Sequence[Mapping[str, Any]], date: str, option: str = ''
     ) -> TrialConditions:
         """Read the conditions from the folder of a trial."""
         ended = [read_json(f)['outcome'] for f in sorted(folder.glob(f'{STATE}/answers*.json'))]
         times = tuple(float(e['seconds']) for e in ended if e['sha256'] is not None)
-        return cls(len(entries), entries[0]['seed'], date, read_seal(folder), times, leave_one_out)
+        return cls(len(entries), entries[0]['seed'], date, read_seal(folder), times, option)
 
     @property
     def command(self) -> str:
         """The command that makes the same cells again."""
-        option, name = (' --leave-one-out', 'without') if self.leave_one_out else ('', 'blind')
+        name = FOLDERS[self.option]
+        option = f' {self.option}' if self.option else ''
         return f'./otf blind{option} --trials {self.cells} --seed {self.seed} --out {name}'
 
 

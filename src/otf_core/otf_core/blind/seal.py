@@ -18,7 +18,8 @@ from typing import Any
 import yaml
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.blind.cases import Case, Part, draw_case, kinds_of
+from otf_core.blind.axis_cases import AXIS_KINDS, axis_entry, draw_axis_case, seen_positions
+from otf_core.blind.cases import KINDS, Case, Part, draw_case, kinds_of
 from otf_core.blind.depends import WITHOUT
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.output_folder import MANIFEST
@@ -49,11 +50,22 @@ class Order:
         return f'{self.number:03d}'
 
 
-def orders(trials: int, seed: int, *, leave_one_out: bool = False) -> list[Order]:
-    """List the cells of a trial; with ``leave_one_out`` the effects of ``WITHOUT`` in turn."""
+def orders(
+    trials: int, seed: int, *, leave_one_out: bool = False, five_axes: bool = False
+) -> list[Order]:
+    """List the cells of a trial.
+
+    Parameters
+    ----------
+    leave_one_out : bool
+        The effects of ``WITHOUT`` in turn.
+    five_axes : bool
+        Only families of machines with rotary axes.
+    """
     if leave_one_out:
         return [Order(seed, k, 'one', 0, (WITHOUT[k % len(WITHOUT)],)) for k in range(trials)]
-    return [Order(seed, k, *kind) for k, kind in enumerate(kinds_of(trials, seed))]
+    kinds = kinds_of(trials, seed, tuple(AXIS_KINDS if five_axes else KINDS))
+    return [Order(seed, k, *kind) for k, kind in enumerate(kinds)]
 
 
 def _parts(parts: Sequence[Part]) -> list[Entry]:
@@ -94,6 +106,8 @@ def key_entry(order: Order, case: Case) -> Entry:
 
 def write_cell(order: Order, folder: Path) -> Entry:
     """Draw one cell, write what a diagnosis may see, return its entry of the key."""
+    if order.kind in AXIS_KINDS:
+        return _write_axis_cell(order, folder)
     case = draw_case(order.seed, order.number, order.kind, order.turn, order.names)
     cell = ensure_folder(folder / 'cells' / order.cell)
     description = yaml.safe_dump(case.trial.machine.to_dict(), sort_keys=False)
@@ -103,6 +117,18 @@ def write_cell(order: Order, folder: Path) -> Entry:
         content = BagContent(run.samples, case.trial.plan.path, signals=run.signals)
         write_bag(cell / name, content, overwrite=True)
     return key_entry(order, case)
+
+
+def _write_axis_cell(order: Order, folder: Path) -> Entry:
+    """The same of a machine with rotary axes."""
+    case = draw_axis_case(order.seed, order.number, order.kind, order.turn)
+    cell = ensure_folder(folder / 'cells' / order.cell)
+    write_text(cell / 'machine.yaml', yaml.safe_dump(case.cell.machine.spec, sort_keys=False))
+    samples = case.cell.measured(seen_positions(case))
+    content = BagContent(samples, None, axis_paths=case.cell.paths())
+    write_bag(cell / 'bag', content, overwrite=True)
+    known = {'cell': order.cell, 'seed': order.seed, 'number': order.number, 'kind': order.kind}
+    return {**known, **axis_entry(case)}
 
 
 def draw_cell(folder: str, **order: Any) -> Entry:

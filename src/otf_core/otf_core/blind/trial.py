@@ -12,10 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from otf_core.blind.axis_cases import AXIS_KINDS
 from otf_core.blind.depends import kin_of
 from otf_core.blind.outcome import NOISE, Outcome, outcome
 from otf_core.blind.publish import (
     DIAGRAM,
+    FIVE_AXES,
+    LEAVE_ONE_OUT,
     TABLE,
     Table,
     TrialConditions,
@@ -190,6 +193,7 @@ def _score(
     entries: Sequence[Entry],
     answers: dict[tuple[str, str], Answer],
     recovered: Sequence[Recovery],
+    option: str,
 ) -> str:
     outcomes, alone = [], []
     for entry in entries:
@@ -200,7 +204,7 @@ def _score(
     main, rest = criteria(outcomes), particulars(outcomes, recovered, alone)
     write_text(folder / DIAGRAM, reliability_svg(reliability(stated_confidences(outcomes))))
     data = score_to_dict(outcomes, recovered, alone)
-    _publish(folder, data, main, sizes_words(recovered, outcomes))
+    _publish(folder, data, main, sizes_words(recovered, outcomes), option)
     every = [main, *rest, misses([*outcomes, *alone])]
     return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
 
@@ -210,13 +214,12 @@ def _publish(
     data: Mapping[str, Any],
     main: Table,
     words: str = '',
-    *,
-    leave_one_out: bool = False,
+    option: str = '',
 ) -> None:
     """Write score.json, and the table as the docs hold it."""
     block = provenance('blind', files={'key': folder / KEY})
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
-    measured = TrialConditions.of(folder, open_key(folder), block['written'][:10], leave_one_out)
+    measured = TrialConditions.of(folder, open_key(folder), block['written'][:10], option)
     write_text(folder / TABLE, fragment(measured, main, words))
 
 
@@ -251,6 +254,8 @@ def run_trial(
     folder: str | Path,
     workers: Workers,
     progress: Callable[[str], None] = lambda text: None,
+    *,
+    five_axes: bool = False,
 ) -> TrialResult:
     """Run a blind trial; an interrupted one goes on where it was.
 
@@ -261,19 +266,24 @@ def run_trial(
     workers : callable(jobs)
         Who draws, diagnoses and judges the cells, see ``fleet.fleet``; the results do not
         depend on it.
+    five_axes : bool
+        Only cells of machines with rotary axes.
     """
     folder = ensure_folder(folder)
-    ended = seal(orders(trials, seed), folder, workers, progress)
+    ended = seal(orders(trials, seed, five_axes=five_axes), folder, workers, progress)
     cells = sorted(p.name for p in (folder / 'cells').iterdir())
     questions = _blind_questions(folder, cells)
     answers, asked = ask_all(questions, folder, read_seal(folder), workers, progress)
     entries = open_key(folder)
     whole = {q.cell: q for q in questions if q.label == WHOLE}
     sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
+    sized = [e for e in sized if e['kind'] not in AXIS_KINDS]
     sized = [e for e in sized if all(p['effect'] not in NOISE for p in e['parts'])]
     pairs = [(e, whole[e['cell']]) for e in sized]
     recovered, judged = _recover_all(pairs, folder, workers, progress)
-    text = _score(folder, entries, answers, list(recovered.values()))
+    text = _score(
+        folder, entries, answers, list(recovered.values()), FIVE_AXES if five_axes else ''
+    )
     write_text(folder / 'score.txt', text + '\n')
     return TrialResult(text, {**ended, **asked, **judged})
 
@@ -305,7 +315,7 @@ def run_leave_one_out(
     recovered, judged = _recover_all(named, folder, workers, progress)
     main, *rest = leave_one_out_table(outcomes, recovered)
     data = score_to_dict(outcomes, list(recovered.values()))
-    _publish(folder, data, main, leave_one_out=True)
+    _publish(folder, data, main, option=LEAVE_ONE_OUT)
     text = '\n\n'.join(map(as_text, [main, *rest]))
     write_text(folder / 'score.txt', text + '\n')
     return TrialResult(text, {**ended, **asked, **judged})

@@ -198,6 +198,7 @@ def add_judging_verbs(verb: AddVerb) -> None:
         action='store_true',
         help='diagnose every effect with that effect removed from the catalogue',
     )
+    sub.add_argument('--five-axes', action='store_true', help='only machines with rotary axes')
 
 
 def _add_plan_options(sub: argparse.ArgumentParser) -> None:

@@ -401,6 +401,9 @@ def add_plant_verbs(verb: AddVerb) -> None:
         help='blind: diagnose every effect with that effect removed from the catalogue',
     )  # fmt: skip
     sub.add_argument(
+        '--five-axes', action='store_true', help='blind: only machines with rotary axes'
+    )
+    sub.add_argument(
         '--out', required=True,
         help='folder for the results and fleet.json; an interrupted fleet resumes there',
     )  # fmt: skip
@@ -422,10 +425,12 @@ def _check_options(arguments: argparse.Namespace) -> None:
             raise ConfigError(f'--{name}: does not apply to fleet {arguments.what}; leave it out')
         if not given and name in needed:
             raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
-    if arguments.leave_one_out and arguments.what != BLIND:
-        raise ConfigError(
-            f'--leave-one-out: does not apply to fleet {arguments.what}; leave it out'
-        )
+    for name in ('leave_one_out', 'five_axes'):
+        if getattr(arguments, name) and arguments.what != BLIND:
+            option = name.replace('_', '-')
+            raise ConfigError(
+                f'--{option}: does not apply to fleet {arguments.what}; leave it out'
+            )
     if 'trials' in needed:
         _check_cells(arguments)
 
@@ -535,7 +540,11 @@ def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) 
     folder = Path(arguments.out)
     if overwrite or not holds_trial(folder):
         OutputFolder(folder, overwrite=overwrite).clear()
+    if arguments.leave_one_out and arguments.five_axes:
+        raise ConfigError('--five-axes: does not go with --leave-one-out')
     run = run_leave_one_out if arguments.leave_one_out else run_trial
+    if arguments.five_axes:
+        run = partial(run_trial, five_axes=True)
     try:
         trial = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
         files = [write_outcomes(BLIND, folder, trial.ended), folder / 'score.txt']
