@@ -6,13 +6,13 @@ import json
 import numpy as np
 import yaml
 
-from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.evaluation import evenly_spread, lattice, mean_length, without_rigid_motion
 from otf_core.model.joints import Sight
 from otf_core.model.joints import exact_position as exact_of_parts
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.tables import load_tables, tables_to_dict
-from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
+from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.cell import random_tables
 
 ERROR_SIZE = 5e-5

@@ -14,12 +14,13 @@ from otf_core.cli import main
 from otf_core.errors import InputError
 from otf_core.inputs.recordings import read_recording
 from otf_core.model.axis_path import AxisPath, along_legs, nominal_track, position_at
+from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.prediction.predict import predict
 from otf_core.rotary.curve_matching import split_parts
 from otf_core.rotary.periodic import over_turn
-from otf_core.rotary.tabulation import evenly_spread, field_rows, gauge_matrix
+from otf_core.rotary.tabulation import field_rows, gauge_matrix
 from otf_core.sim.axis_cell import JointDrive
 
 

@@ -63,3 +63,18 @@ def test_limits_of_axes_that_the_machine_lacks_are_refused():
     data['limits'] = {'ECB': 1e-5}
     with pytest.raises(ConfigError, match='ECB'):
         machine_from_dict(data)
+
+
+def test_uncertainty_of_the_target_offset_is_that_of_the_place_of_the_tool():
+    data = five_axes().to_dict()
+    data.pop('targets', None)
+    data['uncertainty'] = {'preset': 'workshop', 'tracker_scale': 1e-6}
+    machine = machine_from_dict(data)
+    assert machine.targets['tool'].u == 0.0  # a preset knows nothing of this reflector
+    assert 'target_offset' not in machine.uncertainty.values
+    data['uncertainty']['target_offset'] = 2e-5
+    assert machine_from_dict(data).targets['tool'].u == 2e-5
+    data['targets'] = {'tool': {'u': 4e-6}}
+    machine = machine_from_dict(data)
+    assert machine.targets['tool'].u == 4e-6
+    assert machine_from_dict(machine.to_dict()).to_dict() == machine.to_dict()

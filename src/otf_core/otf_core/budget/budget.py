@@ -25,7 +25,7 @@ the effect states from which keys of machine.yaml their uncertainty comes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from itertools import combinations
@@ -37,9 +37,9 @@ from otf_core.arrays import Array, Index
 from otf_core.aside import share_out
 from otf_core.effects import REGISTRY, Effect, State, Terms
 from otf_core.effects.base import Contribution
-from otf_core.model.declared import KEYS, DeclaredUncertainty
+from otf_core.model.declared import KEYS, DeclaredUncertainty, declarable_keys
 from otf_core.model.expanded import coverage_factor
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import (
     MISFIT_TIME,
@@ -319,6 +319,12 @@ SYSTEMATIC = tuple(
 """In the order of their keys."""
 
 
+def possible_sources(machine: Machine) -> tuple[Systematic, ...]:
+    """Contributions that machine.yaml of a machine may declare."""
+    keys = {*declarable_keys(bool(machine.rotary_names))}
+    return tuple(s for s in SYSTEMATIC if keys & set(s.keys))
+
+
 def declared_sources(runs: Sequence[Observed]) -> tuple[Systematic, ...]:
     """Contributions that any run declares."""
     given = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
@@ -394,9 +400,9 @@ def _columns(
 
 NOISE, MISFIT, SMOOTHNESS, EFFECTS = 'noise', 'misfit', 'smoothness', 'effects'
 STRAIGHT = 'straight lines'
+PLACES = 'places of targets'
 TYPICAL_SOURCE = 'typical, not declared'
 """What typical values add for systematic contributions that nobody declared."""
-NAMES = (*SQUARENESS, *MOTIONS)
 OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, STRAIGHT)
 """Sources that the run itself shows; all others are systematic."""
 
@@ -490,20 +496,18 @@ def whole_check(
     return check_residuals(np.concatenate(white, axis=1), legs, joint.solution.rank)
 
 
-def _prior_part(joint: JointSolution) -> Array:
-    """Part C K^-1 C of the covariance C that data leave to the prior K, shape (full, full)."""
-    free = free_values(joint.unknowns, joint.solution.covariance)
-    return np.asarray(free.T @ joint.roughness.precision @ free)
-
-
 def make_budget(
     runs: Sequence[Run],
     joint: JointSolution,
     parts: NoiseParts,
-    tables: ErrorTables,
+    states: Callable[[], Sequence[State]],
     speed: float,
+    check: ResidualCheck | None = None,
+    known: Mapping[str, Array] | None = None,
 ) -> Budget:
     """Set up the budget of a calibration.
+
+    The data leave a part C K^-1 C of the covariance C to a prior K.
 
     Parameters
     ----------
@@ -511,35 +515,41 @@ def make_budget(
         Of the same runs.
     parts : NoiseParts
         Of both.
-    tables : ErrorTables
-        As solved.
+    states : callable
+        States of the pieces of every run, see ``piece_states``.
     speed : float
         m/s; slower counts as standstill.
+    check : ResidualCheck, optional
+        Of all residuals; that of ``whole_check`` if not given.
+    known : mapping of source to ndarray, shape (free, free), optional
+        Prior that is no smoothness: the inverse of its covariance.
 
     Returns
     -------
     Budget
         Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
+    check = check or whole_check(runs, joint, [s.residual for s in joint.runs])
     own = joint.solution.covariance
-    check = whole_check(runs, joint, [s.residual for s in joint.runs])
-    gauge = joint.unknowns.gauge
-    smooth = _prior_part(joint)
+    gauge, free = joint.unknowns.gauge, free_values(joint.unknowns, own)
+    smooth = np.asarray(free.T @ joint.roughness.precision @ free)
+    stated = {name: np.asarray(free.T @ prior @ free) for name, prior in (known or {}).items()}
+    prior = reduce(add, stated.values(), smooth)
     drawn = gauge @ joint.roughness.drawn
     misfit = own @ parts.misfit @ own
-    noise = own - misfit - smooth + own @ (parts.corners + parts.between) @ own
-    misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
+    noise = own - misfit - prior + own @ (parts.corners + parts.between) @ own
+    misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - prior)
     dof = residual_freedom(joint, check.correlation_factor) + standstill_freedom(runs, speed)
     entries = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
     entries.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
+    entries += [(name, part, np.inf) for name, part in stated.items()]
     declared = declared_sources(runs)
-    states = piece_states(runs, joint, tables) if declared else []
-    changes = systematic_sensitivities(declared, states, joint)
+    changes = systematic_sensitivities(declared, states() if declared else (), joint)
     for source, change in zip(declared, changes, strict=True):
         entries.append((source.source, change @ change.T, np.inf))
     return Budget(
         tuple(Source(*entry) for entry in entries),
-        tuple(s.source for s in SYSTEMATIC if s not in declared),
+        tuple(s.source for s in possible_sources(runs[0].machine) if s not in declared),
         check.inflation,
         np.eye(joint.unknowns.full),
         np.zeros(joint.unknowns.full),

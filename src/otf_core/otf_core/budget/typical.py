@@ -13,7 +13,7 @@ Nothing of this enters the covariance: what is not declared stays out, but not o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,17 +26,16 @@ from otf_core.budget.budget import (
     Budget,
     Source,
     Systematic,
-    piece_states,
     systematic_pulls,
 )
-from otf_core.model.declared import KEYS, DeclaredUncertainty
-from otf_core.model.evaluation import driven_grid, free_rows
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.effects import State
+from otf_core.model.declared import DeclaredUncertainty, declarable_keys
+from otf_core.model.motions import SQUARENESS
 from otf_core.model.presets import TYPICAL, typical_values
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed
-from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.solving.joint import JointSolution, tables_of
+from otf_core.prediction.volumetric import table_places
+from otf_core.solving.joint import JointSolution
 from otf_core.threads import one_thread
 
 
@@ -50,8 +49,8 @@ class TypicalSystematic:
         Contributions of which at least one key is not declared, as the budget calls them.
     assumed : mapping of key to float
         Typical standard uncertainty of every missing key.
-    squareness : mapping of name to (float, float), rad
-        u as stated and with them, of those that are identifiable.
+    scalars : mapping of name to (float, float), rad or m
+        u as stated and with them, of squareness and location errors that are identifiable.
     motions : mapping of name to ndarray, shape (k,), m or rad
         u with them at every node; zero where not identifiable.
     grid : tuple of two floats, m
@@ -64,7 +63,7 @@ class TypicalSystematic:
     missing: tuple[str, ...]
     nothing_declared: bool
     assumed: Mapping[str, float]
-    squareness: Mapping[str, tuple[float, float]]
+    scalars: Mapping[str, tuple[float, float]]
     motions: Mapping[str, Array]
     grid: tuple[float, float]
     change: Array
@@ -89,7 +88,8 @@ def missing_keys(runs: Sequence[Observed]) -> dict[str, float]:
     """Keys that no run declares, with their typical values."""
     declared = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
     typical = typical_values()
-    return {k: typical[k] for k in KEYS if k not in declared}
+    possible = declarable_keys(bool(runs[0].machine.rotary_names))
+    return {k: typical[k] for k in possible if k not in declared}
 
 
 def _missing(assumed: Mapping[str, float]) -> list[Systematic]:
@@ -97,11 +97,20 @@ def _missing(assumed: Mapping[str, float]) -> list[Systematic]:
     return [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
 
 
-def typical_pulls(runs: Sequence[Observed], joint: JointSolution) -> Array:
-    """A^T W c of typical contributions, shape (full, coefficients); see ``systematic_pulls``."""
+def typical_pulls(
+    runs: Sequence[Observed],
+    joint: JointSolution,
+    states_of: Callable[[Sequence[Observed]], Sequence[State]],
+) -> Array:
+    """A^T W c of typical contributions, shape (full, coefficients); see ``systematic_pulls``.
+
+    Parameters
+    ----------
+    states_of : callable(runs)
+        States of the pieces of every run, see ``piece_states``.
+    """
     assumed = missing_keys(runs)
-    tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
-    states = piece_states(typical_runs(runs, assumed), joint, tables) if assumed else []
+    states = states_of(typical_runs(runs, assumed)) if assumed else []
     with one_thread():
         pulls = systematic_pulls(_missing(assumed), states, joint)
     return np.concatenate([np.zeros((joint.unknowns.full, 0)), *pulls], axis=1)
@@ -114,6 +123,8 @@ def typical_systematic(
     rows: Array,
     covariance: Array,
     pulls: Array,
+    grid_rows: Callable[[], Array],
+    hidden: Collection[str],
 ) -> TypicalSystematic | None:
     """Compute what typical contributions would add.
 
@@ -129,6 +140,10 @@ def typical_systematic(
         As stated, of squareness and nodes in the order of predictions.
     pulls : ndarray, shape (full, coefficients)
         See ``typical_pulls``.
+    grid_rows : callable
+        Rows (3 n, m) of the error vectors of a grid, the best rigid motion removed.
+    hidden : collection of str
+        Squareness and location errors that the data do not show.
 
     Returns
     -------
@@ -144,27 +159,22 @@ def typical_systematic(
         change = rows @ whole
         stated = np.maximum(np.diag(covariance), 0.0)
         u = np.sqrt(stated + np.sum(change**2, axis=1))
-        grid = driven_grid(tables)
-        nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
-        rows = prediction_rows(tables.machine, nodes, grid)
-        free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+        free = grid_rows()
         # three components a point: the u of the vector is the root of their sum
         before = 3.0 * np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0).mean()
         after = before + 3.0 * np.mean(np.sum((free @ change) ** 2, axis=1))
-    motions: dict[str, Array] = {}
-    start = len(SQUARENESS)
-    for name in MOTIONS:
-        stop = start + len(nodes[name])
-        motions[name] = u[start:stop] * float(tables.motions[name].identifiable)
-        start = stop
+    places, machine = table_places(tables), tables.machine
+    motions: dict[str, Array] = {
+        m: u[places[m]] * float(tables.motions[m].identifiable) for m in machine.motions
+    }
     return TypicalSystematic(
         missing=tuple(s.source for s in sources),
-        nothing_declared=len(assumed) == len(KEYS),
+        nothing_declared=len(assumed) == len(declarable_keys(bool(machine.rotary_names))),
         assumed=assumed,
-        squareness={
+        scalars={
             n: (float(np.sqrt(stated[k])), float(u[k]))
-            for k, n in enumerate(SQUARENESS)
-            if n in joint.solution.accepted
+            for k, n in enumerate(machine.scalars)
+            if n not in hidden
         },
         motions=motions,
         grid=(float(np.sqrt(before)), float(np.sqrt(after))),
@@ -189,11 +199,14 @@ def typical_to_dict(typical: TypicalSystematic | None) -> dict[str, Any] | None:
     """Entry ``typical_systematic`` of error_tables.json; None if everything is declared."""
     if typical is None:
         return None
+    scalars = {n: {'u': u} for n, (_, u) in typical.scalars.items()}
+    location = {n: u for n, u in scalars.items() if n not in SQUARENESS}
     return {
         'missing': list(typical.missing),
         'presets': list(TYPICAL),
         'assumed': dict(typical.assumed),
-        'squareness': {n: {'u': u} for n, (_, u) in typical.squareness.items()},
+        'squareness': {n: u for n, u in scalars.items() if n in SQUARENESS},
+        **({'location': location} if location else {}),
         'motions': {n: {'u': u.tolist()} for n, u in typical.motions.items()},
         'grid': {'unit': 'm', 'u_stated': typical.grid[0], 'u': typical.grid[1]},
     }

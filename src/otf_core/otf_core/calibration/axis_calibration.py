@@ -5,11 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.budget.budget import Budget
+from otf_core.budget.typical import TypicalSystematic, typical_warnings, with_typical
+from otf_core.calibration.axis_budget import budget_of_axes, observed_parts, typical_of_axes
+from otf_core.calibration.calibration_result import Headline, headline_of
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
@@ -25,6 +29,7 @@ from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.prediction.volumetric import AxesVolumetricError, table_places
 from otf_core.rotary.axis_reversal import (
     NONE,
     AxisLag,
@@ -71,6 +76,10 @@ class AxisCalibration:
 
     Attributes
     ----------
+    budget : Budget
+        Uncertainty by source, of the nodes of the tables.
+    typical : TypicalSystematic, optional
+        What typical systematic contributions would add; None if all are declared.
     matched : tuple of MatchedRun
         Of every recording.
     targets : mapping of target to (ndarray, ndarray), each of shape (3,), m
@@ -90,6 +99,8 @@ class AxisCalibration:
     run_id: str
     machine: Machine
     made: AxisTables
+    budget: Budget
+    typical: TypicalSystematic | None
     solution: AxisSolution
     matched: tuple[MatchedRun, ...]
     targets: Mapping[str, tuple[Array, Array]]
@@ -109,6 +120,43 @@ class AxisCalibration:
     def tables(self) -> ErrorTables:
         """Error tables with their standard uncertainties."""
         return self.made.tables
+
+    @cached_property
+    def budget_with_typical(self) -> Budget:
+        """The budget with typical values where nothing is declared."""
+        return with_typical(self.budget, self.typical)
+
+    @cached_property
+    def covariance_with_typical(self) -> Array:
+        """Covariance of squareness and location errors and nodes with them, (m, m)."""
+        if self.typical is None:
+            return self.made.covariance
+        change = self.made.rows @ self.typical.change
+        return np.asarray(self.made.covariance + change @ change.T)
+
+    @cached_property
+    def volume(self) -> AxesVolumetricError:
+        """Errors over the driven ranges, with the uncertainty of the headline."""
+        return AxesVolumetricError(self.tables, self.covariance_with_typical, {}, self.made.hidden)
+
+    @cached_property
+    def headline(self) -> Headline:
+        """What is stated first: volumetric error and its expanded uncertainty."""
+        return headline_of(self.volume, self.budget_with_typical, self.typical)
+
+    @cached_property
+    def expanded(self) -> dict[str, Array]:
+        """Expanded uncertainty of scalars (1,) and nodes (k,), m and rad, typical ones included.
+
+        Zero where a value is not identifiable.
+        """
+        u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
+        variances = self.budget_with_typical.variances()
+        values = {}
+        for name, place in table_places(self.tables).items():
+            k, _ = self.budget_with_typical.expansion(variances[:, place])
+            values[name] = k * u[place] * (name not in self.made.hidden)
+        return values
 
 
 def calibrate_axes(
@@ -364,10 +412,12 @@ def _assembled(
     rows = sum(w.size for w in whitened)
     used = effective_unknowns(joint)
     ratio = float(sum(np.sum(w**2) for w in whitened) / max(rows - used, 1.0))
-    inflation = max(1.0, ratio)
-    drawn = unknowns.gauge @ joint.roughness.drawn
-    covariance = inflation * (joint.solution.covariance + drawn @ drawn.T)
+    nodes, runs = table_nodes(machine, *driven), observed_parts(recordings, joint)
+    budget = budget_of_axes(runs, joint, nodes, config.standstill_speed, used)
+    covariance = budget.whole
     tabulated = tabulate(machine, joint, driven, config.unidentifiable_above, covariance)
+    budget = replace(budget, rows=tabulated.rows, straight=tabulated.straight)
+    typical = typical_of_axes(runs, joint, nodes, tabulated)
     targets = {}
     for name in {p.path.target for m in matched for p in m.parts}:
         u = np.zeros(3)
@@ -375,7 +425,7 @@ def _assembled(
             block = unknowns.blocks[place_block(name)]
             u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
         targets[name] = (np.asarray(joint.places[name]), u)
-    fit = _fit_of(recordings, matched, joint, before, ratio, inflation)
+    fit = _fit_of(recordings, matched, joint, before, ratio, budget.inflation)
     q = np.concatenate([s.system.q for s in joint.runs])
     sights = [
         s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
@@ -388,13 +438,19 @@ def _assembled(
         run_id=run_id(recordings, config),
         machine=machine,
         made=tabulated,
+        budget=budget,
+        typical=typical,
         solution=joint,
         matched=tuple(matched),
         targets=dict(sorted(targets.items())),
         driven=driven,
         corners=linear,
         fit=fit,
-        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(tabulated),
+        warnings=(
+            *typical_warnings(typical),
+            *(r for one in recordings for r in one.remarks),
+            *_warnings(tabulated),
+        ),
         failed_gates=(
             *_failed(fit),
             *wrong_lines(
@@ -402,8 +458,8 @@ def _assembled(
                 machine,
             ),
         ),
-        reversal=tuple(reversals(joint, inflation)),
-        lags=tuple(lags(joint, inflation)),
+        reversal=tuple(reversals(joint, covariance)),
+        lags=tuple(lags(joint, covariance)),
         advice=advice,
         method=method,
         config=config,

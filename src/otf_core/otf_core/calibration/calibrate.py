@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from otf_core.budget.budget import (
     Budget,
     make_budget,
     noise_parts,
+    piece_states,
     whole_check,
     with_source,
 )
@@ -47,7 +49,7 @@ from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.finding import GATE, WARNING, Finding, failed_gates_of_data, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
-from otf_core.prediction.volumetric import VolumetricError
+from otf_core.prediction.volumetric import VolumetricError, driven_rows
 from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
 from otf_core.solving.joint import JointSolution, SolvedRun, settle_covariance, tables_of
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
@@ -302,14 +304,16 @@ def assess(
     removed: RemovedEffects | None = None,
 ) -> Assessment:
     """Work out fit and uncertainty of a solution, with the effects ``removed`` off its runs."""
-    pulls = typical_pulls(runs, joint)
+    as_solved = tables_of(runs[0].machine, joint.unknowns, joint.solution)
+    pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, as_solved))
     parts = noise_parts(runs, joint)
     give_back()
     joint = settle_covariance(joint, config.unidentifiable_above, parts.normal)
     unknowns, machine = joint.unknowns, runs[0].machine
     results = [_run_result(r, s, config) for r, s in zip(runs, joint.runs, strict=True)]
     fine = tables_of(machine, unknowns, joint.solution)
-    budget = make_budget(runs, joint, parts, fine, config.standstill_speed)
+    states = partial(piece_states, runs, joint, fine)
+    budget = make_budget(runs, joint, parts, states, config.standstill_speed)
     if removed is not None:
         budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
     fit = _fit(runs, results, joint, budget.inflation)
@@ -318,7 +322,16 @@ def assess(
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
     give_back()
-    typical = typical_systematic(runs, joint, tables, table.rows, budget.covariance, pulls)
+    typical = typical_systematic(
+        runs,
+        joint,
+        tables,
+        table.rows,
+        budget.covariance,
+        pulls,
+        partial(driven_rows, tables),
+        set(SQUARENESS) - set(joint.solution.accepted),
+    )
     lack_of_fit = find_lack_of_fit(runs, joint)
     warning = lack_of_fit.warning(grid_u) if lack_of_fit is not None else None
     return Assessment(joint, results, budget, whole, fit, table, tables, typical, warning)

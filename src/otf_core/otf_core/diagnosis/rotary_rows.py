@@ -7,44 +7,26 @@ places of the tracker and of the targets, location errors and motions are projec
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.calibration.axis_budget import ObservedParts
 from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.diagnosis.engine.gap_sizes import replace_louder
 from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.effects.state import state_in_parts
-from otf_core.effects.terms import State
-from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun, tables_of
-from otf_core.rotary.reduction import AxisPieces
-from otf_core.rotary.rows import AxisRows
+from otf_core.rotary.axis_solution import tables_of
+from otf_core.rotary.rows import AxisRows, piece_state
 from otf_core.solving.joint import SolvedRun
 from otf_core.solving.residuals import fold_of, leg_numbers
 from otf_core.solving.solution import free_columns, identifiable_blocks
 from otf_core.solving.whitener import Whitener
-
-
-@dataclass(frozen=True)
-class ObservedParts:
-    """Pieces of one run and how they are seen; see ``pieces.runs.Observed``."""
-
-    recording: Recording
-    pieces: AxisPieces
-    noise: NoiseModel
-
-    @property
-    def machine(self) -> Machine:
-        """As set up in this run."""
-        return self.recording.machine
 
 
 def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Rows:
@@ -61,7 +43,10 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
     speed = result.config.standstill_speed
     observed = [
         ObservedParts(
-            recording, solved.run.pieces, _at_most(_measured_noise(recording, speed), solved.noise)
+            recording,
+            recording.machine,
+            solved.run.pieces,
+            _at_most(_measured_noise(recording, speed), solved.noise),
         )
         for recording, solved in zip(recordings, joint.runs, strict=True)
     ]
@@ -77,7 +62,7 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
         done=cast(Any, joint),
         whiteners=tuple(whiteners),
         tables=tables,
-        states=tuple(_state(joint, solved, nodes) for solved in joint.runs),
+        states=tuple(piece_state(s.run, s.system.q, nodes, tables) for s in joint.runs),
         plain_deviation=np.concatenate([s.system.deviation.reshape(-1) for s in joint.runs]),
         fold=np.concatenate(
             [
@@ -109,27 +94,6 @@ def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
         level = float(np.sqrt(white**2 + max(slow, 0.0)))
         components.append(NoiseComponent(level, white, time, own.dof))
     return NoiseModel(*components)
-
-
-def _state(joint: AxisSolution, solved: SolvedAxisRun, nodes: Mapping[str, Array]) -> State:
-    """State of the pieces of a run."""
-    run, pieces, q = solved.run, solved.run.pieces, solved.system.q
-    return state_in_parts(
-        joint.machine,
-        [p.path.target for p in run.parts],
-        joint.places,
-        pieces.part,
-        pieces.stretch,
-        q,
-        pieces.rate,
-        pieces.side,
-        pieces.time,
-        joint.poses[run.station],
-        nodes,
-        tables_of(joint.machine, joint.unknowns, joint.solution.value),
-        float(pieces.time.max() + pieces.duration[-1]),
-        np.abs(pieces.step) * pieces.spread[:, None],
-    )
 
 
 def simulated_um(rows: Rows) -> float:

@@ -25,6 +25,12 @@ KEYS: dict[str, tuple[str, float]] = {
     'target_offset': ('m', 1.0),
 }
 """Unit and largest value of every key."""
+TARGET_OFFSET = 'target_offset'
+
+
+def declarable_keys(rotary: bool) -> tuple[str, ...]:
+    """Keys of a machine without or with rotary axes, which states it by ``targets: tool: u``."""
+    return tuple(k for k in KEYS if not (rotary and k == TARGET_OFFSET))
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,23 @@ def driven_grid(tables: ErrorTables, count: int = 7) -> Array:
     return covered_grid(tables.machine, ends.T, count)
 
 
+PLACES = 300
+"""Axis positions at which errors of machines with rotary axes are judged."""
+
+
+def evenly_spread(low: Array, high: Array, count: int = PLACES) -> Array:
+    """Positions (n, k) that fill ranges evenly and keep no step with nodes.
+
+    Multiples of the powers of the root of g^(k + 1) = g + 1, the remainders by 1.
+    """
+    k = len(low)
+    g = 1.5
+    for _ in range(50):
+        g = (1.0 + g) ** (1.0 / (k + 1))
+    share = (0.5 + np.arange(count)[:, None] * g ** -np.arange(1.0, k + 1.0)) % 1.0
+    return np.asarray(low + share * (high - low))
+
+
 def rigid_columns(q: Array) -> Array:
     """Displacement per unit of three translations and three small rotations, shape (n, 3, 6)."""
     columns = np.zeros((len(q), 3, 6))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, parse_yaml, read_yaml_bytes
 from otf_core.model.circumstances import Circumstances, circumstances_from_fields
-from otf_core.model.declared import DeclaredUncertainty, declared_from_fields
+from otf_core.model.declared import TARGET_OFFSET, DeclaredUncertainty, declared_from_fields
 from otf_core.model.declared_signals import SignalSpec, signals_from_fields
 from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.motions import (
@@ -386,6 +386,8 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         section = top.mapping('signals')
         signals = signals_from_fields(section, section.keys)
     targets = _targets(top.mapping('targets'), offset) if top.has('targets') else {}
+    if turning and declared is not None:
+        declared, targets = _with_stated_offset(declared, targets, data, offset)
     top.done(known=KEYS)
     return Machine(
         name, chain, axes, offset, spec, declared, limits, circumstances, signals,
@@ -413,6 +415,26 @@ def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
         own.done(known=('link', 'place', 'u'))
         targets[name] = Target(link, (place[0], place[1], place[2]), u)
     return targets
+
+
+def _with_stated_offset(
+    declared: DeclaredUncertainty,
+    targets: dict[str, Target],
+    data: Any,
+    offset: NDArray[np.float64],
+) -> tuple[DeclaredUncertainty, dict[str, Target]]:
+    """Uncertainty of ``target_offset`` as that of the place of ``tool``, unless it has its own.
+
+    With rotary axes the place of the reflector is solved for; what a preset assumes would leave
+    nothing known of the lines of the axes.
+    """
+    values = dict(declared.values)
+    u = values.pop(TARGET_OFFSET, 0.0)
+    own = data.get('targets') or {}
+    if TARGET_OFFSET in data.get('uncertainty', {}) and 'u' not in (own.get(TOOL) or {}):
+        x, y, z = offset.tolist()
+        targets = {**targets, TOOL: Target(SPINDLE, (x, y, z), u)}
+    return replace(declared, values=values), targets
 
 
 def _tracker(fields: Fields, chain: Chain) -> TrackerSpec:

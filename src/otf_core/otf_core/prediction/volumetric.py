@@ -14,12 +14,23 @@ from functools import cached_property
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.evaluation import free_rows, lattice, without_rigid_motion
+from otf_core.model.evaluation import (
+    PLACES,
+    driven_grid,
+    evenly_spread,
+    free_rows,
+    lattice,
+    without_rigid_motion,
+)
+from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
+
+VOLUME_PLACES = 1000
+"""Axis positions at which the errors of a machine with rotary axes are stated."""
 
 
 def table_places(tables: ErrorTables) -> dict[str, slice]:
@@ -43,6 +54,29 @@ def table_rows(tables: ErrorTables, q: Array) -> Array:
     """Derivatives of the volumetric error at q (n, 3) by all of these, shape (n, 3, m)."""
     nodes: dict[str, Array] = {m: tables.motions[m].position for m in tables.machine.motions}
     return prediction_rows(tables.machine, nodes, q)
+
+
+def driven_positions(tables: ErrorTables, count: int = PLACES) -> Array:
+    """Axis positions spread evenly over the ranges of tables, shape (count, k), m and rad."""
+    names = tables.machine.axis_names
+    ends = [tables.motions[f'E{a}{a}'].position[[0, -1]] for a in names]
+    low, high = np.transpose(ends)
+    return evenly_spread(low, high, count)
+
+
+def driven_rows(tables: ErrorTables, count: int = PLACES) -> Array:
+    """Derivatives of the error vectors over the driven ranges, shape (3 n, m), rigid motion out.
+
+    On a lattice, or at axis positions spread evenly where there are rotary axes.
+    """
+    machine = tables.machine
+    if machine.rotary_names:
+        q = driven_positions(tables, count)
+        points = Sight.of_tool(machine).nominal(q)
+    else:
+        q = points = driven_grid(tables)
+    rows = table_rows(tables, q)
+    return free_rows(rows.reshape(-1, rows.shape[2]), points)
 
 
 def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
@@ -158,3 +192,27 @@ class VolumetricError:
     def sizes(self) -> dict[str, float]:
         """Mean, 95 % quantile and largest length, m."""
         return length_sizes(self.length)
+
+
+class AxesVolumetricError(VolumetricError):
+    """Errors of a machine with rotary axes at positions spread over the driven ranges."""
+
+    @cached_property
+    def grid(self) -> Array:
+        """Positions of all axes, shape (n, k), m and rad."""
+        return driven_positions(self.tables, VOLUME_PLACES)
+
+    @cached_property
+    def rows(self) -> Array:
+        """Derivatives of the components by scalars and nodes, shape (3 n, m)."""
+        return driven_rows(self.tables, VOLUME_PLACES)
+
+    @cached_property
+    def error(self) -> Array:
+        """Actual minus nominal, shape (n, 3), m."""
+        return np.asarray((self.rows @ table_values(self.tables)).reshape(-1, 3))
+
+    @cached_property
+    def beyond(self) -> Array:
+        """Nothing lies beyond the driven ranges, shape (n, 3)."""
+        return np.zeros((len(self.grid), 3))

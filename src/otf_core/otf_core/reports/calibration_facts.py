@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -12,20 +13,18 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.budget.budget import NAMES, TYPICAL_SOURCE, Budget
+from otf_core.budget.budget import PLACES, TYPICAL_SOURCE, Budget
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.calibration.calibration_result import CalibrationResult, RunResult
 from otf_core.files.writing import tidy
 from otf_core.model.circumstances import INSTRUMENT, NUMBERS, TEXTS
-from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.expanded import COVERAGE_PROBABILITY
 from otf_core.model.machine import Machine, TrackerSpec
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.provenance import Origin, moment
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, LocationError, Squareness
 from otf_core.noise.noise_model import QUANTITIES
-from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.prediction.volumetric import VolumetricError, table_places
+from otf_core.prediction.volumetric import VolumetricError, driven_rows, table_places
 from otf_core.reports.page import Table, dof_words, join_names, place, whole_dof
 from otf_core.threads import one_thread
 
@@ -43,6 +42,7 @@ SHORT_NAMES = {
     'tracker angles': 'angles',
     'machine temperature': 'machine',
     'target offset': 'target',
+    PLACES: 'places',
     TYPICAL_SOURCE: 'typical',
 }
 """Names of sources as heads of columns."""
@@ -85,37 +85,39 @@ def _line(
     return BudgetLine(name, unit, float(np.sqrt(np.sum(mean**2))), parts, *budget.expansion(known))
 
 
-def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
+def budget_lines(
+    tables: ErrorTables, budget: Budget, hidden: Collection[str] = ()
+) -> list[BudgetLine]:
     """Lines for everything that is identifiable, and for the grid.
 
     Parameters
     ----------
     budget : Budget
         Of the same nodes.
+    hidden : collection of str
+        What is left out beside those without any uncertainty.
     """
     variances, lines = budget.variances(), []
     for name, part in table_places(tables).items():
-        if variances[:, part].any():
-            unit = 'rad' if name in SQUARENESS else unit_of(name)
-            lines.append(_line(budget, name, unit, variances[:, part]))
-    grid = driven_grid(tables)
-    rows = prediction_rows(tables.machine, {m: tables.motions[m].position for m in MOTIONS}, grid)
+        if variances[:, part].any() and name not in hidden:
+            lines.append(_line(budget, name, unit_of(name), variances[:, part]))
     with one_thread():
-        free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+        free = driven_rows(tables)
         return [*lines, _line(budget, GRID, 'm', budget.variances(free), components=3)]
 
 
 def expanded_uncertainties(
     tables: ErrorTables, lines: list[BudgetLine]
 ) -> dict[str, dict[str, Any]]:
-    """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
+    """U, k and dof of every scalar and motion, as they stand in error_tables.json."""
     values: dict[str, dict[str, Any]] = {}
     by_name = {line.name: line for line in lines}
-    for name in NAMES:
+    scalars: dict[str, Squareness | LocationError] = {**tables.squareness, **tables.location}
+    for name in table_places(tables):
         line = by_name.get(name)
         k = line.k if line else 0.0
-        if name in SQUARENESS:
-            wide: Any = k * tables.squareness[name].u
+        if name in scalars:
+            wide: Any = k * scalars[name].u
         else:
             wide = (k * tables.motions[name].u).tolist()
         values[name] = {
@@ -148,7 +150,7 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
     unit = np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)
     r = covariance / np.outer(unit, unit)
     places, pairs = table_places(tables), []
-    for one, other in combinations(NAMES, 2):
+    for one, other in combinations(places, 2):
         part = r[places[one], places[other]]
         at = np.unravel_index(int(np.argmax(np.abs(part))), part.shape)
         if abs(part[at]) >= LISTED_CORRELATION:
@@ -158,9 +160,12 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
 
 
 def _at_node(tables: ErrorTables, name: str, node: int) -> str:
-    if name in SQUARENESS:
+    if name in tables.machine.scalars:
         return name
-    return f'{name} at {tidy(1e3 * float(tables.motions[name].position[node])):g} mm'
+    at, axis = float(tables.motions[name].position[node]), ErrorMotion.of(name).axis
+    if tables.machine.axes[axis].rotary:
+        return f'{name} at {math.degrees(at):.4g} deg'
+    return f'{name} at {tidy(1e3 * at):g} mm'
 
 
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:

@@ -13,18 +13,40 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose
 from otf_core.calibration.machine_verdict import Verdicts, judge_axes
 from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
-from otf_core.model.expanded import COVERAGE_FACTOR, micro_unit, micro_with_expanded, with_expanded
+from otf_core.model.evaluation import evenly_spread
+from otf_core.model.expanded import (
+    COVERAGE_FACTOR,
+    micro_figure,
+    micro_significant,
+    micro_unit,
+    micro_with_expanded,
+    with_expanded,
+)
 from otf_core.model.kinematics import displacement
+from otf_core.model.machine import TOOL
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
+from otf_core.reports.calibration_facts import (
+    BudgetLine,
+    budget_lines,
+    budget_to_dict,
+    expanded_uncertainties,
+    measurement_dates,
+    stated_tables,
+)
 from otf_core.reports.calibration_sections.error_motions import squareness_words
+from otf_core.reports.calibration_sections.uncertainty_budget import (
+    section_of_budget,
+    section_of_correlations,
+)
 from otf_core.reports.drawing.panel import Panel, Scale, polyline, scale_around, svg
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import (
@@ -37,7 +59,7 @@ from otf_core.reports.page import (
     sections_to_text,
 )
 from otf_core.rotary.axis_reversal import CONSTANT, NONE
-from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
+from otf_core.rotary.tabulation import remove_rigid_motions
 
 GAUGE = (
     'linear axes: positioning and rotations zero at axis position 0, else at the minimum, '
@@ -50,16 +72,27 @@ GRID = 7
 DEGREES = 180.0 / math.pi
 
 
-def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
-    """Return a calibration as plain data in the layout of error_tables.json."""
+def budget_lines_of(result: AxisCalibration) -> tuple[BudgetLine, ...]:
+    """Lines of the budget, with typical values where nothing is declared; the grid last."""
+    return tuple(budget_lines(result.tables, result.budget_with_typical, result.made.hidden))
+
+
+def result_to_dict(
+    result: AxisCalibration, lines: Sequence[BudgetLine] | None = None
+) -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json.
+
+    ``lines`` of the budget are worked out if not given.
+    """
+    listed = list(lines or budget_lines_of(result))
     pose = first_pose(result)
     alignment = {'rotation': pose.rotation.tolist(), 'translation': pose.translation.tolist()}
     _solution, machine = result.solution, result.machine
     data = tables_to_dict(result.tables)
+    for name, wide in expanded_uncertainties(result.tables, listed).items():
+        data[_place_of(result, name)][name] |= wide
     for name, words in result.advice.items():
-        place = 'motions' if name in data['motions'] else None
-        place = place or ('location' if name in data['location'] else 'squareness')
-        data[place][name]['needs'] = words
+        data[_place_of(result, name)][name]['needs'] = words
     data |= {
         'targets': {
             name: {'place': place.tolist(), 'u': u.tolist()}
@@ -86,6 +119,8 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'gauge': GAUGE,
         'spacing': {'table_pitch_over': result.made.fraction},
         'covariance': pack_covariance(result.made.covariance, machine),
+        **budget_to_dict(result.tables, result.budget, listed),
+        'typical_systematic': typical_to_dict(result.typical),
         'driven': driven_volume(
             result.corners, result.config.corner_exclusion + result.config.piece_length
         ).to_dict(),
@@ -97,11 +132,19 @@ def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
         'verdicts': verdicts_of(result).to_dict(),
+        'headline': result.headline.to_dict(),
         'volumetric_error': volume_sizes(result),
         'config': asdict(result.config),
         'provenance': provenance_to_dict(result),
     }
     return data
+
+
+def _place_of(result: AxisCalibration, name: str) -> str:
+    """Entry of error_tables.json that holds an error."""
+    if name in result.machine.location:
+        return 'location'
+    return 'squareness' if name in result.machine.squareness else 'motions'
 
 
 def _run_to_dict(result: AxisCalibration, number: int) -> dict[str, Any]:
@@ -126,8 +169,7 @@ def _run_to_dict(result: AxisCalibration, number: int) -> dict[str, Any]:
 
 def verdicts_of(result: AxisCalibration) -> Verdicts:
     """Verdict on the measurement, and on the machine by its limits."""
-    tabulated = result.made
-    machine = judge_axes(result.tables, tabulated.covariance, tabulated.hidden)
+    machine = judge_axes(result.tables, result.covariance_with_typical, result.made.hidden)
     return Verdicts(result.failed_gates, machine)
 
 
@@ -138,36 +180,39 @@ def provenance_to_dict(result: AxisCalibration) -> dict[str, Any]:
 
 def volume_sizes(result: AxisCalibration) -> dict[str, Any]:
     """Size of the error vectors over the driven ranges, m, the best rigid motion taken out."""
-    q = evenly_spread(*result.driven, count=2000)
-    field = remove_rigid_motions(result.machine, q, displacement(result.tables, q).reshape(-1, 1))
-    length = np.linalg.norm(field.reshape(-1, 3), axis=1)
-    return {
-        'points': len(q),
-        'mean': float(length.mean()),
-        'p95': float(np.quantile(length, 0.95)),
-        'max': float(length.max()),
-        'rigid_motion': 'taken out',
-    }
+    first = result.headline
+    return {'points': first.points, **first.error, 'rigid_motion': 'taken out'}
 
 
-def _rows_csv(result: AxisCalibration) -> str:
-    lines = ['motion,axis,position,position_unit,value,unit,u,identifiable']
+def _rows_csv(result: AxisCalibration, budget: Sequence[BudgetLine]) -> str:
+    lines = ['motion,axis,position,position_unit,value,unit,u,identifiable,U,k,U_with_typical']
+    wide = expanded_uncertainties(result.tables, list(budget))
     for motion in result.machine.motions:
         table = result.tables.motions[motion]
         known = table.node_identifiable
         flags = np.ones(len(table.position), dtype=bool) if known is None else known
-        along = result.machine.axes[motion.axis].unit
-        for position, value, u, seen in zip(
-            table.position, table.value, table.u, flags, strict=True
-        ):
-            lines.append(
-                f'{motion},{motion.axis},{tidy(position)!r},{along},{float(value) + 0.0!r},'
-                f'{motion.unit},{float(u)!r},{str(bool(seen)).lower()}'
-            )
+        along, k = result.machine.axes[motion.axis].unit, wide[motion]['k']
+        rows = zip(table.position, table.value, table.u, flags, wide[motion]['U'],
+                   result.expanded[motion], strict=True)  # fmt: skip
+        lines += [
+            f'{motion},{motion.axis},{tidy(position)!r},{along},{float(value) + 0.0!r},'
+            f'{motion.unit},{float(u)!r},{str(bool(seen)).lower()},{expanded!r},{_factor(k)},'
+            f'{float(whole)!r}'
+            for position, value, u, seen, expanded, whole in rows
+        ]
     for name in result.machine.scalars:
         value, u, seen = _scalar(result, name)
-        lines.append(f'{name},,,,{value!r},{unit_of(name)},{u!r},{str(seen).lower()}')
+        lines.append(
+            f'{name},,,,{value!r},{unit_of(name)},{u!r},{str(seen).lower()},'
+            f'{wide[name]["U"]!r},{_factor(wide[name]["k"])},'
+            f'{float(result.expanded[name][0])!r}'
+        )
     return '\n'.join(lines) + '\n'
+
+
+def _factor(k: float | None) -> str:
+    """Coverage factor in a CSV cell; empty where nothing is stated."""
+    return '' if k is None else repr(float(k))
 
 
 def _scalar(result: AxisCalibration, name: str) -> tuple[float, float, bool]:
@@ -182,11 +227,11 @@ def _scalar(result: AxisCalibration, name: str) -> tuple[float, float, bool]:
 
 def location_words(result: AxisCalibration, name: str) -> str:
     """State which way the line of an axis lies, in both habits of sign."""
-    value, u, seen = _scalar(result, name)
+    value, _, seen = _scalar(result, name)
     axis = name[2]
     if not seen:
         return f'{name}: not identifiable; needs {result.advice.get(name, "another path")}'
-    wide = COVERAGE_FACTOR * u
+    wide = float(result.expanded[name][0])
     stated = micro_with_expanded(abs(value), wide, unit_of(name))
     if unit_of(name) == 'm':
         side = f'{"+" if value >= 0 else "-"}{name[0]}'
@@ -211,8 +256,9 @@ def location_words(result: AxisCalibration, name: str) -> str:
     )
 
 
-def sections(result: AxisCalibration) -> list[Section]:
-    """Sections of the report."""
+def sections(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> list[Section]:
+    """Sections of the report; ``lines`` of the budget are worked out if not given."""
+    lines = lines or budget_lines_of(result)
     return [
         _overview(result),
         _motions(result),
@@ -220,41 +266,55 @@ def sections(result: AxisCalibration) -> list[Section]:
         *_reversal(result),
         _volume(result),
         _targets(result),
+        section_of_budget(result.tables, result.budget, lines),
+        section_of_correlations(result.tables, result.made.covariance, result.made.hidden),
+        _conditions(result),
         _fit(result),
         _conventions(result),
     ]
 
 
 def _overview(result: AxisCalibration) -> Section:
-    size, fit = volume_sizes(result), result.fit
-    u = micro_with_expanded(size['mean'], COVERAGE_FACTOR * result.made.grid_u)
+    fit, first = result.fit, result.headline
     hidden = ', '.join(result.made.hidden) or 'nothing'
+    verdicts = verdicts_of(result)
     words = (
-        f'Mean volumetric error over the driven ranges of all axes {u} (U of an error vector, '
-        f'k = 2); largest {1e6 * size["max"]:.1f} um.',
+        f'{_capital(first.error_words)}: lengths of the error vectors at {first.points} positions '
+        f'spread over the driven ranges of all axes, the best rigid motion of the table removed.',
+        f'{_capital(first.expanded_words)}.',
+        f'{_capital(first.observed_words)}.',
         f'Pieces of the path are {1e6 * fit.path_mae_before:.2f} um off on average before and '
         f'{1e6 * fit.path_mae_after:.2f} um after compensation.',
-        f'Not seen: {hidden}.',
-        *result.warnings,
-        *(f'Failed: {text}' for text in result.failed_gates),
-        *(verdicts_of(result).words[1:] if result.machine.limits else ()),
+        f'Not determined by these data: {hidden}.',
+        *(f'Warning: {text}.' for text in result.warnings),
+        *(f'Failed: {text}.' for text in result.failed_gates),
+        *(verdicts.words[1:] if result.machine.limits else ()),
     )
     text = (
         f'{result.machine.name}, chain {result.machine.chain}: '
         f'{"measurement not good" if result.failed_gates else "measurement good"}',
         *words,
     )
-    return Section('overview', '', words, {'volume': size, **asdict(fit)}, text=text)
+    data = {'volume': volume_sizes(result), 'headline': first.to_dict(), **asdict(fit)}
+    return Section('overview', '', words, data, text=text)
+
+
+def _capital(words: str) -> str:
+    return f'{words[:1].upper()}{words[1:]}'
 
 
 def _tile_rows(result: AxisCalibration) -> tuple[tuple[str, str, str], ...]:
-    size = volume_sizes(result)
+    first = result.headline
     return (
-        ('mean volumetric error', f'{1e6 * size["mean"]:.1f} um', 'over all axes'),
         (
-            'uncertainty of a vector',
-            f'{1e6 * COVERAGE_FACTOR * result.made.grid_u:.1f} um',
-            'k = 2',
+            'mean volumetric error',
+            micro_figure(first.error['mean'], first.expanded['mean']),
+            'over the driven ranges of all axes',
+        ),
+        (
+            'expected after compensation',
+            micro_significant(first.expanded['mean']),
+            f'mean U, k = {first.k:.3g}',
         ),
         ('residual', f'{1e6 * result.fit.residual_rms:.2f} um', 'rms of the pieces'),
     )
@@ -273,15 +333,18 @@ def _motions(result: AxisCalibration) -> Section:
             lines.append(f'        needs {needs}')
             continue
         low, high = 1e6 * table.value.min(), 1e6 * table.value.max()
-        wide = COVERAGE_FACTOR * 1e6 * float(table.u.max())
+        wide = 1e6 * float(result.expanded[motion].max())
         rows.append((*start, f'{low:.2f}', f'{high:.2f}', f'{wide:.2f}'))
         size = len(table.position)
         lines.append(f'{motion:<8}{unit:<8}{size:>5}{low:>10.2f}{high:>10.2f}{wide:>10.2f}')
-    head = ('motion', 'unit', 'nodes', 'min', 'max', 'largest U (k = 2), or what it needs')
+    head = ('Motion', 'Unit', 'Nodes', 'Min', 'Max', 'Largest U (95 %), or what it needs')
     return Section(
         'motions',
         'Error motions',
-        ('Rotary axes over degrees, linear axes over mm; band: U (k = 2).',),
+        (
+            f'Rotary axes over degrees, linear axes over mm; band: U (95 %), '
+            f'{result.headline.label}.',
+        ),
         tables=(Table(head, tuple(rows), (2, 3, 4, 5), folded='all motions'),),
         text=('', *lines),
         draw=lambda: _pictures(result),
@@ -319,7 +382,7 @@ def _panel(result: AxisCalibration, motion: ErrorMotion) -> str:
         return Panel(along, Scale(-1.0, 1.0, label, marks=1)).draw(
             marks, f'{motion}: not identifiable', str(motion)
         )
-    y, wide = 1e6 * table.value, COVERAGE_FACTOR * 1e6 * table.u
+    y, wide = 1e6 * table.value, 1e6 * result.expanded[motion]
     panel = Panel(along, scale_around(np.concatenate([y - wide, y + wide]), label))
     marks = [panel.band(x, y - wide, y + wide, 'after band')]
     if panel.y.low < 0 < panel.y.high:
@@ -358,13 +421,22 @@ def _polar(result: AxisCalibration, axis: str) -> str:
 def _lines(result: AxisCalibration) -> Section:
     words = []
     for name in result.machine.squareness:
-        value, u, seen = _scalar(result, name)
+        value, _, seen = _scalar(result, name)
         if seen:
-            words.append(f'{name}: {squareness_words(name, value, COVERAGE_FACTOR * u)}')
+            wide = float(result.expanded[name][0])
+            shown = micro_with_expanded(value, wide, 'rad')
+            words.append(f'{name} = {shown}: {squareness_words(name, value, wide)}')
         else:
             words.append(f'{name}: not identifiable')
     for axis in result.machine.rotary_names:
         words += [location_words(result, n) for n in location_names(axis)]
+    spindle = result.machine.targets[TOOL]
+    if TOOL in result.targets and spindle.u == 0.0:
+        words.append(
+            'machine.yaml states no uncertainty of target_offset (targets: tool: u): the lines '
+            'are known relative to the reflector in the spindle as stated there, and U of X0C, '
+            'Y0A and their like contains nothing for it.'
+        )
     data = {
         n: {'value': value, 'u': u, 'identifiable': seen}
         for n in result.machine.scalars
@@ -460,6 +532,15 @@ def _targets(result: AxisCalibration) -> Section:
     )
 
 
+def _conditions(result: AxisCalibration) -> Section:
+    given = result.machine.stated
+    tables, words = stated_tables(result.machine)
+    dates = measurement_dates(result.origin) or 'the stamps contain no date'
+    tables.append(Table(('', ''), (('measured', dates),)))
+    data = {'instrument': dict(given.instrument), 'conditions': dict(given.conditions)}
+    return Section('conditions', 'Conditions and instrument', words, data, tuple(tables))
+
+
 def _fit(result: AxisCalibration) -> Section:
     fit = result.fit
     rows = (
@@ -500,19 +581,25 @@ def write_calibration(
         See ``reports.calibration.write_calibration``.
     """
     folder = ensure_folder(folder)
-    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
+    lines = budget_lines_of(result)
+    data = result_to_dict(result, lines)
+    write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
     wanted = {
-        'error_tables.csv': lambda: write_text(folder / 'error_tables.csv', _rows_csv(result)),
-        SUMMARY_FILE: lambda: write_text(folder / SUMMARY_FILE, format_result(result) + '\n'),
+        'error_tables.csv': lambda: write_text(
+            folder / 'error_tables.csv', _rows_csv(result, lines)
+        ),
+        SUMMARY_FILE: lambda: write_text(
+            folder / SUMMARY_FILE, format_result(result, lines) + '\n'
+        ),
     }
     if report:
-        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result))
+        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result, lines))
     written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
-def page(result: AxisCalibration) -> str:
-    """Return the report as one page."""
+def page(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> str:
+    """Return the report as one page; ``lines`` of the budget are worked out if not given."""
     good = not result.failed_gates
     heading = Heading(
         f'Calibration of {result.machine.name}',
@@ -524,12 +611,12 @@ def page(result: AxisCalibration) -> str:
         ),
         _tile_rows(result),
     )
-    return page_html(heading, sections(result))
+    return page_html(heading, sections(result, lines))
 
 
-def format_result(result: AxisCalibration) -> str:
-    """Return summary.txt."""
-    return sections_to_text(sections(result))
+def format_result(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> str:
+    """Return summary.txt; ``lines`` of the budget are worked out if not given."""
+    return sections_to_text(sections(result, lines))
 
 
 def summary(result: AxisCalibration) -> str:

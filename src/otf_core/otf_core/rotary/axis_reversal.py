@@ -16,6 +16,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.model.motions import ErrorMotion
 from otf_core.rotary.axis_solution import AxisSolution, place_equations, tables_of
@@ -58,28 +59,28 @@ class AxisLag:
     u: float
 
 
-def reversals(joint: AxisSolution, factor: float = 1.0) -> list[AxisReversal]:
-    """Constants of a solution; ``factor`` on its covariance."""
+def reversals(joint: AxisSolution, covariance: Array | None = None) -> list[AxisReversal]:
+    """Constants of a solution; with another covariance (full, full) than its own."""
     motions = {m: reversal_block(m, 0) for m in joint.machine.motions}
-    return [AxisReversal(m, *of) for m, of in _estimates(joint, motions, factor).items()]
+    return [AxisReversal(m, *of) for m, of in _estimates(joint, motions, covariance).items()]
 
 
-def lags(joint: AxisSolution, factor: float = 1.0) -> list[AxisLag]:
-    """Lags of a solution; ``factor`` on its covariance."""
+def lags(joint: AxisSolution, covariance: Array | None = None) -> list[AxisLag]:
+    """Lags of a solution; with another covariance (full, full) than its own."""
     axes = {a: lag_block(a) for a in joint.machine.axis_names}
-    return [AxisLag(a, *of) for a, of in _estimates(joint, axes, factor).items()]
+    return [AxisLag(a, *of) for a, of in _estimates(joint, axes, covariance).items()]
 
 
 def _estimates(
-    joint: AxisSolution, blocks: Mapping[Key, str], factor: float
+    joint: AxisSolution, blocks: Mapping[Key, str], covariance: Array | None
 ) -> dict[Key, tuple[float, float]]:
     """Values and standard uncertainties of those single unknowns that were solved for."""
-    found = {}
+    found, cover = {}, joint.solution.covariance if covariance is None else covariance
     for key, name in blocks.items():
         block = joint.unknowns.blocks.get(name)
         if block is not None:
             k = block.start
-            u = float(np.sqrt(max(factor * joint.solution.covariance[k, k], 0.0)))
+            u = float(np.sqrt(max(cover[k, k], 0.0)))
             found[key] = (float(joint.solution.value[k]), u)
     return found
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
+from otf_core.effects.state import state_in_parts
+from otf_core.effects.terms import State
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import ReflectorView, Sight
@@ -302,3 +304,31 @@ def _along(
     size = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)
     share = np.einsum('ni,ni->n', wanted, speed) / size**2
     return np.asarray(np.clip(share, -0.2, 0.2)[:, None] * pieces.step[own])
+
+
+def piece_state(run: AxisRun, q: Array, nodes: Mapping[str, Array], tables: ErrorTables) -> State:
+    """State of the pieces of a run at axis positions q (p, k), m and rad.
+
+    Parameters
+    ----------
+    nodes : mapping of axis to ndarray, m and rad
+    tables : ErrorTables
+        As solved.
+    """
+    pieces = run.pieces
+    return state_in_parts(
+        run.machine,
+        [p.path.target for p in run.parts],
+        run.places,
+        pieces.part,
+        pieces.stretch,
+        q,
+        pieces.rate,
+        pieces.side,
+        pieces.time,
+        run.pose,
+        nodes,
+        tables,
+        float(pieces.time.max() + pieces.duration[-1]),
+        np.abs(pieces.step) * pieces.spread[:, None],
+    )

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.model.evaluation import rigid_columns
+from otf_core.model.evaluation import evenly_spread, rigid_columns
 from otf_core.model.joints import Sight, rotations
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, location_names
@@ -38,8 +38,6 @@ WORTH = 0.3
 BENDS = 0.1
 """Weight of smoothness where it is judged what the data show, in units of 1 / limit^2: what they
 show is then known to less than the limit, what they do not to several times it."""
-PLACES = 300
-"""Axis positions at which errors are judged."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +54,19 @@ class AxisTables:
         What the data do not show; zero in the tables.
     grid_u : float
         m; mean uncertainty of the error vectors over the driven ranges.
+    rows : ndarray, shape (m, full)
+        Squareness and location errors and nodes from all unknowns.
+    straight : ndarray, shape (m,), m^2 and rad^2
+        Variance that stands for what straight lines between nodes miss.
     """
 
     tables: ErrorTables
     covariance: Array
-    fraction: int
     hidden: tuple[str, ...]
+    fraction: int
     grid_u: float
+    rows: Array
+    straight: Array
 
 
 def raw_rows(joint: AxisSolution, nodes: Mapping[str, Array]) -> Array:
@@ -127,19 +131,6 @@ def gauge_matrix(machine: Machine, nodes: Mapping[str, Array]) -> Array:
     return matrix
 
 
-def evenly_spread(low: Array, high: Array, count: int = PLACES) -> Array:
-    """Positions (n, k) that fill ranges evenly and keep no step with nodes.
-
-    Multiples of the powers of the root of g^(k + 1) = g + 1, the remainders by 1.
-    """
-    k = len(low)
-    g = 1.5
-    for _ in range(50):
-        g = (1.0 + g) ** (1.0 / (k + 1))
-    share = (0.5 + np.arange(count)[:, None] * g ** -np.arange(1.0, k + 1.0)) % 1.0
-    return np.asarray(low + share * (high - low))
-
-
 def field_rows(machine: Machine, nodes: Mapping[str, Array], q: Array) -> Array:
     """Derivatives of the error at positions (n, k) by scalars and nodes, (3 n, m), rigid out."""
     from otf_core.prediction.uncertainty import prediction_rows
@@ -190,9 +181,10 @@ def tabulate(machine: Machine, joint: AxisSolution, driven: tuple[Array, Array],
             break
     assert best is not None
     fraction, nodes, rows, value, spread, grid_u, cost = best
-    spread = spread + np.diag(_straight(joint, nodes, spread))
+    straight = _straight(joint, nodes, spread)
     seen = determined_combinations(joint, rows, limit)
-    return _assembled(machine, nodes, value, spread, seen, fraction, grid_u)
+    made = _assembled(machine, nodes, value, spread + np.diag(straight), seen)
+    return AxisTables(*made, fraction=fraction, grid_u=grid_u, rows=rows, straight=straight)
 
 
 def _straight(joint: AxisSolution, nodes: Mapping[str, Array], covariance: Array) -> Array:
@@ -237,9 +229,8 @@ def _assembled(
     value: Array,
     covariance: Array,
     seen: NDArray[np.bool_],
-    fraction: int,
-    grid_u: float,
-) -> AxisTables:
+) -> tuple[ErrorTables, Array, tuple[str, ...]]:
+    """Tables, the covariance of their values, and what the data do not show."""
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hidden: list[str] = []
     in_tables = np.ones(len(value), dtype=bool)
@@ -281,7 +272,7 @@ def _assembled(
         for k, n in enumerate(machine.location, start=len(machine.squareness))
     }
     tables = ErrorTables(machine, motions, square, location)
-    return AxisTables(tables, spread, fraction, tuple(hidden), grid_u)
+    return tables, spread, tuple(hidden)
 
 
 def _of_nodes(machine: Machine, nodes: Mapping[str, Array], values: Array) -> dict[str, Array]:

@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,11 +13,11 @@ from core_cells import some_machine
 from nature_tracker import beam_frame
 
 from otf_core.budget.budget import (
-    NAMES,
     Budget,
     Source,
     make_budget,
     noise_parts,
+    piece_states,
     slow_amplitudes,
     welch_satterthwaite,
 )
@@ -27,7 +28,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import load_machine, machine_from_dict
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import format_result, result_to_dict
@@ -43,6 +44,7 @@ from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.sensitivity import components_across, piece_state, sensitivity
 from otf_core.solving.unknowns import layout
 
+NAMES = (*SQUARENESS, *MOTIONS)
 DECLARED = {
     'tracker_scale': 2e-6,
     'air_temperature': 1.0,
@@ -85,14 +87,18 @@ def solved(cell):
     done = settle_covariance(done, config.unidentifiable_above)
     state = piece_state(run, done.runs[0], nodes, cell.truth)
     tables = tables_of(cell.machine, unknowns, done.solution)
-    budget = make_budget([run], done, noise_parts([run], done), tables, config.standstill_speed)
+    parts = noise_parts([run], done)
+    states = partial(piece_states, [run], done, tables)
+    budget = make_budget([run], done, parts, states, config.standstill_speed)
     return SimpleNamespace(run=run, done=done, state=state, config=config, budget=budget)
 
 
 def nodes_of(done):
     """Places of squareness and motions in the full vector."""
     blocks = done.unknowns.blocks
-    return np.concatenate([np.arange(blocks[n].start, blocks[n].stop) for n in NAMES])
+    return np.concatenate(
+        [np.arange(blocks[n].start, blocks[n].stop) for n in (*SQUARENESS, *MOTIONS)]
+    )
 
 
 def part(result, source):
@@ -107,7 +113,7 @@ def part(result, source):
 def test_sources_add_up_in_quadrature_to_u(declared):
     rows = declared.budget.rows
     total = sum(np.diag(rows @ s.covariance @ rows.T) for s in declared.budget.sources)
-    stated = [[declared.tables.squareness[n].u] for n in NAMES[:3]]
+    stated = [[declared.tables.squareness[n].u] for n in (*SQUARENESS, *MOTIONS)[:3]]
     stated += [declared.tables.motions[m].u for m in MOTIONS]
     np.testing.assert_allclose(np.concatenate(stated) ** 2, total, rtol=1e-9, atol=1e-24)
     np.testing.assert_allclose(np.diag(declared.covariance), total, rtol=1e-9, atol=1e-24)
@@ -325,7 +331,8 @@ def test_residuals_beyond_the_weights_enter_as_misfit(solved):
     done = replace(solved.done, runs=tuple(loud))
     tables = tables_of(solved.run.machine, done.unknowns, done.solution)
     parts = noise_parts([solved.run], done)
-    budget = make_budget([solved.run], done, parts, tables, solved.config.standstill_speed)
+    states = partial(piece_states, [solved.run], done, tables)
+    budget = make_budget([solved.run], done, parts, states, solved.config.standstill_speed)
     assert budget.inflation > 5.0
     data = done.solution.covariance - (_source(solved, 'smoothness') - _drawn(solved))
     added = budget.whole - solved.budget.whole

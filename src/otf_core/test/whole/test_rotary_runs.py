@@ -15,13 +15,15 @@ from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.axis_path import AxisPath, nominal_track
+from otf_core.model.declared import DeclaredUncertainty
+from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.reports.rotary_calibration import verdicts_of
 from otf_core.rotary.curve_matching import match
-from otf_core.rotary.tabulation import evenly_spread, remove_rigid_motions
+from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
 
 
@@ -53,6 +55,25 @@ def test_recorded_trunnion_comes_out_as_it_is():
     u = predict_u(result, q)
     assert np.mean(np.abs(away) < 2 * u) > 0.88
     assert np.sqrt(np.mean((away / u) ** 2)) > 0.35
+
+
+def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
+    size = 1e-5
+    declared = replace(machine(), uncertainty=DeclaredUncertainty({'tracker_scale': size}))
+    recording = replace(recorded(), machine=declared)
+    plain, samples = calibrated(), recording.samples
+    wrong = replace(recording, samples=replace(samples, xyz=(1.0 + size) * samples.xyz))
+    result = calibrate_axes([wrong], CalibrationConfig(), silent)
+    budget, rows = result.budget, result.made.rows
+    assert np.allclose(budget.covariance, rows @ budget.whole @ rows.T + np.diag(budget.straight))
+    assert 'tracker scale' not in result.typical.missing and 'air' in result.typical.missing
+    scale = next(s for s in budget.sources if s.name == 'tracker scale')
+    q = evenly_spread(machine().lower, machine().upper, 200)
+    moved = displacement(result.tables, q) - displacement(plain.tables, q)
+    part = replace(result, made=replace(result.made, covariance=rows @ scale.covariance @ rows.T))
+    expected = predict_u(part, q)
+    assert expected.max() > 1e-6
+    assert np.linalg.norm(np.abs(moved) - expected) < 0.1 * np.linalg.norm(expected)
 
 
 def test_places_of_reflectors_and_tracker_are_found():

@@ -125,7 +125,11 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""
         travel = travel_from_reference(state)
         functions = drift.time_functions(state, shape)
-        columns = [(travel * g[:, None])[:, :, None] * np.eye(3) for _, g in functions]
+        columns = [state.by_axes(travel * g[:, None]) for _, g in functions]
         axes, count = state.machine.axis_names, len(functions)
+        if state.turning is not None:  # a uniform strain turns no axis
+            axes = tuple(a for a in axes if a not in state.machine.rotary_names)
+            places = [state.machine.column(a) for a in axes]
+            columns = [own[:, :, places] for own in columns]
         names = tuple(f'S_{a}{suffix}' for suffix, _ in functions for a in axes)
         return Terms(names, ('m/m',) * 3 * count, axes * count, np.concatenate(columns, axis=2))
