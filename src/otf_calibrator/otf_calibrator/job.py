@@ -38,15 +38,14 @@ from otf_core.pieces.runs import Recording
 from otf_core.reports import rotary_calibration
 from otf_core.reports.calibration import (
     REPORT_FILE,
-    RESIDUALS_FILE,
     facts_of,
     write_calibration,
     write_report,
     write_reports,
-    write_residuals,
     write_residuals_of_both,
     write_with_effects,
 )
+from otf_core.reports.residual_files import RESIDUALS_FILE, residual_arrays, write_residuals
 from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import FollowedTrack
 
@@ -282,7 +281,7 @@ def _result_and_writers(solved: Solved) -> tuple[AnyCalibration, FilesWriter, di
         result, write_first = solved, functools.partial(write_calibration, solved)
         later: dict[str, Writer] = {
             REPORT_FILE: lambda folder: write_report(folder, facts_of(solved)),
-            RESIDUALS_FILE: functools.partial(write_residuals, solved.runs),
+            RESIDUALS_FILE: lambda folder: write_residuals(residual_arrays(solved.runs), folder),
         }
     else:
         result, write_first = solved.result, functools.partial(write_with_effects, solved)

@@ -16,8 +16,9 @@ from otf_core.model.circumstances import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.limits import Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.reports.calibration import BLANK, certificate_html, facts_of, write_calibration
+from otf_core.reports.calibration import facts_of, write_calibration
 from otf_core.reports.calibration_sections.first_screen import error_sizes
+from otf_core.reports.certificate import BLANK, certificate_html
 
 LIMITS = {'volumetric_error': 1e-3, 'uncertainty': 1e-4, 'EXX': 2e-6, 'C0Y': 1e-3}
 FULL = Circumstances(

@@ -11,8 +11,7 @@ from geometry_msgs.msg import Point, Vector3
 
 from otf_core.arrays import Array
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose, volume_errors
-from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
-from otf_core.reports.rotary_calibration import verdicts_of, volume_sizes
+from otf_core.reports.rotary_calibration import verdicts_of
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, TargetPlace
 from otf_msgs.msg import ErrorTables as TablesMessage
@@ -42,12 +41,17 @@ def messages_of(
 
 def summary(result: AxisCalibration) -> str:
     """Return the outcome in one sentence."""
-    verdicts, size = verdicts_of(result), volume_sizes(result)
+    verdicts, first = verdicts_of(result), result.headline
     if not verdicts.good:
         return verdicts.measurement_words
-    error = micro_with_expanded(size['mean'], COVERAGE_FACTOR * result.made.grid_u)
-    words = f'mean volumetric error over the driven ranges of all axes {error}'
-    return '; '.join([words, verdicts.measurement_words, verdicts.machine_words])
+    return '; '.join(
+        [
+            first.error_words,
+            first.expanded_words,
+            verdicts.measurement_words,
+            verdicts.machine_words,
+        ]
+    )
 
 
 def _together(
@@ -75,15 +79,18 @@ def _together(
 
 def _result(result: AxisCalibration, stamp: Time, method: str) -> ResultMessage:
     """Summary; what only the node knows (lost samples, folder) is left empty."""
-    size, hidden = volume_sizes(result), result.made.hidden
+    first, hidden = result.headline, result.made.hidden
     location = {name: result.tables.location[name] for name in result.machine.location}
     message = common_result(result, verdicts_of(result), first_pose(result), hidden, stamp, method)
     message.message = summary(result)
-    message.volumetric_error_mean = size['mean']
-    message.volumetric_error_largest = size['max']
-    message.expected_mean = message.expected_largest = message.observed_largest = math.nan
-    message.observed_mean = COVERAGE_FACTOR * result.made.grid_u
-    message.coverage_factor = COVERAGE_FACTOR
+    message.volumetric_error_mean = first.error['mean']
+    message.volumetric_error_largest = first.error['max']
+    message.expected_mean = first.expanded['mean']
+    message.expected_largest = first.expanded['max']
+    message.observed_mean = first.observed['mean']
+    message.observed_largest = first.observed['max']
+    message.coverage_factor = first.k
+    message.systematic = first.systematic
     message.coverage = min(1.0, result.fit.coverage)
     message.location = list(location)
     message.location_value = [entry.value for entry in location.values()]

@@ -272,7 +272,7 @@ def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) 
     low, high = table_ranges(tables)
     covered = np.all(high - low >= RANGE_COVERED * (machine.upper - machine.lower))
     unseen = {*hidden, *(() if covered else (VOLUMETRIC, UNCERTAINTY))}
-    places, judged = table_places(tables), []
+    judged = list[LimitVerdict]()
     volume = {VOLUMETRIC, UNCERTAINTY} & {n for n in machine.limits.values if n not in unseen}
     sizes = _axes_volume(tables, covariance, machine.limits.values) if volume else {}
     for name, limit in machine.limits.values.items():
@@ -283,20 +283,33 @@ def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) 
         if name in sizes:
             value, wide = sizes[name]
         else:
-            row = np.zeros(len(covariance))
-            if name in machine.scalars:
-                row[places[name]] = 1.0
-                value = abs(tables.scalar(name))
-            else:
-                own = tables.motions[name].value
-                row[places[name].start + int(own.argmax())] += 1.0
-                row[places[name].start + int(own.argmin())] -= 1.0
-                value = float(np.ptp(own))
-            wide = COVERAGE_FACTOR * float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
+            value, wide = size_and_expanded_of_axes(name, tables, covariance)
         judged.append(
             LimitVerdict(name, unit, limit, value, wide, _with_guard(value, wide, limit))
         )
     return Verdict(tuple(judged))
+
+
+def size_and_expanded_of_axes(
+    name: str, tables: ErrorTables, covariance: Array
+) -> tuple[float, float]:
+    """Size of a scalar, or largest less smallest value of a motion, and its U with k = 2.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (m, m), m and rad
+        Of squareness and location errors and all nodes.
+    """
+    row, place = np.zeros(len(covariance)), table_places(tables)[name]
+    if name in tables.machine.scalars:
+        row[place] = 1.0
+        value = abs(tables.scalar(name))
+    else:
+        own = tables.motions[name].value
+        row[place.start + int(own.argmax())] += 1.0
+        row[place.start + int(own.argmin())] -= 1.0
+        value = float(np.ptp(own))
+    return value, COVERAGE_FACTOR * float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
 
 
 def _axes_volume(

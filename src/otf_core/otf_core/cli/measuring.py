@@ -105,25 +105,30 @@ def _calibrate_axes(
     from otf_core.calibration.axis_calibration import calibrate_axes
     from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.reports.rotary_calibration import (
+        budget_lines_of,
         sections,
         summary,
         verdicts_of,
         write_calibration,
     )
 
-    for option in ('residuals_csv', 'certificate'):
-        if getattr(arguments, option):
-            raise ConfigError(
-                f'--{option.replace("_", "-")}: not available for machines with rotary axes'
-            )
     result = calibrate_axes(
         recordings, config, progress, arguments.method, same_station=arguments.same_station
     )
     progress('writing', 0.0)
+    lines = budget_lines_of(result)
     with out.filled('calibrate') as folder:
-        files = write_calibration(result, folder, report=arguments.report, missing=out.missing)
+        files = write_calibration(
+            result,
+            folder,
+            residuals_csv=arguments.residuals_csv,
+            report=arguments.report,
+            certificate=arguments.certificate,
+            lines=lines,
+            missing=out.missing,
+        )
     _note_missing(out)
-    all_sections = sections(result)
+    all_sections = sections(result, lines)
     words = sections_to_text(all_sections) if arguments.verbose else summary(result)
     open_next = 'report.html' if arguments.report else 'summary.txt'
     words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'

@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
-from otf_core.calibration.machine_verdict import MEANING
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects import AppliedEffect
@@ -24,15 +21,10 @@ from otf_core.effects.stated_effect import effects_to_list
 from otf_core.files.writing import (
     ensure_folder,
     tidy,
-    whole_file,
-    write_csv,
     write_if_it_fits,
     write_text,
 )
-from otf_core.model.circumstances import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS
-from otf_core.model.expanded import figure, significant, with_expanded
-from otf_core.model.limits import UNCERTAINTY, VOLUMETRIC
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.noise.noise_model import noise_to_fields
@@ -45,7 +37,6 @@ from otf_core.reports.calibration_facts import (
     budget_lines,
     budget_to_dict,
     expanded_uncertainties,
-    measurement_dates,
 )
 from otf_core.reports.calibration_sections.error_motions import (
     motions_section,
@@ -53,22 +44,13 @@ from otf_core.reports.calibration_sections.error_motions import (
     reversal_csv,
     reversal_section,
     reversal_to_dict,
-    role,
     squareness_section,
 )
 from otf_core.reports.calibration_sections.first_screen import (
-    BOUND,
-    MOODS,
-    ErrorSize,
-    badges,
-    bound_words,
     calibration_summary,
-    error_sizes,
     heading,
     limits_section,
     overview_section,
-    running_words,
-    volume_pictures,
 )
 from otf_core.reports.calibration_sections.measurement import (
     conditions_section,
@@ -89,187 +71,20 @@ from otf_core.reports.calibration_sections.volumetric_error import (
     diagonals_section,
     volume_section,
 )
-from otf_core.reports.drawing.scene import SCRIPT
+from otf_core.reports.certificate import certificate_html
 from otf_core.reports.page import (
-    Cell,
-    Heading,
-    Picture,
     Section,
-    State,
-    Table,
-    micro_unit,
     page_html,
-    place,
     sections_to_text,
 )
+from otf_core.reports.residual_files import (
+    RESIDUALS_FILE,
+    RESIDUALS_TEXT,
+    residual_arrays,
+    write_residuals,
+    write_residuals_text,
+)
 from otf_core.threads import limit_to_one_thread
-
-# Certificate of a calibration: two pages of A4 that a customer signs for and files.
-
-BLANK = '\N{HORIZONTAL ELLIPSIS}' * 10
-"""To be filled in by hand."""
-BY_HAND = ('number', 'customer', 'laboratory', 'operator', 'place')
-"""What a certificate leaves room for where machine.yaml does not state it."""
-HASH_LETTERS = 16
-"""Letters of a hash that identify a recording on paper; the whole one is in error_tables.json."""
-NAMED_RECORDINGS = 3
-"""Recordings that are named."""
-BETWEEN = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}
-
-
-def certificate_html(facts: CalibrationFacts) -> str:
-    """Return the certificate as a page that prints on two sheets of A4."""
-    number = facts.machine.stated.certificate.get('number')
-    name = f'certificate {number}, ' if number else ''
-    heading = Heading(
-        f'Calibration certificate{f" {number}" if number else ""}',
-        '',
-        badges(facts.result.verdicts),
-        running=f'{name}{running_words(facts)}',
-    )
-    sections = [_subject(facts), _volume(facts), _errors(facts), _statement(facts), _signatures()]
-    return page_html(heading, sections)
-
-
-def _subject(facts: CalibrationFacts) -> Section:
-    stated, machine = facts.machine.stated, facts.machine
-    ranges = ', '.join(
-        f'{a} {1e3 * axis.min:g} to {1e3 * axis.max:g}' for a, axis in machine.axes.items()
-    )
-    runs = facts.result.runs
-    given = {**stated.certificate, **stated.conditions}
-    words = {**CERTIFICATE, **{k: TEXTS[k] for k in ('operator', 'place')}}
-    parties = [
-        (entry, str(given.get(key, BLANK)))
-        for key, entry in words.items()
-        if key in given or key in BY_HAND
-    ]
-    subject = (
-        ('machine', f'{machine.name}, chain {machine.chain}'),
-        ('calibrated volume', f'{ranges} mm'),
-        ('target offset', '; '.join(dict.fromkeys(place(run.target_offset) for run in runs))),
-        ('measured', measurement_dates(facts.result.origin) or 'the stamps contain no date'),
-    )
-    own = stated.instrument
-    instrument = [
-        (entry, own.get(key, 'not stated'))
-        for key, entry in INSTRUMENT.items()
-        if key in own or key in ('model', 'serial')
-    ]
-    conditions = [
-        (entry, f'{given[key]:g} {unit}')
-        for key, (entry, unit, _, _) in NUMBERS.items()
-        if key in given
-    ]
-    if 'remark' in stated.conditions:
-        conditions.append((TEXTS['remark'], str(stated.conditions['remark'])))
-    tables = tuple(
-        Table(('', ''), tuple(rows), title=title)
-        for title, rows in (
-            ('Customer and place', parties),
-            ('Machine', subject),
-            ('Instrument: laser tracker', instrument),
-            ('Conditions', conditions or [('not stated', '')]),
-        )
-    )
-    return Section('subject', '', tables=tables)
-
-
-def _volume(facts: CalibrationFacts) -> Section:
-    first = facts.result.headline
-    rows = (
-        ('as found', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
-         with_expanded(1e6 * first.error['max'], 1e6 * first.of_largest)),
-        ('expected after compensation with these tables: U, predicted, not measured',
-         *(significant(1e6 * first.expanded[s]) for s in ('mean', 'max'))),
-    )  # fmt: skip
-    head = ('Length of the error vector (um)', 'Mean', 'Largest')
-    picture = volume_pictures(facts)
-    caption = 'Error vectors (left) and U of the vector as radius (right) at the same scale.'
-    still = Picture(picture.parts, caption, picture.columns, key=picture.key)
-    return Section('certificate-volume', 'Volume before and after compensation', (),
-                   tables=(Table(head, rows, numbers=(1, 2)),), draw=lambda: (still,),
-                   script=SCRIPT)  # fmt: skip
-
-
-def _errors(facts: CalibrationFacts) -> Section:
-    rows: list[tuple[Cell, ...]] = [_volume_limit(facts, name) for name in _volume_limits(facts)]
-    rows += [_row(facts, one) for one in error_sizes(facts)]
-    head = ('Error', 'Is', 'Value', 'U', 'Unit', 'Limit', 'State')
-    table = Table(head, tuple(rows), numbers=(2, 3, 5), stacked=True)
-    return Section('certificate-errors', 'All 21 errors', tables=(table,))
-
-
-def _volume_limits(facts: CalibrationFacts) -> list[str]:
-    limits = facts.machine.limits
-    return [n for n in (VOLUMETRIC, UNCERTAINTY) if limits and n in limits.values]
-
-
-def _volume_limit(facts: CalibrationFacts, name: str) -> tuple[Cell, ...]:
-    verdict = facts.result.machine_verdict
-    assert verdict is not None, 'limits are stated'
-    one = next(j for j in verdict.judged if j.name == name)
-    wide = significant(1e6 * one.U) if one.U else ''
-    value = figure(1e6 * one.value, 1e6 * (one.U or one.value))
-    return ('volume', MEANING[name], value, wide, micro_unit(one.unit), f'{1e6 * one.limit:g}',
-            State(one.state, MOODS[one.state]))  # fmt: skip
-
-
-def _row(facts: CalibrationFacts, one: ErrorSize) -> tuple[Cell, ...]:
-    limit: Cell = '' if one.limit is None else f'{1e6 * one.limit:g}'
-    state: Cell = State(one.state, MOODS[one.state]) if one.state else ''
-    if one.name in SQUARENESS:
-        label, value = (
-            f'squareness of {BETWEEN[one.name]}',
-            facts.tables.squareness[one.name].value,
-        )
-    else:
-        motion = ErrorMotion.of(one.name)
-        label, value = f'{role(motion)} of {motion.axis}, span', one.value
-    name = f'{one.name}{BOUND}' if one.bound else one.name
-    if not one.known:
-        return name, label, 'not known', '', '', limit, state
-    wide = 1e6 * one.U
-    return (name, label, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
-            limit, state)  # fmt: skip
-
-
-def _statement(facts: CalibrationFacts) -> Section:
-    first, about = facts.result.headline, facts.provenance
-    words = [
-        f'U is the expanded uncertainty by JCGM 100 (GUM): the combined standard uncertainty '
-        f'times the coverage factor k = {first.k:.3g}, which covers about 95 %; where 60 or fewer '
-        f"degrees of freedom stand behind it, k is Student's t. U holds noise and misfit of the "
-        f'measurement and {first.label}.',
-        'A limit is met if value + U is at most the limit and exceeded if value - U is above it '
-        '(ISO 14253-1). Errors are actual minus nominal position of the target relative to the '
-        'table, names after ISO 230-1; the volumetric error is that of a regular grid, the best '
-        'rigid motion removed'
-        '. Results apply to the time, the target offset and the conditions of the measurement '
-        'and are not corrected to 20 °C.',
-    ]
-    words.append(bound_words(facts).strip())
-    hidden = facts.result.not_identifiable
-    if hidden:
-        words.append(f'Not known: {", ".join(hidden)}: these data do not determine them.')
-    runs = about.get('runs', [])
-    hashes = [f'{r["name"]} {r["sha256"][:HASH_LETTERS]}'.strip() for r in runs]
-    named = ', '.join(hashes[:NAMED_RECORDINGS])
-    more = f' and {len(hashes) - NAMED_RECORDINGS} more' if len(hashes) > NAMED_RECORDINGS else ''
-    words.append(
-        f'Run {facts.result.run_id}, otf_core {about["software"]["version"]}, written '
-        f'{about["written"]}; SHA-256 of the recording begins: {named}{more}. '
-        f'All values, covariances and whole hashes: error_tables.json.'
-    )
-    lines = tuple(line for line in words if line)
-    return Section('statement', 'Uncertainty and traceability', lines)
-
-
-def _signatures() -> Section:
-    lines = ''.join(f'<div>{role}</div>' for role in ('Date', 'Measured by', 'Approved by'))
-    part = f'<div class="signatures">{lines}</div>'
-    return Section('signatures', '', draw=lambda: (Picture((part,), ''),))
-
 
 # What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
 #
@@ -301,10 +116,6 @@ SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
     provenance_section,
 )
 """Functions of ``calibration_sections`` in the order of the report."""
-RESIDUALS_FILE = 'residuals.npz'
-RESIDUALS_TEXT = 'residuals.csv'
-_MOVING_NAMES, _STANDING_NAMES = ('2', '3'), ('1', '2', '3')
-"""Names of the components of a deviation: two across the path; along the beam and two across."""
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
 PLAIN_FOLDER = 'plain'
@@ -320,57 +131,6 @@ def calibration_sections(facts: CalibrationFacts) -> list[Section]:
 def calibration_html(facts: CalibrationFacts) -> str:
     """Return the report as one page."""
     return page_html(heading(facts), calibration_sections(facts))
-
-
-def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]:
-    """Return the residuals of all runs under the names of ``residuals.npz``.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``run``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``, (n, 3), m;
-        ``axes``, shape (n, c, 3), unit vectors; ``deviation``, ``residual``, shape (n, c), m.
-    """
-    pieces = [run.pieces for run in runs]
-    sizes = [len(p) for p in pieces]
-    counts = {
-        'run': np.repeat(np.arange(len(runs)), sizes),
-        'leg': np.concatenate([p.leg for p in pieces]),
-        'count': np.concatenate([p.count for p in pieces]),
-    }
-    return {
-        **{name: np.asarray(values, np.int32) for name, values in counts.items()},
-        'time': np.concatenate([p.time for p in pieces]),
-        'speed': np.concatenate([p.speed for p in pieces]),
-        'q': np.concatenate([run.q for run in runs]),
-        'axes': np.concatenate([np.stack(tuple(run.axes), axis=1) for run in runs]),
-        'deviation': np.concatenate([run.deviation.T for run in runs]),
-        'residual': np.concatenate([run.residual.T for run in runs]),
-    }
-
-
-def write_residuals(runs: Sequence[RunResult], folder: Path) -> None:
-    """Write residuals.npz."""
-    with whole_file(folder / RESIDUALS_FILE) as partial, partial.open('wb') as file:
-        np.savez(file, allow_pickle=False, **residual_arrays(runs))
-
-
-def write_residuals_text(runs: Sequence[RunResult], folder: Path) -> None:
-    """Write residuals.csv, which takes a hundred times longer."""
-    write_csv(folder / RESIDUALS_TEXT, *_text_columns(residual_arrays(runs)))
-
-
-def _text_columns(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[str, Array]:
-    """Header and columns of the text, in which the counts are written as numbers with a point."""
-    axes = arrays['axes']
-    names = _STANDING_NAMES if axes.shape[1] == len(_STANDING_NAMES) else _MOVING_NAMES
-    header = ['run', 'time', 'leg', 'count', 'speed', 'x', 'y', 'z']
-    header += [f'a{k}{axis}' for k in names for axis in 'xyz']
-    header += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
-    order = ('run', 'time', 'leg', 'count', 'speed', 'q')
-    columns = [arrays[name] for name in order] + [axes.reshape(len(axes), -1)]
-    columns += [arrays['deviation'], arrays['residual']]
-    return ','.join(header), np.column_stack(columns).astype(np.float64)
 
 
 def result_to_dict(
@@ -551,9 +311,9 @@ def write_calibration(
             folder / CERTIFICATE_FILE, certificate_html(facts)
         )
     if residuals:
-        wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
+        wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
     if residuals_csv:
-        wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(result.runs, folder)
+        wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(residual_arrays(result.runs), folder)
     written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
@@ -644,9 +404,9 @@ def write_reports(both: EffectsCalibration, folder: Path) -> None:
 
 def write_residuals_of_both(both: EffectsCalibration, folder: Path) -> None:
     """Write residuals.npz where ``write_with_effects`` has left it out."""
-    write_residuals(both.result.runs, folder)
+    write_residuals(residual_arrays(both.result.runs), folder)
     if both.applied[0]:
-        write_residuals(both.plain.runs, folder / PLAIN_FOLDER)
+        write_residuals(residual_arrays(both.plain.runs), folder / PLAIN_FOLDER)
 
 
 def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:

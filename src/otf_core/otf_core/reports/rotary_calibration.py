@@ -42,11 +42,12 @@ from otf_core.reports.calibration_facts import (
     measurement_dates,
     stated_tables,
 )
-from otf_core.reports.calibration_sections.error_motions import squareness_words
+from otf_core.reports.calibration_sections.error_motions import role, squareness_words
 from otf_core.reports.calibration_sections.uncertainty_budget import (
     section_of_budget,
     section_of_correlations,
 )
+from otf_core.reports.certificate import certificate_of_axes
 from otf_core.reports.drawing.panel import Panel, Scale, polyline, scale_around, svg
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import (
@@ -58,6 +59,13 @@ from otf_core.reports.page import (
     page_html,
     sections_to_text,
 )
+from otf_core.reports.residual_files import (
+    RESIDUALS_FILE,
+    RESIDUALS_TEXT,
+    residual_arrays_of_axes,
+    write_residuals,
+    write_residuals_text,
+)
 from otf_core.rotary.axis_reversal import CONSTANT, NONE
 from otf_core.rotary.tabulation import remove_rigid_motions
 
@@ -67,6 +75,7 @@ GAUGE = (
     'minimum; location errors are the least-squares line over the nodes'
 )
 TABLES_FILE, REPORT_FILE, SUMMARY_FILE = 'error_tables.json', 'report.html', 'summary.txt'
+CERTIFICATE_FILE = 'certificate.html'
 GRID = 7
 """Positions of every rotary axis at which the volume error is drawn."""
 DEGREES = 180.0 / math.pi
@@ -325,7 +334,7 @@ def _motions(result: AxisCalibration) -> Section:
     for motion in result.machine.motions:
         table = result.tables.motions[motion]
         unit = micro_unit(motion.unit)
-        start = (str(motion), unit, str(len(table.position)))
+        start = (str(motion), role(motion), unit, str(len(table.position)))
         if not table.identifiable:
             needs = result.advice.get(str(motion), '')
             rows.append((*start, 'not identifiable', '', needs))
@@ -337,7 +346,7 @@ def _motions(result: AxisCalibration) -> Section:
         rows.append((*start, f'{low:.2f}', f'{high:.2f}', f'{wide:.2f}'))
         size = len(table.position)
         lines.append(f'{motion:<8}{unit:<8}{size:>5}{low:>10.2f}{high:>10.2f}{wide:>10.2f}')
-    head = ('Motion', 'Unit', 'Nodes', 'Min', 'Max', 'Largest U (95 %), or what it needs')
+    head = ('Motion', 'Is', 'Unit', 'Nodes', 'Min', 'Max', 'Largest U (95 %), or what it needs')
     return Section(
         'motions',
         'Error motions',
@@ -345,7 +354,7 @@ def _motions(result: AxisCalibration) -> Section:
             f'Rotary axes over degrees, linear axes over mm; band: U (95 %), '
             f'{result.headline.label}.',
         ),
-        tables=(Table(head, tuple(rows), (2, 3, 4, 5), folded='all motions'),),
+        tables=(Table(head, tuple(rows), (3, 4, 5, 6), folded='All motions'),),
         text=('', *lines),
         draw=lambda: _pictures(result),
     )
@@ -568,20 +577,29 @@ def write_calibration(
     result: AxisCalibration,
     folder: str | Path,
     *,
+    residuals_csv: bool = False,
     report: bool = True,
+    certificate: bool = False,
+    lines: Sequence[BudgetLine] | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write all files of a calibration, the most important first.
 
     Parameters
     ----------
+    residuals_csv : bool
+        Write the residuals as text beside residuals.npz.
     report : bool
         Write report.html.
+    certificate : bool
+        Write certificate.html.
+    lines : sequence of BudgetLine, optional
+        See ``budget_lines_of``; worked out if not given.
     missing : dict of str to str, optional
         See ``reports.calibration.write_calibration``.
     """
     folder = ensure_folder(folder)
-    lines = budget_lines_of(result)
+    lines = lines or budget_lines_of(result)
     data = result_to_dict(result, lines)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
     wanted = {
@@ -594,6 +612,17 @@ def write_calibration(
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result, lines))
+    if certificate:
+        wanted[CERTIFICATE_FILE] = lambda: write_text(
+            folder / CERTIFICATE_FILE,
+            certificate_of_axes(result, verdicts_of(result), data['provenance']),
+        )
+    arrays = residual_arrays_of_axes(result)
+    wanted[RESIDUALS_FILE] = lambda: write_residuals(arrays, folder)
+    if residuals_csv:
+        wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(
+            arrays, folder, result.machine.axis_names
+        )
     written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 

@@ -21,7 +21,7 @@ from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.reports.rotary_calibration import verdicts_of
+from otf_core.reports.rotary_calibration import verdicts_of, write_calibration
 from otf_core.rotary.curve_matching import match
 from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
@@ -74,6 +74,28 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
     expected = predict_u(part, q)
     assert expected.max() > 1e-6
     assert np.linalg.norm(np.abs(moved) - expected) < 0.1 * np.linalg.norm(expected)
+
+
+def test_files_hold_residuals_budget_and_certificate(tmp_path):
+    result = calibrated()
+    files = write_calibration(result, tmp_path, residuals_csv=True, certificate=True, report=False)
+    assert {'residuals.npz', 'residuals.csv', 'certificate.html'} <= {f.name for f in files}
+    rows = np.genfromtxt(tmp_path / 'residuals.csv', delimiter=',', names=True)
+    assert {'part', 'x', 'y', 'z', 'a', 'c'} <= set(rows.dtype.names)
+    assert len(rows) == result.fit.pieces and len(np.unique(rows['part'])) == 5
+    left = np.hypot(rows['residual2'], rows['residual3'])
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(result.fit.residual_rms)
+    page = (tmp_path / 'certificate.html').read_text(encoding='utf-8')
+    names = (*result.machine.motions, *result.machine.scalars)
+    assert all(f'>{name}<' in page for name in names) and 'not known' in page
+    data = json.loads((tmp_path / 'error_tables.json').read_text())
+    entry, parts = data['location']['X0C'], data['budget']['u_rms']['X0C']
+    assert entry['U'] == pytest.approx(entry['k'] * entry['u'])
+    own = sum(v**2 for n, v in parts['sources'].items() if not n.startswith('typical'))
+    assert own == pytest.approx(entry['u'] ** 2)  # u in the file is what is declared and seen
+    typical = data['typical_systematic']['location']['X0C']['u']
+    assert typical == pytest.approx(parts['u'])
+    assert data['headline']['expected_after_compensation']['systematic'] == 'typical'
 
 
 def test_places_of_reflectors_and_tracker_are_found():

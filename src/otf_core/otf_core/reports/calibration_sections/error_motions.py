@@ -158,6 +158,19 @@ FEW_DATA_BELOW = 100
 
 def role(motion: ErrorMotion) -> str:
     """What a motion is called."""
+    if motion.axis not in XYZ:
+        line = XYZ['ABC'.index(motion.axis)]
+        if motion.is_translation:
+            return (
+                'axial motion'
+                if motion.direction == line
+                else f'radial motion in {motion.direction}'
+            )
+        return (
+            'angular positioning'
+            if motion.direction == motion.axis
+            else f'tilt about {XYZ["ABC".index(motion.direction)]}'
+        )
     if motion.is_translation:
         return ROLES[motion.is_positioning]
     return 'roll' if motion.along == motion.place else f'rotation about {XYZ[motion.along]}'
