@@ -29,7 +29,7 @@ from otf_core.sim.cell import simulate
 from otf_core.sim.twin import twin_recording
 
 MACHINE = some_machine(pitch=0.05)
-PLAN = plan_path(MACHINE, PlannerConfig(feed=0.15, corner_dwell=0.4))
+PLAN = plan_path(MACHINE, PlannerConfig(passes=1, levels=2, feed=0.15, corner_dwell=0.4))
 BACKLASH = AppliedEffect(REGISTRY['backlash'], {'B_X': 6e-6, 'B_Y': -4e-6})
 GROWTH = AppliedEffect(
     REGISTRY['thermal_axis_expansion'], {'tau': 200.0, 'until': 0.0, 'S_X': 40e-6, 'S_Y': 25e-6}
