@@ -24,15 +24,20 @@ PROGRAMS = programs(P)
 
 
 @pytest.fixture(scope='module')
-def as_planned():
-    """Error left, um, of the run driven as planned: white and coloured noise, 50 Hz."""
-    run = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
-    return judge(CELL, run.tables, run.covariance)
+def once():
+    """The run driven as planned: white and coloured noise, 50 Hz."""
+    return calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
+
+
+@pytest.fixture(scope='module')
+def as_planned(once):
+    """Error left, um, of that run."""
+    return judge(CELL, once.tables, once.covariance)
 
 
 @pytest.mark.parametrize(
     'name',
-    ['twice', 'restarted from an earlier corner', 'only backward', 'four corners skipped',
+    ['restarted from an earlier corner', 'four corners skipped',
      'a leg aborted, half driven back'],
 )  # fmt: skip
 def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_planned):
@@ -45,14 +50,17 @@ def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_plann
     assert not run.failed_gates
 
 
-def test_a_second_lap_is_worth_its_samples(as_planned):
+def test_a_second_lap_is_worth_its_samples(once, as_planned):
     twice = calibrate_runs([record(CELL, drive(PROGRAMS['twice'], FEED, rate=RATE), rate=RATE)])
-    once = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
+    found = judge(CELL, twice.tables, twice.covariance)
+    assert found.left_percent < as_planned.left_percent
+    assert found.within_2u_percent > 75
+    assert not twice.failed_gates
     assert twice.fit.used == pytest.approx(2 * once.fit.used, rel=0.01)
     assert twice.tables.squareness['C0Y'].u < 0.85 * once.tables.squareness['C0Y'].u
 
 
-@pytest.mark.parametrize('reach', [0.005, 0.012, 0.02, 0.03])
+@pytest.mark.parametrize('reach', [0.012, 0.03])
 def test_smooth_corners_are_left_out_as_far_as_they_reach(reach, as_planned):
     q = drive(rounded(P, reach), FEED, rate=RATE)
     recording = record(CELL, q, rate=RATE)
@@ -105,7 +113,7 @@ def lines_only():
     return left(P, P)[1]
 
 
-@pytest.mark.parametrize('chord', [1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize('chord', [1e-4, 5e-3])
 def test_circles_of_chords_beside_lines_leave_no_more_than_lines(chord, lines_only):
     path = np.concatenate([P, circles(chord)])
     run, found = left(path, path)

@@ -170,7 +170,7 @@ def test_weak_drives_make_slower_feeds_worth_while():
     noise = NoiseModel.from_spec(machine.tracker, 1.0)
     config = replace(JUDGED, acceleration=0.05)
     setup = Setup.of(machine, noise=noise, config=config)
-    found = PathOptimiser(setup, CONFIG).for_time(400.0)
+    found = PathOptimiser(setup, CONFIG).for_time(200.0)
     assert found.plan.feed.min() < CONFIG.feed
 
 
