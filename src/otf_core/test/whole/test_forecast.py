@@ -45,7 +45,7 @@ def words(machine, plan):
 
 @pytest.fixture(scope='module')
 def runs():
-    """Four simulated runs of one plan, calibrated, each with the forecast for its tracker place."""
+    """Four simulated runs of one plan, each with its calibration and its forecast."""
     machine = some_machine(offset=(0.0, 0.0, -0.15))
     plan = small_plan(machine, feed=0.1, end_dwell=6.0)
     found = []
