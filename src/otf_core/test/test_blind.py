@@ -10,11 +10,11 @@ import pytest
 
 from otf_core.blind import forms
 from otf_core.blind.axis_cases import KINDS_OF, OF_LINEAR, draw_fault
-from otf_core.blind.axis_nature import FAULTS, Errors
+from otf_core.blind.axis_nature import Errors
 from otf_core.blind.axis_observer import AxisObserver
 from otf_core.blind.axis_run import MACHINES, draw_axis_cell
 from otf_core.blind.cases import KINDS, TAKE_TURNS, TILTS, draw_names, kinds_of, names_of
-from otf_core.blind.depends import WITHOUT, kin_of
+from otf_core.blind.depends import FAULTS, WITHOUT, kin_of
 from otf_core.blind.draw import draw_effect, draw_trial, nodal, scale_effect
 from otf_core.blind.forms import SENSOR, since_reversal
 from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.blind.axis_nature import FAULTS, LINEAR, Fault, Nature, Rng
+from otf_core.blind.axis_nature import LINEAR, Fault, Nature, Rng
 from otf_core.blind.axis_observer import AxisObserver
 from otf_core.blind.axis_run import MACHINES, AxisCell, draw_axis_cell
+from otf_core.blind.depends import FAULTS
 
 NOTHING, ROTARY_CAUSE, LINEAR_CAUSE, TWO = 'axes_none', 'axes_one', 'axes_linear', 'axes_two'
 AXIS_KINDS = {NOTHING: 0.06, ROTARY_CAUSE: 0.08, LINEAR_CAUSE: 0.02, TWO: 0.02}
@@ -121,11 +122,17 @@ def draw_fault(kind: str, machine: Nature, rng: Rng, axes: str) -> Fault:
     return Fault(kind, '', sign * 1e-5, {'power': float(rng.uniform(1.8, 2.2))})
 
 
-def stated_size(fault: Fault) -> tuple[float, str]:
-    """Size of a fault as reports state it, without sign, and its unit."""
+def stated_size(fault: Fault, cell: AxisCell) -> tuple[float, str]:
+    """Size of a fault as reports state it, without sign, and its unit.
+
+    Growth while reflectors that the axis moves are in view: nests of a table, or all.
+    """
     size = abs(fault.size)
     if fault.kind == 'warm':
-        return size * float(-np.expm1(-1.0 / fault.shape['tau'])), 'm'
+        nests = [d for d in cell.driven if d.target.startswith('nest')]
+        first, last = (nests or cell.driven)[0].start, cell.driven[-1].length
+        tau = fault.shape['tau'] * last
+        return size * float(np.exp(-first / tau) - np.exp(-last / tau)), 'm'
     if fault.kind == 'incidence':
         return size * float(AT_INCIDENCE ** fault.shape['power']), 'm'
     if fault.kind == 'play':
@@ -178,8 +185,8 @@ def _wanted(kind: str, turn: int, rng: Rng) -> list[str]:
     return [str(n) for n in rng.choice(TURNS, 2, replace=False)]
 
 
-def _entry(part: AxisPart) -> dict[str, Any]:
-    value, unit = stated_size(part.fault)
+def _entry(part: AxisPart, cell: AxisCell) -> dict[str, Any]:
+    value, unit = stated_size(part.fault, cell)
     fault = part.fault
     return {
         'effect': FAULTS[fault.kind],
@@ -198,7 +205,7 @@ def axis_entry(case: AxisCase) -> Mapping[str, Any]:
     """What the key says about a cell with rotary axes, beside its number and kind."""
     cell = case.cell
     return {
-        'parts': [_entry(p) for p in case.parts],
+        'parts': [_entry(p, cell) for p in case.parts],
         'first_place_only': [],
         'measured_um': None,
         'simulated_um': None,

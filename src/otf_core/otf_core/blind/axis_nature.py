@@ -151,7 +151,7 @@ class Fault:
     Attributes
     ----------
     kind : str
-        Of ``FAULTS``.
+        Of ``depends.FAULTS``.
     axis : str
         Of which axis; '' for none.
     size : float
@@ -415,17 +415,3 @@ def _range_error(
     inside = np.einsum('nji,nj->ni', r, beam)
     angle = np.arccos(np.clip(inside @ inside[0], -1.0, 1.0))
     return np.asarray(beam * (fault.size * angle ** fault.shape['power'])[:, None])
-
-
-FAULTS: dict[str, str] = {
-    'play': 'backlash',
-    'late': 'servo_mismatch',
-    'gear': 'rotary_cyclic_error',
-    'weight': 'load_tilt',
-    'bearing': 'bearing_tilt',
-    'warm': 'centre_growth',
-    'brake': 'axis_clamping',
-    'reseating': 'reseated_target',
-    'incidence': 'facing_incidence',
-}
-"""Kinds of faults, with the names that the catalogue has for them."""

@@ -122,3 +122,17 @@ def kin_of(name: str) -> tuple[str, ...]:
     """An effect and those it can be, all to be taken out of the catalogue with it."""
     group = next((k for k in KIN if name in k), frozenset({name}))
     return tuple(n for n in REGISTRY if n in group)
+
+
+FAULTS: dict[str, str] = {
+    'play': 'backlash',
+    'late': 'servo_mismatch',
+    'gear': 'rotary_cyclic_error',
+    'weight': 'load_tilt',
+    'bearing': 'bearing_tilt',
+    'warm': 'centre_growth',
+    'brake': 'axis_clamping',
+    'reseating': 'reseated_target',
+    'incidence': 'facing_incidence',
+}
+"""Kinds of faults of machines with rotary axes, with the names that are right for them."""

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.diagnosis.cause_parameters import (
+    CauseSize,
     FittedCause,
     chosen_sizes,
     curves_of,
@@ -38,7 +39,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
     shrink_interval,
     shrink_percent,
 )
-from otf_core.diagnosis.place.groups import RunView
+from otf_core.diagnosis.place.groups import RunView, part_names
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.weighing import EXPLAINED_SHARE, Explanation, Unnamed
 from otf_core.effects import State
@@ -115,6 +116,8 @@ def named_causes(
     for part, before, after in zip(fitted, gaps[:-1], gaps[1:], strict=True):
         cause = _named_cause(part, before, after, units)
         sizes = sizes_of(part, states, cause.curves)
+        if known := part_names(states[0]):
+            sizes = tuple(_with_target(s, known) for s in sizes)
         _add(named, replace(cause, direction=_direction(part, states), sizes=sizes))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
@@ -144,6 +147,15 @@ def _named_cause(
         departs=departs_words(part, signal_units),
         curves=curves_of(part, signal_units),
     )
+
+
+def _with_target(size: CauseSize, names: Sequence[str]) -> CauseSize:
+    """A size with the target of the part that its remark names: 'nest-1 along X'."""
+    for name in names:
+        part, _, target = name.partition(' ')[2].partition(' ')
+        if size.remark == f'in part {part}':
+            return replace(size, of=f'{target.strip("()")} {size.of}'.rstrip())
+    return size
 
 
 def _direction(part: FittedCause, states: Sequence[State]) -> str:
@@ -207,6 +219,8 @@ _SENTENCES = {
     'unknown': 'There is a gap of {before:.2f} um that no effect of the catalogue explains.',
 }
 
+NOTHING_UM = 0.005
+"""um; a gap below it is stated as zero."""
 _BESIDE = 'The gap of {before:.2f} um is partly explained by {causes}.'
 """Where what the causes leave is described as well."""
 
@@ -261,6 +275,9 @@ def sentence_of(
 ) -> str:
     """The verdict in words."""
     beside = unnamed is not None and bool(causes)
+    if causes and not beside and noise is None and gap.before_um < NOTHING_UM:
+        shown = _spoken(causes)
+        return f'The residual is no larger than simulated, but its pattern shows {shown}.'
     sentence = (_BESIDE if beside else _SENTENCES[verdict]).format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )

@@ -44,7 +44,7 @@ from otf_core.diagnosis.engine.search import (
     remove_option,
 )
 from otf_core.diagnosis.engine.time_courses import DECOY_NAMES
-from otf_core.diagnosis.place.groups import RunView
+from otf_core.diagnosis.place.groups import RunView, part_names
 from otf_core.diagnosis.place.where import EVERYWHERE, NO_STRUCTURE, describe_structure
 from otf_core.diagnosis.standing_causes import StandingCauses, standing_causes, structures_of
 from otf_core.effects import AppliedEffect, Effect
@@ -721,6 +721,8 @@ def run_views(
             factors=whitener.factors,
             rotary=state.machine.rotary_names,
             point=state.point,
+            part=None if state.turning is None else state.turning.part,
+            part_names=part_names(state),
         )
         for k, (run, solved, whitener, state, before, after) in enumerate(
             zip(rows.observed, rows.done.runs, rows.whiteners, rows.states, *parts, strict=True),

@@ -3,7 +3,8 @@
 
 g_1(t) = (1 - exp(-t / tau)) / (1 - exp(-until / tau)), so its coefficient is the size reached at
 ``until``; g_k(t) = P_k(2 t / until - 1) - P_k(-1) for k = 2 to ``order``, Legendre polynomials
-less their value at the start. A time constant of many durations makes g_1 a straight line.
+less their value at the start. A time constant of many durations makes g_1 a straight line. Where a
+shape has ``since``, both are less their value there instead, and g_1 is one at ``until`` again.
 """
 
 from __future__ import annotations
@@ -45,19 +46,23 @@ def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
     Parameters
     ----------
     shape : mapping
-        tau and until in s, order.
+        tau and until in s, order; since in s, 0 without it.
 
     Returns
     -------
     list of (str, ndarray of shape (n,))
         '' for the exponential approach, '_2' to '_order' for the polynomials.
     """
-    until = shape['until'] or state.end or 1.0
-    functions = [('', np.expm1(-state.time / shape['tau']) / np.expm1(-until / shape['tau']))]
+    until, tau = shape['until'] or state.end or 1.0, shape['tau']
+    since = shape.get('since', 0.0)
+    before = np.expm1(-since / tau)
+    rise = np.expm1(-until / tau) - before
+    functions = [('', (np.expm1(-state.time / tau) - before) / rise)]
     place = 2.0 * state.time / until - 1.0
     for k in range(2, round(shape['order']) + 1):
         unit = np.eye(k + 1)[k]
-        functions.append((f'_{k}', legendre.legval(place, unit) - (-1.0) ** k))
+        start = legendre.legval(2.0 * since / until - 1.0, unit) if since else (-1.0) ** k
+        functions.append((f'_{k}', legendre.legval(place, unit) - start))
     return functions
 
 
@@ -70,6 +75,11 @@ def drift_shapes(state: State) -> Sequence[Shape]:
 
 def value_reached(name: str, shape: Shape) -> dict[str, float]:
     """Sum of the coefficients of one quantity that it has reached at ``until``."""
+    since, until = shape.get('since', 0.0), shape.get('until', 0.0)
+    if since and until:
+        orders = range(2, round(shape.get('order', 1.0)) + 1)
+        start = [legendre.legval(2.0 * since / until - 1.0, np.eye(k + 1)[k]) for k in orders]
+        return {name: 1.0, **{f'{name}_{k}': 1.0 - s for k, s in zip(orders, start, strict=True)}}
     odd = range(3, round(shape.get('order', 1.0)) + 1, 2)  # P_k(1) - P_k(-1): 0 for an even k
     return {name: 1.0, **{f'{name}_{k}': 2.0 for k in odd}}
 

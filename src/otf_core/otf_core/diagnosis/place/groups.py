@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
 from otf_core.arrays import Array, Index
+from otf_core.effects.terms import State
 from otf_core.model.path import TRAVELS, leg_bounds
 from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME
 from otf_core.solving.whitener import Whitener
@@ -72,6 +73,10 @@ class RunView:
         Axes of which ``q`` is in rad.
     point : ndarray, shape (p, 3), m, optional
         Nominal position of the target, where it is not ``q``.
+    part : ndarray of int64, shape (p,), optional
+        Number of the part, where a run has several.
+    part_names : tuple of str
+        Of these.
     """
 
     name: str
@@ -89,6 +94,8 @@ class RunView:
     factors: tuple[tuple[Array, ...], ...] = ()
     rotary: tuple[str, ...] = ()
     point: Array | None = None
+    part: Index | None = None
+    part_names: tuple[str, ...] = ()
 
     def scale(self, axis: int) -> tuple[float, str]:
         """Factor and unit in which positions of an axis are stated."""
@@ -138,6 +145,17 @@ class RunView:
     def vectors(self, residual: Array) -> Array:
         """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
         return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))
+
+
+def part_names(state: State) -> tuple[str, ...]:
+    """Parts of a run with their targets, as they are named in words."""
+    if state.turning is None:
+        return ()
+    targets, names = list(state.machine.targets), []
+    for number in range(int(state.turning.part.max(initial=-1)) + 1):
+        own = state.turning.target[state.turning.part == number]
+        names.append(f'part {number + 1}' + (f' ({targets[own[0]]})' if len(own) else ''))
+    return tuple(names)
 
 
 def noise_factor(views: Sequence[RunView], simulated: float) -> float:
@@ -201,6 +219,17 @@ def by_time(views: Sequence[RunView]) -> Grouping:
         indices.append(_bins(view.time, edges) + len(labels))
         labels += [_prefix(views, view) + text for text in _spans(edges, 0, 's')]
     return Grouping('time', labels, indices, edges if len(views) == 1 else None)
+
+
+def by_part(views: Sequence[RunView]) -> Grouping:
+    """Parts of every run, each with its target."""
+    labels: list[str] = []
+    indices = []
+    for view in views:
+        own = np.zeros(len(view.leg), dtype=np.int64) if view.part is None else view.part
+        indices.append(own + len(labels))
+        labels += [_prefix(views, view) + name for name in view.part_names or ('part 1',)]
+    return Grouping('part', labels, indices)
 
 
 def by_leg(views: Sequence[RunView]) -> Grouping:
@@ -576,8 +605,8 @@ def unevenness(groups: Sequence[Group]) -> float:
 
 TIME_BANDS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Hz; edges of the bands along time."""
-WAVE_BANDS = (0.4, 0.2, 0.1, 0.05, 0.025)
-"""m; edges of the bands along an axis: lengths of waves."""
+WAVE_BANDS, TURN_BANDS = (0.4, 0.2, 0.1, 0.05, 0.025), (90.0, 45.0, 20.0, 10.0, 5.0)
+"""m and degrees; edges of the bands along an axis: lengths of waves."""
 FEWEST_PIECES = 6
 """Legs with fewer pieces tell nothing of frequencies."""
 WELL_ALONG = 0.2
@@ -591,9 +620,9 @@ class Bands:
     Attributes
     ----------
     axis : int, optional
-        0 to 2 for waves along an axis; along time where not given.
+        For waves along an axis; along time where not given.
     edges : ndarray, shape (b,)
-        Rising; Hz, or waves per m.
+        Rising; Hz, or waves per m or rad.
     labels : sequence of str, b + 1
     """
 
@@ -675,13 +704,20 @@ def usual_bands(views: Sequence[RunView]) -> list[Bands]:
     """By frequency along time, and by wavelength along each axis."""
     low = (f'{a:g} Hz to {b:g} Hz' for a, b in pairwise(TIME_BANDS))
     labels = [f'0 Hz to {TIME_BANDS[0]:g} Hz', *low, f'{TIME_BANDS[-1]:g} Hz and more']
-    mm = [f'{1e3 * w:g} mm' for w in WAVE_BANDS]
-    words = [f'above {mm[0]}', *(f'{b} to {a}' for a, b in pairwise(mm)), f'below {mm[-1]}']
-    waves = 1.0 / np.array(WAVE_BANDS)
+    axes = range(len(views[0].axis_names))
     return [
         Bands(None, np.array(TIME_BANDS), labels),
-        *(
-            Bands(k, waves, [f'{name}: {text}' for text in words])
-            for k, name in enumerate(views[0].axis_names)
-        ),
+        *(_wave_bands(views[0], axis) for axis in axes),
     ]
+
+
+def _wave_bands(view: RunView, axis: int) -> Bands:
+    """Bands by wavelength along one axis."""
+    name = view.axis_names[axis]
+    if name in view.rotary:
+        lengths, words = np.radians(TURN_BANDS), [f'{w:g} deg' for w in TURN_BANDS]
+    else:
+        lengths, words = np.array(WAVE_BANDS), [f'{1e3 * w:g} mm' for w in WAVE_BANDS]
+    between = (f'{b} to {a}' for a, b in pairwise(words))
+    labels = [f'above {words[0]}', *between, f'below {words[-1]}']
+    return Bands(axis, 1.0 / lengths, [f'{name}: {text}' for text in labels])

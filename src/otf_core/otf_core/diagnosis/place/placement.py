@@ -85,6 +85,7 @@ def groupings_by_view(views: Sequence[RunView]) -> list[tuple[str, Grouping]]:
         *((VOLUME, by.by_position(views, (k,), SLICES)) for k in axes),
         *((VOLUME, by.by_position(views, pair, CELLS)) for pair in combinations(axes, 2)),
         (TIME, by.by_time(views)),
+        *([(TIME, by.by_part(views))] if any(v.part_names for v in views) else []),
         (BEAM, by.by_distance(views, RANGES)),
         (BEAM, by.by_azimuth(views, RANGES)),
         (BEAM, by.by_elevation(views, RANGES)),
@@ -310,7 +311,7 @@ def _rest_words(none: Sequence[Part], where: str) -> str:
 def _group_words(grouping: Grouping, much: Sequence[Part]) -> str:
     """Up to three groups by their labels."""
     most = sorted(much, key=lambda p: -p.gap)[:NAMED]
-    words = 'from' if grouping.kind == 'time' else 'at'
+    words = {'time': 'from', 'part': 'in'}.get(grouping.kind, 'at')
     return f'{words} {join_names([p.label for p in most])}'
 
 

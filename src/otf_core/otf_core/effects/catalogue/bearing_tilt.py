@@ -49,7 +49,9 @@ class BearingTilt(Effect):
         """Amplitude of the tilt motion that is strongest."""
         motion = fitted.strongest.split('_')[1]
         parts = ({f'S_{motion}': 1.0}, {f'C_{motion}': 1.0})
-        return (Size(f'of {motion}', parts, 'rad', 'amplitude at 90 deg'),)
+        pair = tilted_axis(fitted.machine)
+        other = f'{pair[1]} at ' if pair else ''
+        return (Size(f'of {motion}', parts, 'rad', f'amplitude with {other}90 deg'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_m and C_m of both tilt motions."""

@@ -2,11 +2,15 @@
 """Centre growth: the line of a rotary axis shifts as its housing warms up.
 
 delta = sum over k and axes a of D_k_a g(t) J_ka, J_ka the displacement per unit of the shift of
-axis a along k, that is along the directions of what carries it; g as in ``drift``.
+axis a along k, that is along the directions of what carries it; g as in ``drift``, zero at
+``since``: when the first reflector that the axis moves came into view. What the line had shifted
+before is in the location errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +21,9 @@ from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
+LATEST = 0.95
+"""Share of the run after which a first pass leaves no time to grow."""
+
 
 class CentreGrowth(drift.DriftingEffect):
     """Slow shift of the line about which an axis turns."""
@@ -25,9 +32,9 @@ class CentreGrowth(drift.DriftingEffect):
     cause: ClassVar[str] = 'bearings, drive and housing of a rotary axis warm up'
     equation: ClassVar[str] = 'D_k_a g(t) J_ka, k = X, Y, Z'
     coefficients: ClassVar[str] = (
-        'D_k_a: shift of the line of axis a along k reached at until; D_k_a_2, ...: further '
+        'D_k_a: shift of the line of axis a along k from since to until; D_k_a_2, ...: further '
         'functions of time; shape: time constant tau, until (0: end of the run), order of the '
-        'last function'
+        'last function, since (0: start of the run)'
     )
     typical: ClassVar[str] = '5 um/h to 30 um/h while it warms up'
     source: ClassVar[str] = 'ISO 230-3:2020 (thermal distortion by rotating and linear motion)'
@@ -37,15 +44,32 @@ class CentreGrowth(drift.DriftingEffect):
     )
     needs: ClassVar[str] = 'one pass of the axis repeated at the end of the run'
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D_Y')))
+    shape_names: ClassVar[tuple[str, ...]] = (*drift.SHAPE_NAMES, 'since')
+    shape_units: ClassVar[tuple[str, ...]] = (*drift.SHAPE_UNITS, 's')
+    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {**drift.SHAPE_DEFAULTS, 'since': 0.0}
+    )
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Courses in time from the first sample that a rotary axis moves."""
+        since = 0.0
+        if state.turning is not None:
+            places = [state.machine.column(a) for a in state.machine.rotary_names]
+            acts = state.turning.motions[:, :, places, :3].any(axis=(1, 2, 3))
+            first = float(state.time[acts].min(initial=state.end))
+            since = first if first < LATEST * state.end else 0.0
+        return [{**shape, 'since': since} for shape in drift.drift_shapes(state)]
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
-        """Shift of every axis that takes part."""
+        """Shift of every axis that takes part, while its reflectors were in view."""
+        since, until = (fitted.shape.get(n, 0.0) for n in ('since', 'until'))
+        within = f'within {(until - since) / 60.0:.0f} min, from its first pass on'
         return tuple(
             vector_size(
                 fitted,
                 [drift.value_reached(f'D_{k}_{a}', fitted.shape) for k in XYZ],
                 'm',
-                drift.REACHED,
+                within if since and until else drift.REACHED,
                 f'of {a}',
             )
             for a in fitted.axes

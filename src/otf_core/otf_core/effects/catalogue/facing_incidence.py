@@ -46,7 +46,7 @@ class FacingIncidence(Effect):
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Range error at 25 deg."""
-        return (Size('', ({'k': float(SHOWN**2)},), 'm', 'at 25 deg'),)
+        return (Size('along the beam', ({'k': float(SHOWN**2)},), 'm', 'at 25 deg'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return k, and k_u, k_w of every target."""

@@ -57,7 +57,12 @@ class LoadTilt(Effect):
         """Largest twist."""
         return tuple(
             vector_size(
-                fitted, [{f'L_{k}_{a}': 1.0} for k in XYZ], 'rad', 'largest twist', f'of {a}'
+                fitted,
+                [{f'L_{k}_{a}': 1.0} for k in XYZ],
+                'rad',
+                'largest twist',
+                f'of {a}',
+                'under a load along',
             )
             for a in fitted.axes
         )

@@ -12,6 +12,19 @@ from typing import ClassVar
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
+from otf_core.model.machine import BED, Machine
+
+
+def _moves_with(machine: Machine, axis: str) -> str:
+    """What moves at the same time as an axis, in words.
+
+    A tracker on the bed sees the axes of the table together, or those of the tool.
+    """
+    side = machine.chain.table_side if axis in machine.chain.table_side else ()
+    others = [a for a in side if a != axis]
+    if machine.tracker.link == BED and len(others) == 1:
+        return others[0]
+    return 'what moves with it'
 
 
 class ServoMismatch(Effect):
@@ -47,7 +60,10 @@ class ServoMismatch(Effect):
         """Largest difference of the delays of two axes, or the one that takes part."""
         if fitted.machine.rotary_names and len(fitted.axes) == 1:
             (axis,) = fitted.axes
-            return (Size(f'of {axis} against what moves with it', ({f'T_{axis}': 1.0},), 's'),)
+            other = _moves_with(fitted.machine, axis)
+            if fitted.of({f'T_{axis}': 1.0}) < 0.0:
+                return (Size(f'of {other} behind {axis}', ({f'T_{axis}': -1.0},), 's'),)
+            return (Size(f'of {axis} behind {other}', ({f'T_{axis}': 1.0},), 's'),)
         delays = {a: fitted.of({f'T_{a}': 1.0}) for a in fitted.machine.axis_names}
         late, early = max(delays, key=delays.__getitem__), min(delays, key=delays.__getitem__)
         return (Size(f'of {late} behind {early}', ({f'T_{late}': 1.0, f'T_{early}': -1.0},), 's'),)
