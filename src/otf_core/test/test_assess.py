@@ -18,6 +18,7 @@ from engine_cells import (
 from scipy.stats import binom
 
 from otf_core.diagnosis.engine.gap_sizes import (
+    SIMULATED_U,
     Residuals,
     gap_um,
     plain_residuals,
@@ -50,11 +51,13 @@ def test_shrink_is_the_share_that_is_gone_and_never_less_than_none(before, after
     assert shrink_percent(before, after) == pytest.approx(expected)
 
 
-def test_residual_of_a_piece_is_the_distance_from_the_path():
-    rows = solved_rows()
+def test_residual_of_a_piece_is_the_distance_from_the_path_for_the_noise_alone():
+    """Whatever weights the solution of the calibration has."""
+    rows = planted()
+    rows = replace(rows, done=replace(rows.done, solution=replace(rows.done.solution, value=None)))
     found = plain_residuals(rows)
     assert found.rms_um == pytest.approx(rms_um(found.rows))
-    squares = [np.sum(s.residual**2, axis=0) for s in rows.done.runs]
+    squares = [np.sum(p**2, axis=0) for p in rows.by_run(coloured(rows, rows.residual))]
     np.testing.assert_allclose(found.square, np.concatenate(squares), rtol=1e-6)
 
 
@@ -101,7 +104,7 @@ def test_interval_holds_the_true_shrink_in_95_of_100_draws(gap, left, spread):
     for _ in range(draws):
         before, after = drawn(rng, gap, left, simulated, spread=spread)
         known_um = 1e6 * simulated * (1.0 + 0.04 * rng.standard_normal())
-        low, high = shrink_interval(before, after, known_um)
+        low, high = shrink_interval(before, after, known_um, SIMULATED_U * known_um)
         held += low <= true <= high
     least, most = binom.interval(0.99, draws, 0.95)
     assert least <= held <= most
@@ -115,7 +118,7 @@ def test_interval_is_the_jackknife_worked_by_hand():
     whole = 100 * (1 - 1 / np.sqrt(29 / 3))
     left = [100 * (1 - 1 / np.sqrt(mean)) for mean in (12.5, 10.0, 6.5)]
     u = np.sqrt(2 / 3 * np.sum((left - np.mean(left)) ** 2))
-    found = shrink_interval(before, after, 0.0)
+    found = shrink_interval(before, after, 0.0, 0.0)
     np.testing.assert_allclose(found, (whole - 2 * u, whole + 2 * u), rtol=1e-9)
 
 
@@ -127,19 +130,19 @@ def test_interval_of_legs_alike_is_that_of_the_simulated_residual():
     def shrink(simulated):
         return 100 * (1 - np.sqrt(max(0.0, 10.24 - simulated**2)) / np.sqrt(25 - simulated**2))
 
-    found = shrink_interval(before, after, 3.0)
+    found = shrink_interval(before, after, 3.0, 3.0 * SIMULATED_U)
     np.testing.assert_allclose(found, (shrink(3.0 * 0.92), shrink(3.0 * 1.08)), rtol=1e-9)
     assert found[1] == 100.0  # 3.24 um simulated: nothing is left
 
 
 def test_interval_of_a_single_leg_says_nothing():
     one = Residuals(np.ones(9), np.zeros(9, dtype=np.int64), np.zeros(0))
-    assert shrink_interval(one, replace(one, square=0.1 * one.square), 0.0) == (0.0, 100.0)
+    assert shrink_interval(one, replace(one, square=0.1 * one.square), 0.0, 0.0) == (0.0, 100.0)
 
 
 def test_interval_without_a_gap_is_empty_at_zero():
     same = Residuals(1e-12 * np.ones(40), np.repeat(np.arange(20), 2), np.zeros(0))
-    assert shrink_interval(same, same, 2.0) == (0.0, 0.0)
+    assert shrink_interval(same, same, 2.0, 2.0 * SIMULATED_U) == (0.0, 0.0)
 
 
 # ---------------------------------------------------------------- legs that were not fitted on

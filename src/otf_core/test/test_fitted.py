@@ -22,7 +22,7 @@ PERIOD = 0.031
 def test_uncertainty_of_a_period_is_in_that_of_the_amplitudes():
     """The same by one dense inverse of amplitudes and period together."""
     cause, other = cause_of(CYCLIC, period=PERIOD), cause_of(BACKLASH, held=1.0)
-    rows = holding(trace_of(cause, S_X=4e-6, C_X=3e-6) + trace_of(other, B_Z=3e-6) + noise(3))
+    rows = holding(trace_of(cause, S_X=4e-6, C_X=3e-6) + trace_of(other, B_Z=3e-6))
     causes = [cause, other]
     value = fit_jointly(causes, rows).value[: cause.option.take.size]
     traces = [
@@ -41,10 +41,20 @@ def test_uncertainty_of_a_period_is_in_that_of_the_amplitudes():
 
 def test_where_nothing_was_refined_the_uncertainty_is_that_of_the_coefficients():
     cause = cause_of(BACKLASH, held=1.0)
-    rows = holding(trace_of(cause, B_X=4e-6) + noise(3))
+    rows = holding(trace_of(cause, B_X=4e-6))
     (part,) = fitted_causes([cause], rows)
     np.testing.assert_array_equal(part.covariance, fit_jointly([cause], rows).covariance)
     assert len(part.u_seen) == len(solved_rows().tables.machine.axis_names)
+
+
+def test_uncertainty_grows_with_what_the_causes_leave():
+    """Noise three times as loud as that of the standstills; thirty legs show a little less."""
+    cause = cause_of(BACKLASH, held=1.0)
+    planted = trace_of(cause, B_X=4e-6)
+    (quiet,) = fitted_causes([cause], holding(planted))
+    loud = [fitted_causes([cause], holding(planted + 3.0 * noise(k)))[0] for k in range(4)]
+    ratios = np.concatenate([part.u_seen / quiet.u_seen for part in loud])
+    assert 2.0 < np.mean(ratios) < 3.2
 
 
 def found_form(free, coefficients, seed=3):

@@ -33,7 +33,6 @@ from otf_core.diagnosis.cause_parameters import (
     sizes_words,
 )
 from otf_core.diagnosis.engine.gap_sizes import (
-    SIMULATED_U,
     NoiseFinding,
     gap_um,
     shrink_interval,
@@ -252,7 +251,8 @@ def known_words(causes: Sequence[NamedCause], unnamed: Unnamed | None) -> str:
 
 def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
     """Size of the gap without and with the causes; noise as found belongs to what is simulated."""
-    simulated_after = explained.simulated_um * (1.0 if noise is None else noise.level)
+    level, u_um = 1.0 if noise is None else noise.level, explained.simulated_u_um
+    simulated_after = level * explained.simulated_um
     before, after = explained.steps[0], explained.last
     after_um = gap_um(after.rms_um, simulated_after)
     return Gap(
@@ -261,8 +261,8 @@ def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
         before_um=explained.before_um,
         after_um=after_um,
         shrink_percent=shrink_percent(explained.before_um, after_um),
-        shrink_interval_percent=shrink_interval(before, after, simulated_after),
-        simulated_u_um=SIMULATED_U * explained.simulated_um,
+        shrink_interval_percent=shrink_interval(before, after, simulated_after, level * u_um),
+        simulated_u_um=u_um,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -14,7 +14,7 @@ from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.evidence import Estimate
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
-from otf_core.effects import EVERY, AppliedEffect, State
+from otf_core.effects import EVERY, AppliedEffect, BelongsTo, State
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,
@@ -27,9 +27,13 @@ from otf_core.effects.sizes import Coefficients, Size
 from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.machine import Machine
 from otf_core.model.quantities import quantity
+from otf_core.solving.residuals import leg_numbers
 
 FREE = 3.0
 """Standard deviation of what the data do not see, over the largest displacement found."""
+LAGS, LAGS_POWER = 4.0, 2.0 / 9.0
+"""Legs apart up to which residuals are taken as correlated: ``LAGS`` (n / 100)**``LAGS_POWER`` of
+n legs (Newey and West, Rev. Econ. Stud. 61 (1994) 631)."""
 STEP = 0.01
 """Step of a refined shape, in widths of the search for it, by which its trace is differenced."""
 SIGNIFICANT = 2.0
@@ -96,10 +100,11 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     """Fit all causes jointly and split the parameters up again."""
     if not causes:
         return []
+    known, causes = causes, [_of_samples(cause, rows) for cause in causes]
     fit = fit_jointly(causes, rows)
     size = np.concatenate([cause.option.size for cause in causes])
     free = FREE * float(np.max(np.abs(fit.value) * size))
-    covariance = fit.covariance + _of_shapes(causes, fit, rows)
+    covariance = _widen(fit.covariance, _scores(causes, fit, rows)) + _of_shapes(causes, fit, rows)
     seen = np.diag(covariance)
     unseen = free * fit.unseen
     u = np.sqrt(seen + np.sum(unseen**2, axis=1))
@@ -107,8 +112,57 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
         FittedCause(
             cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance[own, own], unseen[own]
         )
-        for cause, own in zip(causes, places_of(causes), strict=True)
+        for cause, own in zip(known, places_of(known), strict=True)
     ]
+
+
+def _of_samples(cause: Cause, rows: Rows) -> Cause:
+    """Cause with means over the samples where it bends between nodes.
+
+    Pieces of a third of a node interval see bows some percent smaller than their centres do. The
+    search compares shapes, for which that is of no consequence.
+    """
+    option = cause.option
+    if option.effect.belongs_to is not BelongsTo.TABLES or not rows.runs:
+        return cause
+    plain = rows.plain_columns(option.effect, option.shape, of_samples=True)[:, option.take]
+    return replace(
+        cause, option=replace(option, plain=plain, own=rows.project(rows.whiten(plain)))
+    )
+
+
+def _scores(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> list[Array]:
+    """Products of columns and residuals of every leg of every run, shape (legs, k)."""
+    own = np.concatenate([c.option.own for c in causes], axis=1)
+    residual = rows.residual - own @ fit.value
+    scores = []
+    parts = zip(rows.by_run(own), rows.by_run(residual), leg_numbers(rows.done), strict=True)
+    for columns, rest, number in parts:
+        products = np.einsum('cpk,cp->pk', columns, rest)
+        starts = np.flatnonzero(np.diff(number, prepend=-1))
+        scores.append(np.add.reduceat(products, starts, axis=0))
+    return scores
+
+
+def _widen(covariance: Array, scores: Sequence[Array]) -> Array:
+    """Covariance of coefficients, widened where residuals of a leg have more in common than noise.
+
+    What the causes leave is noise and what no model has, which pulls the coefficients as well.
+    With S the covariance of the scores as legs show it, correlated over some of them, C S C is
+    that of the coefficients whatever the residuals are made of (Newey and West, Econometrica 55
+    (1987) 703). Its variances count where they are larger than those of the noise.
+    """
+    total = np.zeros_like(covariance)
+    for own in scores:
+        total += own.T @ own
+        most = int(LAGS * (len(own) / 100.0) ** LAGS_POWER)
+        for lag in range(1, min(most, len(own) - 1) + 1):
+            cross = own[lag:].T @ own[:-lag]
+            total += (1.0 - lag / (most + 1.0)) * (cross + cross.T)
+    shown = np.einsum('ij,jk,ik->i', covariance, total, covariance)
+    known = np.maximum(np.diag(covariance), 1e-300)
+    wider = np.sqrt(np.maximum(shown / known, 1.0))
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def _of_shapes(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> Array:

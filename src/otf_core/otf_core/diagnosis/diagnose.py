@@ -311,7 +311,7 @@ def _weigh(
     judged = judge(rows, explained, config, exclude)
     explained, nameless = judged.explained, judged.nameless
     besides = nameless.structures if nameless and explained.causes else ()
-    every = fitted_causes([*explained.causes, *(s.cause for s in besides)], rows)
+    every = fitted_causes([*explained.causes, *(s.cause for s in besides), *explained.small], rows)
     fitted, gap = every[: len(explained.causes)], gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
     where, shape = where_and_shape(

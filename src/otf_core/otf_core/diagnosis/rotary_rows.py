@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
+from scipy import linalg
 
 from otf_core.arrays import Array
 from otf_core.calibration.axis_budget import ObservedParts
@@ -97,24 +98,20 @@ def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
 
 
 def simulated_um(rows: Rows) -> float:
-    """Expected residual that the solution leaves of the noise of the standstills alone, um.
+    """Expected residual that tables and poses leave of the noise of the standstills alone, um.
 
-    With A the rows of a run, W the weights and C the covariance of the solution, S the covariance
-    of the noise, what is left is (1 - A C A'W) n, and its variances are the diagonal of
+    With A the rows of a run, S the covariance of the noise, R what is known before the data and
+    N = A'S^-1 A + R, the variances of what is left (``Rows.left``) are the diagonal of
 
-        S - 2 A C A'W S + A C (A'W S W A) C A'
+        S - A (N^-1 + N^-1 R N^-1) A'
     """
-    cover, inner = rows.done.solution.covariance, []
-    for whitener, solved in zip(rows.whiteners, rows.done.runs, strict=True):
-        weighted = solved.whitener.weighted(_dense(solved))
-        inner.append(np.einsum('cpi,cpj->ij', weighted, whitener.covaried(weighted)))
-    spread = cover @ np.sum(inner, axis=0) @ cover
+    inverse = linalg.cho_solve((rows.factor, True), np.eye(len(rows.use)))
+    scale = rows.done.unknowns.gauge[:, rows.use] * rows.limit
+    followed = scale @ (inverse + inverse @ rows.ridge @ inverse) @ scale.T
     square, pieces = 0.0, 0
     for whitener, solved in zip(rows.whiteners, rows.done.runs, strict=True):
         own = _dense(solved)
-        noise = whitener.covaried(solved.whitener.weighted(own))
-        square += float(np.sum(whitener.expected**2))
-        square += float(np.sum(own * (own @ spread)) - 2.0 * np.sum(noise * (own @ cover)))
+        square += float(np.sum(whitener.expected**2)) - float(np.sum(own * (own @ followed)))
         pieces += own.shape[1]
     return float(1e6 * np.sqrt(square / pieces))
 

@@ -33,6 +33,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
     residuals_with,
     shrink_interval,
     shrink_percent,
+    simulated_u,
     wave_um,
 )
 from otf_core.diagnosis.engine.residual_rows import Rows
@@ -195,6 +196,11 @@ class Explanation:
     def after_um(self) -> float:
         """Gap with all causes, on legs they were not fitted on, um."""
         return gap_um(self.last.rms_um, self.simulated_um)
+
+    @property
+    def simulated_u_um(self) -> float:
+        """Standard uncertainty of ``simulated_um``, um; see ``simulated_u``."""
+        return simulated_u(self.twin_um, self.simulated_um)
 
     def doubted(self, rival: Rival) -> Explanation:
         """The same with confidences that count something else and nothing."""
@@ -465,7 +471,9 @@ def _describe_structures(
         before_um=sizes[0],
         after_um=sizes[1],
         shrink_percent=shrink_percent(*sizes),
-        shrink_interval_percent=shrink_interval(before, after, simulated),
+        shrink_interval_percent=shrink_interval(
+            before, after, simulated, simulated_u(explained.twin_um, simulated)
+        ),
         curves=tuple(c for own in curves for c in own),
     )
     runs = range(len(rows.states))

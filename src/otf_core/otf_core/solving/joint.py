@@ -387,7 +387,7 @@ def improve_runs(
         Nothing was left out, and the noise has not changed.
     """
     pairs, limit = list(zip(runs, joint.runs, strict=True)), config.outlier_limit
-    drop = [_far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
+    drop = [far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
     fitted = [fit_run_noise(r, s, joint) for r, s in pairs]
     same = not any(d.any() for d in drop) and all(
         r.fitted is not None and _same_noise(f, r.fitted)
@@ -418,7 +418,7 @@ def fit_run_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> Fit
     )
 
 
-def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
+def far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     """Pieces far from the solution, or from their leg, and what trails off beside them.
 
     What holds for a whole leg is no bad piece but an effect. A corner that the control rounds

@@ -88,7 +88,13 @@ class Places:
 
     def columns(self, effect: Effect, function: Callable[[State], Array], width: int) -> Array:
         """Evaluate columns (p, 3, ``width``), means over the samples where the effect needs it."""
-        if self.samples is None or not effect.changes_within_pieces:
+        return (
+            self.means(function, width) if effect.changes_within_pieces else function(self.state)
+        )
+
+    def means(self, function: Callable[[State], Array], width: int) -> Array:
+        """Means over the samples of columns (p, 3, ``width``); at pieces without samples."""
+        if self.samples is None:
             return function(self.state)
         samples, step = self.samples, max(1, PLACES_PER_BLOCK // max(width, 1))
         starts = range(0, len(samples), step)
@@ -136,15 +142,6 @@ def sensitivity(joint: JointSolution, columns: Sequence[Columns | Array]) -> Arr
         One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """
     return np.asarray(joint.solution.covariance @ project_columns(joint, columns))
-
-
-def left_by_tables(joint: JointSolution, values: Sequence[Array]) -> list[Array]:
-    """Values (c, p) of every run less what the tables and poses follow of them."""
-    fitted = sensitivity(joint, [own[..., None] for own in values])[:, 0]
-    return [
-        own - solved.system.rows.times(fitted)
-        for own, solved in zip(values, joint.runs, strict=True)
-    ]
 
 
 @dataclass(frozen=True)

@@ -17,16 +17,15 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
-from otf_core.live.stages import silent
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.departure import Departure, noise_departure, simulated_noise
 from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.runs import Recording, Run, reduce_recording
-from otf_core.solving.joint import Start, settle_covariance, solve_robustly
+from otf_core.solving.joint import MAX_REPETITIONS, far_pieces, systems_of
 from otf_core.solving.residuals import FOLDS, leg_numbers
-from otf_core.solving.sensitivity import left_by_tables
+from otf_core.solving.whitener import Whitener
 from otf_core.tracking.matching import OFF_PATH
 
 JACKKNIFE = 20
@@ -75,7 +74,7 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     ----------
     held_out : bool
         Each leg is judged with coefficients fitted without the legs of its fold; tables and
-        poses are fitted to all legs with the weights of the calibration without the causes.
+        poses are fitted to all legs.
     """
     if not causes:
         return plain_residuals(rows)
@@ -83,15 +82,16 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     own = np.concatenate([c.option.own for c in causes], axis=1)
     size = np.concatenate([c.option.size for c in causes])
     width = np.concatenate([c.option.widths for c in causes])
+    folds = range(FOLDS) if held_out else [-1]
+    judged = [f for f in folds if not held_out or (rows.fold == f).any()]
+    fits = [rows.fold != f for f in judged]
+    coefficients = [estimate(own[f], size, rows.residual[f], width).value for f in fits]
+    residual = rows.left(rows.plain_deviation[:, None] - plain @ np.stack(coefficients, axis=1))
+    if not held_out:
+        return _per_piece(rows, residual[:, 0])
     values = np.zeros(len(rows.deviation))
-    for fold in range(FOLDS) if held_out else [-1]:
-        fit = rows.fold != fold
-        judge = ~fit if held_out else fit
-        if not judge.any():
-            continue
-        coefficients = estimate(own[fit], size, rows.residual[fit], width).value
-        residual = rows.left(rows.plain_deviation - plain @ coefficients)
-        values[judge] = residual[judge]
+    for column, fit in zip(residual.T, fits, strict=True):
+        values[~fit] = column[~fit]
     return _per_piece(rows, values)
 
 
@@ -117,20 +117,31 @@ def shrink_percent(before_um: float, after_um: float) -> float:
     return float(np.clip(100.0 * (1.0 - after_um / before_um), 0.0, 100.0)) if before_um else 0.0
 
 
+def simulated_u(twin_um: float, simulated_um: float) -> float:
+    """Standard uncertainty of a simulated residual, um.
+
+    ``SIMULATED_U``; and where the level of the noise is that of what the causes leave, some of
+    which may be no noise, it may lie anywhere between this and that of the standstills.
+    """
+    return float(np.hypot(SIMULATED_U * simulated_um, (simulated_um - twin_um) / np.sqrt(3.0)))
+
+
 def shrink_interval(
-    before: Residuals, after: Residuals, simulated_um: float
+    before: Residuals, after: Residuals, simulated_um: float, u_um: float
 ) -> tuple[float, float]:
     """95 % interval of the shrink.
 
-    Scatter between groups of legs, left out in turn (jackknife), and ``SIMULATED_U``.
+    Scatter between groups of legs, left out in turn (jackknife), and the standard uncertainty
+    ``u_um`` of the simulated residual.
     """
     group = before.leg % JACKKNIFE
     sums = [np.bincount(group, r.square, JACKKNIFE) for r in (before, after)]
     count = np.bincount(group, minlength=JACKKNIFE)
 
-    def shrink(keep: NDArray[np.bool_], level: float = 1.0) -> float:
+    def shrink(keep: NDArray[np.bool_], more_um: float = 0.0) -> float:
         sizes = (1e6 * np.sqrt(s[keep].sum() / count[keep].sum()) for s in sums)
-        return shrink_percent(*(gap_um(float(x), level * simulated_um) for x in sizes))
+        noise = max(0.0, simulated_um + more_um)
+        return shrink_percent(*(gap_um(float(x), noise) for x in sizes))
 
     used = np.flatnonzero(count)
     if len(used) < 2:
@@ -138,7 +149,7 @@ def shrink_interval(
     whole = shrink(count > 0)
     shrinks = np.array([shrink((count > 0) & (np.arange(JACKKNIFE) != k)) for k in used])
     u = float(np.sqrt((len(used) - 1) / len(used) * np.sum((shrinks - shrinks.mean()) ** 2)))
-    levels = [shrink(count > 0, 1.0 + k * SIMULATED_U) - whole for k in (-2.0, 2.0)]
+    levels = [shrink(count > 0, k * u_um) - whole for k in (-2.0, 2.0)]
     low = whole - float(np.hypot(2 * u, min(0.0, *levels)))
     high = whole + float(np.hypot(2 * u, max(0.0, *levels)))
     return max(0.0, low), min(100.0, high)
@@ -290,9 +301,10 @@ Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
 def simulated_residual_um(
     rows: Rows, nodes: Mapping[str, Array], config: CalibrationConfig, twin: Twin, seed: int = 1
 ) -> float:
-    """Residual that the calibration leaves on the twins of runs, um.
+    """Residual that tables and poses leave on the twins of runs, um; see ``Rows.left``.
 
-    The functions of the motions are those chosen for the runs: the twins have their tables.
+    The twins have the tables and poses found, so that what they leave is sought about these, with
+    the functions chosen for the runs.
 
     Parameters
     ----------
@@ -305,15 +317,41 @@ def simulated_residual_um(
     seed : int
         Of the noise in the first twin; the others follow.
     """
-    runs = []
+    runs: list[Run] = []
     for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
         recording = twin(run, solved.pose, rows.tables, seed + k)
         leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
         again = reduce_recording(recording, replace(run.alignment, leg=leg), nodes, config)
         runs.append(replace(again, late=run.late))
-    start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
-    _, joint = solve_robustly(runs, unknowns, config, silent, start)
-    joint = settle_covariance(joint, config.unidentifiable_above)
-    residual = left_by_tables(joint, [solved.system.deviation for solved in joint.runs])
-    square = np.concatenate([np.sum(part**2, axis=0) for part in residual])
-    return float(1e6 * np.sqrt(square.mean()))
+    square: list[Array] = []
+    for _ in range(MAX_REPETITIONS):
+        left = _left_of_twins(rows, runs)
+        square = [np.sum(part**2, axis=0) for part in left]
+        far = [
+            far_pieces(part, run.pieces.leg, config.outlier_limit)
+            for part, run in zip(left, runs, strict=True)
+        ]
+        if not any(f.any() for f in far):
+            break
+        runs = [
+            replace(run, pieces=run.pieces.without(f)) for run, f in zip(runs, far, strict=True)
+        ]
+    return float(1e6 * np.sqrt(np.concatenate(square).mean()))
+
+
+def _left_of_twins(rows: Rows, runs: Sequence[Run]) -> list[Array]:
+    """What tables and poses leave of the pieces of twins, shape (c, p) of every run, m."""
+    joint, poses = rows.done, [solved.pose for solved in rows.done.runs]
+    systems = systems_of(runs, poses, joint.unknowns, rows.tables)
+    solved = [replace(s, system=own) for s, own in zip(joint.runs, systems, strict=True)]
+    twins = replace(
+        rows,
+        observed=tuple(runs),
+        done=replace(joint, runs=tuple(solved)),
+        whiteners=tuple(
+            Whitener.of(system, run.pieces, run.noise)
+            for system, run in zip(systems, runs, strict=True)
+        ),
+        plain_deviation=np.concatenate([s.deviation.reshape(-1) for s in systems]),
+    )
+    return twins.by_run(twins.left(twins.plain_deviation))

@@ -59,7 +59,6 @@ from otf_core.solving.roughness import precision_like_others
 from otf_core.solving.sensitivity import (
     PLACES_PER_BLOCK,
     Places,
-    left_by_tables,
     name_in_run,
     piece_state,
 )
@@ -260,11 +259,14 @@ class Rows:
             if len(run.pieces.samples):
                 yield sample_residuals(run, solved.pose, self.tables, nodes)
 
-    def columns_in_run(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
+    def columns_in_run(
+        self, effect: Effect, shape: Shape, run: int, count: int, *, of_samples: bool = False
+    ) -> Array:
         """Displacements of one run across the path per unit of its k terms, shape (r of it, k)."""
         axes = self.done.runs[run].system.axes
         products = np.empty((*axes.shape[:2], count))
-        for part, columns, functions in self._factors(effect, shape, run, count):
+        factors = self._factors(effect, shape, run, count, of_samples=of_samples)
+        for part, columns, functions in factors:
             turned = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
             if functions is None:
                 products[:, part] = turned
@@ -310,16 +312,16 @@ class Rows:
         return products
 
     def _factors(
-        self, effect: Effect, shape: Shape, run: int, count: int
+        self, effect: Effect, shape: Shape, run: int, count: int, *, of_samples: bool = False
     ) -> Iterator[tuple[slice, Array, list[Array] | None]]:
         """Displacements (n, 3, k) per unit of each term, of some pieces of a run at a time.
 
         Of a free form those of what it acts with, and the functions (n, m) that each is times.
         """
         state = self.states[run]
-        if effect.changes_within_pieces and self.runs:
+        if (of_samples or effect.changes_within_pieces) and self.runs:
             places = Places(self.runs[run].pieces, state, self.sample_states[run])
-            columns = places.columns(effect, lambda s: effect.terms(s, shape).columns, count)
+            columns = places.means(lambda s: effect.terms(s, shape).columns, count)
             yield slice(0, len(state)), columns, None
             return
         step = max(1, PLACES_PER_BLOCK // max(count, 1))
@@ -331,11 +333,14 @@ class Rows:
             else:
                 yield part, effect.terms(state.part(part), shape).columns, None
 
-    def plain_columns(self, effect: Effect, shape: Shape) -> Array:
-        """Displacements across the path per unit of each term, shape (r, k)."""
+    def plain_columns(self, effect: Effect, shape: Shape, *, of_samples: bool = False) -> Array:
+        """Displacements across the path per unit of each term, shape (r, k).
+
+        ``of_samples``: means over the samples of the pieces, of whatever effect.
+        """
         count = len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
         runs = range(len(self.done.runs))
-        parts = [self.columns_in_run(effect, shape, k, count) for k in runs]
+        parts = [self.columns_in_run(effect, shape, k, count, of_samples=of_samples) for k in runs]
         if len(parts) == 1:
             return parts[0]
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
@@ -386,9 +391,17 @@ class Rows:
             self.sample_states  # noqa: B018
 
     def left(self, plain: Array) -> Array:
-        """Deviations (r,) less tables and poses as the calibration fits them, m."""
-        residual = left_by_tables(self.done, self.by_run(plain))
-        return np.concatenate([part.reshape(-1) for part in residual])
+        """Deviations (r, ...) less tables and poses fitted with the weights of the noise alone, m.
+
+        The solution of the calibration has a noise that what is not modelled makes louder and
+        slower: its weights leave some of a large effect on lines that the effect does not act on.
+        """
+        cross = self.pull(self.whiten(plain.reshape(len(plain), -1)))
+        scale = self.done.unknowns.gauge[:, self.use] * self.limit
+        fitted = scale @ linalg.cho_solve((self.factor, True), cross)
+        parts = [s.system.rows.times(column) for column in fitted.T for s in self.done.runs]
+        followed = np.concatenate([part.reshape(-1) for part in parts])
+        return np.asarray(plain - followed.reshape(len(fitted.T), -1).T.reshape(plain.shape))
 
     @cached_property
     def touched(self) -> list[list[LinesByUnknowns]]:
