@@ -149,9 +149,10 @@ def test_diagnosis_stands_on_the_calibration_that_the_user_gets(with_backlash):
     assert same_tables(with_backlash.calibration.plain.tables, given.tables)
 
 
-def test_size_of_the_residual_is_that_of_the_calibration(growing):
+def test_size_of_the_residual_is_near_that_of_the_calibration(growing):
+    """Other weights leave about as much where the gap is twice the noise."""
     fit = growing.calibration.plain.fit
-    assert growing.gap.measured_um == pytest.approx(1e6 * fit.residual_rms, rel=1e-4)
+    assert growing.gap.measured_um == pytest.approx(1e6 * fit.residual_rms, rel=0.01)
 
 
 def test_reversal_is_in_the_tables_and_a_cause_as_well(with_backlash):
