@@ -23,7 +23,7 @@ CONFIG = Path(get_package_share_directory('otf_bringup')) / 'config'
 ARGUMENTS = [
     ('machine_file', str(CONFIG / 'machine.yaml'), 'machine description'),
     ('out', 'loop', 'folder for loop.json, calibration, bags and what the control was given'),
-    ('compensate', 'volume', 'axes, volume or program'),
+    ('compensate', '', 'axes, volume (default) or program; pivot for a trunnion'),
     ('overwrite', 'false', 'replace existing results'),
 ]
 INFOS = tuple(LoopConfig.infos())
@@ -57,7 +57,7 @@ def loop(context, known):
     given = context.launch_configurations
     refuse_unknown(known, context.argv, FILES)
     words = ['--machine', given['machine_file'], '--out', given['out']]
-    words += ['--compensate', given['compensate']]
+    words += ['--compensate', given['compensate']] if given['compensate'] else []
     words += [word for info in INFOS for word in option(info, given[info.name])]
     if is_on(given, 'overwrite'):
         words.append('--overwrite')

@@ -215,6 +215,11 @@ class LoopConfig(Parameters):
     error_size: float = parameter(
         5e-5, 'mean volumetric error of the machine before compensation', 'm', 1e-6, 1e-3
     )
+    centre_error: float = parameter(
+        1e-4,
+        'standard deviation of the position errors of rotary axes, beside the error size',
+        'm', 0, 9e-4,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

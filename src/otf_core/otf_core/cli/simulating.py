@@ -17,7 +17,6 @@ from otf_core.cli.options import (
     add_parameters,
     output_folder,
     parameters,
-    refuse_rotary,
 )
 from otf_core.cli.output import (
     LIMIT_NOT_PROVEN,
@@ -305,7 +304,7 @@ def state_limits(rows: Sequence[Row]) -> int:
 
 # Verb that closes the circle against a real control: loop.
 
-WAYS = ('axes', 'volume', 'program')
+WAYS = ('axes', 'volume', 'program', 'pivot')
 
 
 def add_closing_verbs(verb: AddVerb) -> None:
@@ -314,9 +313,10 @@ def add_closing_verbs(verb: AddVerb) -> None:
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for loop.json, calibration, bags and the files given to the control')
     sub.add_argument(
-        '--compensate', choices=WAYS, default='volume',
-        help='axes: a .comp file per joint; volume: external offsets at the current position; '
-        'program: a corrected NC program (default volume)',
+        '--compensate', choices=WAYS,
+        help='axes: a .comp file per joint; volume: external offsets at the current position '
+        '(default); program: a corrected NC program; pivot, of a trunnion: new pivot points and '
+        'a .comp file per joint',
     )  # fmt: skip
     sub.add_argument(
         '--diagnose', action='store_true', help='also diagnose the fitted run (diagnosis/; slow)'
@@ -337,21 +337,25 @@ def run_loop(arguments: argparse.Namespace) -> int:
     from otf_core.reports.loop import failed_gates, format_loop, write_loop
 
     machine = load_machine(arguments.machine)
-    refuse_rotary(machine, 'loop')
-    find_control()
-    plan = plan_path(machine, planning)
+    way = arguments.compensate or ('pivot' if machine.rotary_names else 'volume')
+    if (way == 'pivot') != bool(machine.rotary_names):
+        raise ConfigError(
+            f'--compensate {way}: the machine has '
+            f'{", ".join(machine.rotary_names) or "no rotary axis"}; machines with rotary axes '
+            f'are compensated by pivot, others by axes, volume or program'
+        )
+    centre_error = given.pop('centre_error')
 
     def progress(text: str) -> None:
         if not arguments.quiet:
             note(f'otf loop: {text}')
 
-    circle = go_round(
-        machine,
-        plan,
-        arguments.compensate,
-        SimulationConfig(**given),
-        progress,
-    )
+    if way == 'pivot':
+        planning = dataclasses.replace(planning, levels=2)
+        return _loop_of_trunnion(arguments, machine, planning, given, centre_error, progress)
+    find_control()
+    plan = plan_path(machine, planning)
+    circle = go_round(machine, plan, way, SimulationConfig(**given), progress)
     with out.filled('loop') as folder:
         files = write_loop(circle, folder)
         if arguments.diagnose:
@@ -365,6 +369,48 @@ def run_loop(arguments: argparse.Namespace) -> int:
         names = [f.relative_to(folder) for f in files]
     answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
     gates = failed_gates(circle)
+    for gate in gates:
+        note(f'otf loop: quality gate failed: {gate}')
+    return QUALITY_GATE_FAILED if gates else 0
+
+
+def _loop_of_trunnion(
+    arguments: argparse.Namespace,
+    machine: Any,
+    planning: PlannerConfig,
+    given: dict[str, Any],
+    centre_error: float,
+    progress: Callable[[str], None],
+) -> int:
+    """The circle of a trunnion."""
+    from otf_core.loop.trunnion import check_trunnion, go_round_trunnion
+    from otf_core.planning.axis_plan import planned_parts
+    from otf_core.reports.loop import (
+        failed_gates_of_trunnion,
+        format_trunnion_loop,
+        write_trunnion_loop,
+    )
+
+    if arguments.diagnose:
+        raise ConfigError(
+            '--diagnose: not with a machine with rotary axes; diagnose DIR/bags/fit afterwards'
+        )
+    out = output_folder(arguments, arguments.machine)
+    check_trunnion(machine)
+    circle = go_round_trunnion(
+        machine,
+        planned_parts(machine, planning),
+        planning.feed,
+        SimulationConfig(**given),
+        centre_error,
+        progress,
+    )
+    with out.filled('loop') as folder:
+        files = write_trunnion_loop(circle, folder)
+        names = [f.relative_to(folder) for f in files]
+    words = format_trunnion_loop(circle)
+    answer_from(arguments, words, [out.path / n for n in names], 'loop.json')
+    gates = failed_gates_of_trunnion(circle)
     for gate in gates:
         note(f'otf loop: quality gate failed: {gate}')
     return QUALITY_GATE_FAILED if gates else 0

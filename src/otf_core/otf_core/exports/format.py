@@ -58,7 +58,7 @@ ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
 
 
-ROTARY_FORMATS = ('isg', 'heidenhain', 'sinumerik-enc', 'pivot')
+ROTARY_FORMATS = ('isg', 'heidenhain', 'sinumerik-enc', 'linuxcnc', 'pivot')
 """Formats to name where one cannot hold rotary axes."""
 
 
@@ -329,10 +329,11 @@ class RemainingError:
     def words(self) -> str:
         """One line."""
         share = 100 * (1 - self.after_mean / self.before_mean) if self.before_mean > 0 else 0.0
+        change = f'{abs(share):.0f} % {"less" if share >= 0 else "more"}'
         return (
             f'volumetric error by the tables, {self.points} points as in the calibration: mean '
             f'{self._um(self.before_mean)}, largest {self._um(self.before_max)}; this file leaves '
-            f'mean {self._um(self.after_mean)} ({share:.0f} % less), largest '
+            f'mean {self._um(self.after_mean)} ({change}), largest '
             f'{self._um(self.after_max)}, between these points up to {self._um(self.between_max)}'
         )
 

@@ -6,7 +6,8 @@ the direction about the centre (docs/conventions.md). A control that knows the m
 location error any more: the numbers follow from the tables alone, their names from
 
 - LinuxCNC, src/emc/kinematics/trtfuncs.c: x/y/z-rot-point is the centre of C, x/y/z-offset leads
-  from there to the centre of the tilting axis; the table turns right-handed;
+  from there to the centre of the tilting axis; the tables turn right-handed, and the other way
+  with conventional-directions, a pin that 2.9.0 before its release does not have;
 - SINUMERIK Operate, Commissioning Manual 6FC5397-1DP40, swivel data set: offset vectors I1 to I4
   ($TC_CARR1-6, 15-20), vectors of the axes V1, V2 ($TC_CARR7-12), reversed of axes that carry the
   workpiece.
@@ -85,7 +86,7 @@ class Pivot(Format):
 
 
 UNCHECKED = (
-    'LinuxCNC: names and signs checked in its source',
+    'LinuxCNC: xyzac-trt-kins was driven with such pins; xyzbc-trt-kins checked in its source',
     'SINUMERIK: names of the vectors and closure of the chain checked in the manual; their signs, '
     'and which table axis is the first, not tried on a control',
     'HEIDENHAIN, FANUC: not checked in a manual which keys and parameters hold these numbers, nor '
@@ -155,39 +156,67 @@ def _numbers(old: Machine, new: Machine, tables: ErrorTables) -> list[str]:
     return lines
 
 
+def trunnion_pins(machine: Machine) -> dict[str, float] | None:
+    """Pins of the trunnion kinematics of LinuxCNC, mm, by full name; None if not such a machine.
+
+    The pin conventional-directions is among them, 1, where both tables turn left-handed.
+    """
+    order = [*machine.chain.table_side, *machine.chain.target_side]
+    tilting = order[1] if len(order) > 1 else ''
+    if order[:1] != ['C'] or tilting not in TRT or len(machine.rotary_names) != 2:
+        return None
+    senses = [
+        sense
+        for sense in (-1.0, 1.0)
+        if all(
+            np.allclose(_direction(machine, a), sense * np.eye(3)['ABC'.index(a)], atol=1e-9)
+            for a in ('C', tilting)
+        )
+    ]
+    if not senses:
+        return None
+    kinematics, beside = TRT[tilting]
+    turn, tilt = _centre(machine, 'C'), _centre(machine, tilting)
+    pins = {f'{d}-rot-point': float(v) for d, v in zip('xyz', turn, strict=True)}
+    away = {f'{d}-offset': float(v) for d, v in zip('xyz', tilt - turn, strict=True)}
+    pins |= {name: away[name] for name in (f'{beside}-offset', 'z-offset')}
+    if senses[0] > 0:
+        pins['conventional-directions'] = 1.0
+    return {f'{kinematics}.{name}': value + 0.0 for name, value in pins.items()}
+
+
+def pins_displacement(tables: ErrorTables, q: Array) -> Array:
+    """Error (n, 3), m, that the pins of the trunnion kinematics hold: shifts of the centres."""
+    only = _location_only(tables)
+    location = {n: v if n[0] in 'XYZ' else replace(v, value=0.0) for n, v in only.location.items()}
+    return displacement(replace(only, location=location), q)
+
+
 def _linuxcnc(old: Machine, new: Machine) -> list[str]:
     """Pins of the trunnion kinematics, where the machine is one."""
     head = '[LinuxCNC]'
-    order = [*old.chain.table_side, *old.chain.target_side]
-    tilting = order[1] if len(order) > 1 else ''
-    suited = order[:1] == ['C'] and tilting in TRT and len(old.rotary_names) == 2
-    if suited:
-        for axis in ('C', tilting):
-            wanted = -np.eye(3)['ABC'.index(axis)]
-            suited = suited and bool(np.allclose(_direction(old, axis), wanted, atol=1e-9))
-    if not suited:
+    before = trunnion_pins(old)
+    if before is None:
         return [
             head,
-            '# xyzac-trt-kins and xyzbc-trt-kins hold a table C on a tilting table A or B that '
-            'turn right-handed (direction (0, 0, -1), (-1, 0, 0), (0, -1, 0)): not this machine',
+            '# xyzac-trt-kins and xyzbc-trt-kins hold a table C on a tilting table A or B, both '
+            'turning right-handed (direction (0, 0, -1), (-1, 0, 0), (0, -1, 0)) or both '
+            'left-handed: not this machine',
         ]
-    kinematics, beside = TRT[tilting]
+    directions = {a: old.axes[a].direction for a in old.rotary_names}
+    axes = {a: replace(new.axes[a], direction=d) for a, d in directions.items()}
+    after = trunnion_pins(replace(new, axes={**new.axes, **axes}))
+    assert after is not None
     lines = [head, '# directions cannot be entered there: A0C, B0C and the like stay']
-    before, after = (_pins(machine, tilting) for machine in (old, new))
-    for pin in ('x-rot-point', 'y-rot-point', 'z-rot-point', f'{beside}-offset', 'z-offset'):
-        change = after[pin] - before[pin]
-        lines.append(
-            f'setp {kinematics}.{pin} {after[pin] + 0.0:.6f}  # old {before[pin] + 0.0:.6f}, '
-            f'change {change + 0.0:+.6f} mm'
-        )
+    for pin, value in before.items():
+        if pin.endswith('directions'):
+            lines += [f'# {pin}: LinuxCNC 2.9 or later', f'setp {pin} {value:.0f}']
+            continue
+        lines += [
+            f'# old {value:.6f}, change {after[pin] - value + 0.0:+.6f} mm',
+            f'setp {pin} {after[pin]:.6f}',
+        ]
     return lines
-
-
-def _pins(machine: Machine, tilting: str) -> dict[str, float]:
-    """Pins by name, mm."""
-    turn, tilt = _centre(machine, 'C'), _centre(machine, tilting)
-    pins = {f'{d}-rot-point': float(v) for d, v in zip('xyz', turn, strict=True)}
-    return pins | {f'{d}-offset': float(v) for d, v in zip('xyz', tilt - turn, strict=True)}
 
 
 def _sinumerik(old: Machine, new: Machine) -> list[str]:

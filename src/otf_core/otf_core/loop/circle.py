@@ -432,7 +432,7 @@ def go_round(
     jobs = [_program(n, p, texts[n], rate) for n, p in ((FIT, plan), (CHECK, check))]
     ini = ini_text(machine, rate, feed)
     progress(f'LinuxCNC drives the path and the check, {_seconds(jobs):.0f} s')
-    fit, before = drive(written_files(ini, {}, {}, False), jobs)
+    fit, before = drive(machine, written_files(machine, ini, {}), jobs)
     recordings = {
         'fit': cell.recording(FIT, fit, plan.path.points[0], plan.path),
         'check': cell.recording(CHECK, before, check.path.points[0], check.path),
@@ -448,11 +448,11 @@ def go_round(
         proof_plan, nominal = correct_points(parts, loaded.held), parts.path
         texts[PROOF] = corrected_program(proof_plan, ['LINES NOT FITTED, CORRECTED'])
     files = written_files(
-        insert_piece(ini, loaded.ini_piece), {}, loaded.files, volume=way == VOLUME
+        machine, insert_piece(ini, loaded.ini_piece), loaded.files, volume=way == VOLUME
     )
     job = _program(PROOF, check, texts[PROOF], rate)
     progress(f'LinuxCNC drives the check compensated by {way}, {_seconds([job]):.0f} s')
-    (after,) = drive(files, [job])
+    (after,) = drive(machine, files, [job])
     recordings['proof'] = cell.recording(PROOF, after, proof_plan.path.points[0], check.path)
     at = (
         commanded_positions(before, check.path),

@@ -19,7 +19,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
-from otf_core.model.frames import XYZ
+from otf_core.model.axis_path import LEVER
 from otf_core.model.machine import Machine
 
 # Configuration of LinuxCNC for a machine without a screen: INI, HAL, tool table.
@@ -29,6 +29,9 @@ from otf_core.model.machine import Machine
 #
 # The motors follow their commands at once: ``motor-pos-cmd`` is fed back and sampled every servo
 # period, with what the control believes (``pos-cmd``) and the external offsets in it.
+#
+# A trunnion starts with its axes uncoupled; the analog output ``KINEMATICS_OUTPUT`` of a program
+# (M68) switches its kinematics (``switchkins.adoc``), tool length from the tool table.
 
 SERVO_PERIOD = 1e-3
 """s"""
@@ -40,21 +43,39 @@ OFFSET_SHARE = 0.1
 """Share of speed and acceleration that external offsets may take (OFFSET_AV_RATIO)."""
 COUNT = 1e-8
 """m; one count of an external offset."""
+FREE_TRAVEL = 1.0
+"""m; more of soft limits where the linear axes follow turning tables."""
+ENDLESS = 1e5
+"""Degrees; soft limits of endless axes."""
+KINEMATICS_OUTPUT, UNCOUPLED, COUPLED = 3, 0, 1
+"""Analog output that switches the kinematics of a trunnion, and its values."""
+TOOL_TABLE = 'tool.tbl'
 INI, HAL, OPERATOR, VOLUME = 'otf.ini', 'otf.hal', 'operate.py', 'offsets.py'
 LATTICE, SAMPLES = 'lattice.csv', 'samples.txt'
 
 
-def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
-    """INI file of a machine with trivial kinematics.
+def axis_units(machine: Machine) -> Array:
+    """Units of the control per unit of every axis, shape (k,): mm per m, degrees per rad."""
+    rotary = [machine.axes[a].rotary for a in machine.axis_names]
+    return np.where(rotary, np.degrees(1.0), 1e3)
+
+
+def ini_text(
+    machine: Machine, acceleration: float, feed: float, kinematics: str = 'trivkins'
+) -> str:
+    """INI file.
 
     Parameters
     ----------
     acceleration : float
-        m/s^2, of every axis.
+        m/s^2, of every axis; of rotary axes on the radius that they count as.
     feed : float
-        m/s, largest of the programs.
+        m/s, largest of the programs; the same.
+    kinematics : str
+        Module, with its parameters but the axes.
     """
     speed, rate = 1e3 * 2.0 * feed, 1e3 * acceleration
+    letters = machine.axis_names
     lines = [
         '[EMC]', 'VERSION = 1.1', 'MACHINE = otf', 'DEBUG = 0',
         '[DISPLAY]', f'DISPLAY = ./{OPERATOR}',
@@ -62,24 +83,33 @@ def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
         '[RS274NGC]', 'PARAMETER_FILE = sim.var',
         '[EMCMOT]', 'EMCMOT = motmod', 'COMM_TIMEOUT = 1.0',
         f'SERVO_PERIOD = {1e9 * SERVO_PERIOD:.0f}',
-        '[EMCIO]', 'EMCIO = io', 'CYCLE_TIME = 0.1', 'TOOL_TABLE = tool.tbl',
+        '[EMCIO]', 'EMCIO = io', 'CYCLE_TIME = 0.1', f'TOOL_TABLE = {TOOL_TABLE}',
         '[HAL]', f'HALFILE = {HAL}',
-        '[TRAJ]', 'COORDINATES = X Y Z', 'LINEAR_UNITS = mm', 'ANGULAR_UNITS = degree',
+        '[TRAJ]', f'COORDINATES = {" ".join(letters)}',
+        'LINEAR_UNITS = mm', 'ANGULAR_UNITS = degree',
         f'DEFAULT_LINEAR_VELOCITY = {speed:.3f}', f'MAX_LINEAR_VELOCITY = {speed:.3f}',
         f'DEFAULT_LINEAR_ACCELERATION = {rate:.3f}', f'MAX_LINEAR_ACCELERATION = {rate:.3f}',
-        '[KINS]', 'KINEMATICS = trivkins coordinates=xyz', 'JOINTS = 3',
+        '[KINS]', f'KINEMATICS = {kinematics} coordinates={"".join(letters).lower()}',
+        f'JOINTS = {len(letters)}',
     ]  # fmt: skip
-    for k, axis in enumerate(machine.axis_names):
-        low = 1e3 * (min(float(machine.lower[k]), 0.0) - MARGIN)
-        high = 1e3 * (max(float(machine.upper[k]), 0.0) + MARGIN)
+    for k, axis in enumerate(letters):
+        rotary = machine.axes[axis].rotary
+        unit = np.degrees(1.0) / LEVER if rotary else 1e3
+        margin = FREE_TRAVEL if machine.rotary_names else MARGIN
+        low, high = axis_units(machine)[k] * np.array([machine.lower[k], machine.upper[k]])
+        low, high = min(float(low), 0.0) - 1e3 * margin, max(float(high), 0.0) + 1e3 * margin
+        if machine.axes[axis].endless:
+            low, high = -ENDLESS, ENDLESS
         limits = [
             f'MIN_LIMIT = {low:.3f}', f'MAX_LIMIT = {high:.3f}',
-            f'MAX_VELOCITY = {speed / (1 - OFFSET_SHARE):.3f}',
-            f'MAX_ACCELERATION = {rate / (1 - OFFSET_SHARE):.3f}',
+            f'MAX_VELOCITY = {2.0 * feed * unit / (1 - OFFSET_SHARE):.3f}',
+            f'MAX_ACCELERATION = {acceleration * unit / (1 - OFFSET_SHARE):.3f}',
         ]  # fmt: skip
-        lines += [f'[AXIS_{axis}]', *limits, f'OFFSET_AV_RATIO = {OFFSET_SHARE}']
+        lines += [f'[AXIS_{axis}]', *limits]
+        lines += [] if machine.rotary_names else [f'OFFSET_AV_RATIO = {OFFSET_SHARE}']
         lines += [
-            f'[JOINT_{k}]', 'TYPE = LINEAR', *limits, 'HOME = 0', 'HOME_OFFSET = 0',
+            f'[JOINT_{k}]', f'TYPE = {"ANGULAR" if rotary else "LINEAR"}', *limits,
+            'HOME = 0', 'HOME_OFFSET = 0',
             'HOME_SEARCH_VEL = 0', 'HOME_LATCH_VEL = 0', 'HOME_SEQUENCE = 0',
             'FERROR = 1000', 'MIN_FERROR = 1000',
         ]  # fmt: skip
@@ -97,12 +127,20 @@ def insert_piece(ini: str, piece: str) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def hal_text(volume: bool) -> str:
-    """HAL file: motors that follow at once, the sampler, and the component of the volume."""
+def hal_text(machine: Machine, volume: bool, kinematics: str = '') -> str:
+    """HAL file: motors that follow at once, the sampler, and the component of the volume.
+
+    Parameters
+    ----------
+    kinematics : str
+        Module of a trunnion, if it is one.
+    """
+    letters = [a.lower() for a in machine.axis_names]
+    count = len(letters)
     lines = [
         'loadrt [KINS]KINEMATICS',
         'loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS',
-        f'loadrt sampler depth={SAMPLER_DEPTH} cfg=fffffffff',
+        f'loadrt sampler depth={SAMPLER_DEPTH} cfg={"f" * 3 * count}',
         'addf motion-command-handler servo-thread',
         'addf motion-controller servo-thread',
         'addf sampler.0 servo-thread',
@@ -110,17 +148,22 @@ def hal_text(volume: bool) -> str:
         'net prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared',
         'net change iocontrol.0.tool-change => iocontrol.0.tool-changed',
     ]
+    if kinematics:
+        lines += [
+            f'net kinematics motion.analog-out-{KINEMATICS_OUTPUT:02d} => motion.switchkins-type',
+            f'net length motion.tooloffset.z => {kinematics}.tool-offset',
+        ]
     if volume:
         lines.append(f'loadusr -Wn otf-volume /usr/bin/python3 ./{VOLUME} {LATTICE}')
         lines.append('net fault otf-volume.fault => motion.feed-hold')
-    for k, axis in enumerate(XYZ):
-        letter = axis.lower()
+    for k, letter in enumerate(letters):
         ends = (f' otf-volume.believed-{letter}', f' otf-volume.offset-{letter}')
         believed, offset = ends if volume else ('', '')
+        pins = [f'sampler.0.pin.{k + row * count}' for row in range(3)]
         lines += [
-            f'net motor{k} joint.{k}.motor-pos-cmd => joint.{k}.motor-pos-fb sampler.0.pin.{k}',
-            f'net believed{k} joint.{k}.pos-cmd => sampler.0.pin.{3 + k}{believed}',
-            f'net offset{k} axis.{letter}.eoffset => sampler.0.pin.{6 + k}{offset}',
+            f'net motor{k} joint.{k}.motor-pos-cmd => joint.{k}.motor-pos-fb {pins[0]}',
+            f'net believed{k} joint.{k}.pos-cmd => {pins[1]}{believed}',
+            f'net offset{k} axis.{letter}.eoffset => {pins[2]}{offset}',
         ]
         if volume:
             lines += [
@@ -131,29 +174,44 @@ def hal_text(volume: bool) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def believed_positions(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def believed_positions(samples: np.ndarray, units: Array) -> tuple[Array, Array, Array]:
     """Take sampled rows apart.
 
     Parameters
     ----------
-    samples : ndarray, shape (n, 9), mm
+    samples : ndarray, shape (n, 3 k), mm and degrees
         Motor positions, commanded positions, external offsets.
+    units : ndarray, shape (k,)
+        See ``axis_units``.
 
     Returns
     -------
-    motor, believed, offset : ndarray, shape (n, 3), m
-        Where the motors are, where the control believes the target to be, offset in the motors.
+    motor, believed, offset : ndarray, shape (n, k), m and rad
+        Where the motors are, where the control believes the axes to be, offset in the motors.
     """
-    metres = 1e-3 * samples
-    motor, commanded, offset = metres[:, :3], metres[:, 3:6], metres[:, 6:9]
+    motor, commanded, offset = np.moveaxis(samples.reshape(len(samples), 3, -1) / units, 1, 0)
     return motor, commanded - offset, offset
 
 
 def written_files(
-    ini: str, programs: Mapping[str, str], extra: Mapping[str, bytes], volume: bool
+    machine: Machine,
+    ini: str,
+    extra: Mapping[str, bytes],
+    volume: bool = False,
+    kinematics: str = '',
+    pins: str = '',
 ) -> dict[str, bytes]:
-    """All files of a run of the control but the scripts, by name."""
-    texts = {INI: ini, HAL: hal_text(volume), 'tool.tbl': '', **programs}
+    """All files of a run of the control but programs and scripts, by name.
+
+    Parameters
+    ----------
+    pins : str
+        Lines for the end of the HAL file.
+    """
+    length = -1e3 * float(machine.target_offset[2])
+    tool = f'T1 P1 Z{length:.6f}\n' if kinematics else ''
+    hal = hal_text(machine, volume, kinematics) + pins
+    texts = {INI: ini, HAL: hal, TOOL_TABLE: tool}
     return {name: text.encode() for name, text in texts.items()} | dict(extra)
 
 
@@ -169,7 +227,6 @@ SHEBANG = b'#!/usr/bin/python3\n'
 """Python of the system, where the modules of LinuxCNC are."""
 START_TIME, END_TIME = 40.0, 30.0
 """s; start and end of LinuxCNC on a busy computer."""
-COLUMNS = 9
 
 
 class ControlMissing(ConfigError):
@@ -193,11 +250,11 @@ class DrivenProgram:
     ----------
     time : ndarray, shape (n,), s
         In servo periods of the control; no other clock knows it.
-    motor : ndarray, shape (n, 3), m
+    motor : ndarray, shape (n, k), m and rad
         Positions of the motors, compensation in them.
-    believed : ndarray, shape (n, 3), m
-        Where the control believes the target to be.
-    offset : ndarray, shape (n, 3), m
+    believed : ndarray, shape (n, k), m and rad
+        Where the control believes the axes to be.
+    offset : ndarray, shape (n, k), m and rad
         External offsets in the motor positions.
     lost : int
         Servo periods that the sampler lost.
@@ -240,6 +297,29 @@ def find_control() -> str:
     return program
 
 
+def trunnion_module(name: str, *, conventional: bool) -> None:
+    """Check that a kinematics module can do what a machine needs.
+
+    Parameters
+    ----------
+    conventional : bool
+        It needs the pin that turns the tables left-handed.
+
+    Raises
+    ------
+    ConfigError
+        If the installed LinuxCNC has no such module or pin.
+    """
+    module = Path(find_control()).parent.parent / 'lib' / 'linuxcnc' / 'modules' / f'{name}.so'
+    if not module.exists():
+        raise ConfigError(f'{module}: this LinuxCNC has no such kinematics')
+    if conventional and b'conventional-directions' not in module.read_bytes():
+        raise ConfigError(
+            f'{module}: this LinuxCNC turns tables right-handed only; install 2.9 or later, or '
+            f'give the rotary axes the directions (0, 0, -1) and (-1, 0, 0) or (0, -1, 0)'
+        )
+
+
 @contextmanager
 def _workplace() -> Iterator[tuple[Path, str | None]]:
     """A folder that the user of LinuxCNC owns, and that user if it is another one."""
@@ -264,7 +344,9 @@ def _place_files(folder: Path, files: Mapping[str, bytes], user: str | None) -> 
             os.chown(path, entry.pw_uid, entry.pw_gid)
 
 
-def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[DrivenProgram]:
+def drive(
+    machine: Machine, files: Mapping[str, bytes], programs: Sequence[Program]
+) -> list[DrivenProgram]:
     """Start LinuxCNC, drive programs one after the other, end it.
 
     Parameters
@@ -292,7 +374,8 @@ def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[Drive
         limit = START_TIME + END_TIME + sum(p.seconds for p in programs)
         output = _run([command, str(folder / INI)], folder, user, limit)
         _check(folder, output)
-        return [_read_samples(folder / str(item['samples'])) for item in order]
+        units = axis_units(machine)
+        return [_read_samples(folder / str(item['samples']), units) for item in order]
 
 
 def _run(command: list[str], folder: Path, user: str | None, limit: float) -> str:
@@ -340,17 +423,18 @@ def _check(folder: Path, said: str) -> None:
         raise InputError(f'LinuxCNC: {problem}; its last output: {last}')
 
 
-def _read_samples(path: Path) -> DrivenProgram:
-    """Read what halsampler printed: number of the sample and nine values, mm."""
+def _read_samples(path: Path, units: Array) -> DrivenProgram:
+    """Read what halsampler printed: number of the sample and its values, mm and degrees."""
+    columns = 1 + 3 * len(units)
     lines = [line.split() for line in path.read_text().splitlines()]
-    table = np.array([words for words in lines if len(words) == COLUMNS + 1], dtype=float)
+    table = np.array([words for words in lines if len(words) == columns], dtype=float)
     if len(table) < 2:
         raise InputError('LinuxCNC: the sampler returned nothing')
     gaps = np.flatnonzero(np.diff(table[:, 0]) != 1)
     if len(gaps) and gaps[0] <= SAMPLER_DEPTH:
         table = table[gaps[0] + 1 :]  # what stood in the queue since before the program
     number = table[:, 0] - table[0, 0]
-    motor, believed, offset = believed_positions(table[:, 1:])
+    motor, believed, offset = believed_positions(table[:, 1:], units)
     return DrivenProgram(
         SERVO_PERIOD * number, motor, believed, offset, int(number[-1]) + 1 - len(number)
     )

@@ -42,9 +42,9 @@ def switch_on(command: Any, stat: Any) -> None:
     wait_until(stat, lambda s: s.task_state == linuxcnc.STATE_ON, 10, 'machine on')
     command.mode(linuxcnc.MODE_MANUAL)
     command.wait_complete()
-    for joint in range(3):
+    for joint in range(stat.joints):
         command.home(joint)
-    wait_until(stat, lambda s: all(s.homed[:3]), 20, 'homing')
+    wait_until(stat, lambda s: all(s.homed[: s.joints]), 20, 'homing')
 
 
 def drive_program(

@@ -53,8 +53,10 @@ class LinuxCnc(Dialect):
             *header,
             f'SWITCH TO {kinematics} BEFORE - M428, M429 IN THE SAMPLES OF LINUXCNC',
             'WRAPPED_ROTARY MUST BE 0',
+            *(['G43 H1: TOOL 1 OF THE TOOL TABLE HAS THE LENGTH OF TARGET-OFFSET'] if tcp else []),
         )
-        modal = ['G21 G90 G94 G17 G40 G49 G80', *(['G54'] if tcp else []), 'G61', 'G93']
+        length = 'G43 H1' if tcp else 'G49'
+        modal = [f'G21 G90 G94 G17 G40 {length} G80', *(['G54'] if tcp else []), 'G61', 'G93']
         return [*map(self.comment, notes), *modal]
 
     def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
@@ -65,4 +67,4 @@ class LinuxCnc(Dialect):
 
     def end_axes(self, tcp: bool) -> list[str]:
         """End of the program."""
-        return ['G94', 'M2']
+        return [*(['G49'] if tcp else []), 'G94', 'M2']
