@@ -17,11 +17,13 @@ from otf_core.model.axis_path import AxisPath, along_legs, nominal_track, positi
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
+from otf_core.model.motions import ErrorMotion
 from otf_core.prediction.predict import predict
 from otf_core.rotary.curve_matching import split_parts
 from otf_core.rotary.periodic import over_turn
 from otf_core.rotary.tabulation import field_rows, gauge_matrix
 from otf_core.sim.axis_cell import JointDrive
+from otf_core.solving.tabulate import projection
 
 
 def test_trajectory_survives_its_encoding():
@@ -92,6 +94,13 @@ def test_periodic_functions_repeat_and_hold_constants():
     assert np.allclose(basis.matrix(q).sum(axis=1), 1.0)
     wave = np.sin(basis.centres)
     assert np.abs(basis.matrix(q) @ (basis.from_values @ wave) - np.sin(q)).max() < 1e-3
+
+    nodes = np.array([0.0, 1.0, 2.5, 4.0, 2.0 * np.pi])
+    straight, values = basis.linear_between(nodes), np.array([1.0, -2.0, 3.0, 0.5])
+    between = np.interp(q, nodes, np.append(values, values[0]))
+    assert np.allclose(straight.matrix(q) @ values, between)
+    table = projection(ErrorMotion.of('EXC'), basis, nodes) @ wave
+    assert table[0] == table[-1]
 
 
 def test_gauge_changes_no_error_and_makes_motions_zero_at_zero():

@@ -39,15 +39,22 @@ from otf_core.rotary.axis_reversal import (
     significant,
     trial_of_reversal,
 )
-from otf_core.rotary.axis_solution import AxisSolution, solve_robustly, tables_of
-from otf_core.rotary.axis_unknowns import bases_of, layout, place_block
+from otf_core.rotary.axis_solution import (
+    AxisSolution,
+    choose_functions,
+    solve_jointly,
+    solve_robustly,
+    tables_of,
+)
+from otf_core.rotary.axis_unknowns import layout, linear_bases, place_block, smooth_bases
 from otf_core.rotary.curve_matching import MatchedRun, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.reseated import find_reseated
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.tabulation import AxisTables, tabulate
-from otf_core.solving.unknowns import Unknowns
+from otf_core.solving.model_choice import FINER, SMOOTH, STRAIGHT
+from otf_core.solving.unknowns import Basis, Unknowns
 from otf_core.threads import one_thread
 
 
@@ -256,32 +263,43 @@ class _Job:
         tables = _located(machine, self.nodes, matched[0].location)
         runs = self._runs(matched, places, tables)
         before = _mean_distance(runs)
-        unknowns = self._layout()
-        solve = partial(solve_robustly, noises=noises, config=self.config, progress=self.progress)
-
-        def look(joint: AxisSolution) -> None:
-            failed.extend(text for solved in joint.runs for text in find_reseated(solved))
-
-        joint, fitted = solve(runs, unknowns=unknowns, tables=tables, look=look)
+        solve = partial(solve_jointly, noises=noises, config=self.config, progress=self.progress)
+        improve = partial(
+            solve_robustly, noises=noises, config=self.config, progress=self.progress
+        )
+        shapes = {
+            SMOOTH: smooth_bases(machine, self.nodes),
+            FINER: smooth_bases(machine, self.nodes, finer=2),
+            STRAIGHT: linear_bases(machine, self.nodes),
+        }
+        layouts = {name: self._layout(bases) for name, bases in shapes.items()}
+        unknown = [None] * len(runs)
+        joint = solve(runs, fitted=unknown, unknowns=layouts[SMOOTH], tables=tables)
+        failed.extend(text for solved in joint.runs for text in find_reseated(solved))
+        joint = choose_functions(joint, layouts, self.config.unidentifiable_above)
+        joint, fitted = improve(joint, fitted=unknown)
+        unknowns = joint.unknowns
         if self.config.reversal != NONE:
             unknowns = self._with_reversal(joint)
         tables = tables_of(machine, joint.unknowns, joint.solution.value)
         matched = self._moved(matched, joint)
         runs = self._runs(matched, joint.places, tables)
-        joint, _ = solve(
-            runs, unknowns=unknowns, tables=tables, logs=joint.roughness.logs, fitted=fitted
-        )
+        logs = joint.roughness.logs
+        joint = solve(runs, fitted=fitted, unknowns=unknowns, tables=tables, logs=logs)
+        joint, _ = improve(joint, fitted=fitted)
         return joint, self._moved(matched, joint), before
 
-    def _layout(self, reversal: Sequence[str] = (), lags: Sequence[str] = ()) -> Unknowns:
+    def _layout(
+        self, bases: Mapping[str, Basis], reversal: Sequence[str] = (), lags: Sequence[str] = ()
+    ) -> Unknowns:
         machine = self.recordings[0].machine
-        bases = bases_of(machine, self.nodes)
         return layout(machine, bases, max(self.stations) + 1, self.free, reversal, lags)
 
     def _with_reversal(self, joint: AxisSolution) -> Unknowns:
         """Unknowns with the constants of reversal and the lags that the data show."""
-        whole = self._layout(joint.machine.motions, joint.machine.axis_names)
-        return self._layout(*significant(trial_of_reversal(joint, whole), self.config))
+        bases = joint.unknowns.bases
+        whole = self._layout(bases, joint.machine.motions, joint.machine.axis_names)
+        return self._layout(bases, *significant(trial_of_reversal(joint, whole), self.config))
 
     def _noise(self, recording: Recording) -> NoiseModel:
         samples, spec = recording.samples, self.recordings[0].machine.tracker

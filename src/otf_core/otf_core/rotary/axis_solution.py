@@ -7,7 +7,7 @@ until nothing changes; leave out pieces far from the solution, fit the noise, so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -36,6 +36,7 @@ from otf_core.solving.joint import (
     newton_step,
     residuals_of,
 )
+from otf_core.solving.model_choice import LinearSolution, most_likely
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, solve
@@ -118,36 +119,82 @@ def tables_of(machine: Machine, unknowns: Unknowns, value: Array) -> ErrorTables
     )
 
 
+def choose_functions(
+    joint: AxisSolution, layouts: Mapping[str, Unknowns], limit: float
+) -> AxisSolution:
+    """One linear solution with the functions that the data call for, as for linear axes.
+
+    Parameters
+    ----------
+    joint : AxisSolution
+        With smooth functions.
+    layouts : mapping of name to Unknowns
+        With the functions to choose from, see ``model_choice.most_likely``.
+    limit : float
+        ``unidentifiable_above``.
+    """
+    places = joint.runs[0].run.places
+
+    def fit(name: str) -> LinearSolution:
+        unknowns = layouts[name]
+        systems = [s.system.of_unknowns(unknowns) for s in joint.runs]
+        normal = _sum_rows(systems, unknowns, [s.whitener for s in joint.runs])
+        normal = normal + place_equations(joint.machine, unknowns, places)
+        return LinearSolution.of(
+            normal, unknowns, _accepted(unknowns), limit, joint.roughness.logs
+        )
+
+    def solved(linear: LinearSolution) -> AxisSolution:
+        return _moved(joint, linear)
+
+    return most_likely(fit, solved)[0]
+
+
+def _moved(joint: AxisSolution, linear: LinearSolution) -> AxisSolution:
+    """A linear solution at the rows of another, poses and places moved by its steps."""
+    unknowns, value = linear.unknowns, linear.solution.value
+    stations = {s.run.station for s in joint.runs}
+    poses, places = dict(zip(sorted(stations), joint.poses, strict=True)), dict(joint.places)
+    _move(poses, places, unknowns, value)
+    runs = []
+    for one in joint.runs:
+        system = one.system.of_unknowns(unknowns)
+        residual = residuals_of(cast(Any, [system]), linear.solution)[0]
+        run = one.run.placed(poses[one.run.station], places)
+        runs.append(replace(one, run=run, system=system, residual=residual))
+    value = _without_steps(value, unknowns, poses, places)
+    return AxisSolution(
+        joint.machine, unknowns, replace(linear.solution, value=value), linear.roughness,
+        linear.normal, tuple(runs), tuple(poses[k] for k in sorted(poses)), places,
+        joint.iterations,
+    )  # fmt: skip
+
+
 def solve_robustly(
-    runs: Sequence[AxisRun],
+    joint: AxisSolution,
     noises: Sequence[NoiseModel],
-    unknowns: Unknowns,
+    fitted: Sequence[Array | None],
     config: CalibrationConfig,
     progress: Progress,
-    tables: ErrorTables | None = None,
-    logs: Mapping[str, Array] | None = None,
-    fitted: Sequence[Array | None] | None = None,
-    repetitions: int = REPETITIONS,
-    look: Callable[[AxisSolution], None] = lambda joint: None,
 ) -> tuple[AxisSolution, list[Array | None]]:
-    """Solve, leave out what is far from the solution, fit the noise, solve again.
+    """Leave out what is far from a solution, fit the noise, solve again; until nothing changes.
+
+    Parameters
+    ----------
+    noises : sequence of NoiseModel
+        Of every run, from standstills or specification.
+    fitted : sequence of ndarray, shape (5,), or None
+        What residuals said of the noise that ``joint`` was solved with, see ``fit_noise``.
 
     Returns
     -------
     solution : AxisSolution
     fitted : list of ndarray, shape (5,)
-        What the residuals say of the noise of every run, see ``noise_fit``.
+        What its residuals say of the noise of every run.
     """
-    runs = list(runs)
-    known: list[Array | None] = list(fitted) if fitted is not None else [None] * len(runs)
-    joint = None
-    for repetition in range(repetitions):
-        joint = _settle(runs, noises, known, unknowns, config, progress, tables, logs)
-        if not repetition:
-            look(joint)  # before anything is left out
-        tables = tables_of(joint.machine, unknowns, joint.solution.value)
-        logs = joint.roughness.logs
-        same = True
+    known = list(fitted)
+    for repetition in range(REPETITIONS):
+        same, runs = True, []
         for k, solved in enumerate(joint.runs):
             drop = _far(solved, config.outlier_limit)
             noise = _noise(solved, noises[k], joint.solution.covariance, known[k])
@@ -155,11 +202,14 @@ def solve_robustly(
             if drop.any() or before is None or not _alike(noise, before):
                 same = False
             known[k] = noise.logs
-            runs[k] = replace(solved.run, pieces=solved.run.pieces.without(drop))
-        progress('solving', (repetition + 1) / (repetitions + 1))
-        if same:
+            runs.append(replace(solved.run, pieces=solved.run.pieces.without(drop)))
+        progress('solving', (repetition + 1) / (REPETITIONS + 1))
+        if same or repetition == REPETITIONS - 1:
             break
-    assert joint is not None
+        tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
+        joint = solve_jointly(
+            runs, noises, known, joint.unknowns, config, progress, tables, joint.roughness.logs
+        )
     return joint, known
 
 
@@ -224,20 +274,41 @@ def _sum_rows(
     return reduce(add, [normal_equations(cast(Any, s), unknowns, w) for s, w in pairs])
 
 
-def _settle(
+def _accepted(unknowns: Unknowns) -> tuple[str, ...]:
+    """Blocks to solve for: all; what the data do not show keeps its uncertainty."""
+    return tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
+
+
+def solve_jointly(
     runs: Sequence[AxisRun],
     noises: Sequence[NoiseModel],
     fitted: Sequence[Array | None],
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
-    tables: ErrorTables | None,
-    logs: Mapping[str, Array] | None,
+    tables: ErrorTables | None = None,
+    logs: Mapping[str, Array] | None = None,
 ) -> AxisSolution:
+    """Solve, move poses and places, take the places along the curves anew until nothing changes.
+
+    Parameters
+    ----------
+    noises, fitted
+        See ``solve_robustly``.
+    tables : ErrorTables, optional
+        For the places along the curves at first.
+    logs : mapping of motion to ndarray, optional
+        Roughness to start from.
+
+    Raises
+    ------
+    InputError
+        If it does not converge.
+    """
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = {run.station: run.pose for run in runs}
     places = dict(runs[0].places)
-    accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
+    accepted = _accepted(unknowns)
     models = [noise_and_misfit(*pair) for pair in zip(noises, fitted, strict=True)]
     whiteners: list[Whitener] | None = None
     rough: Roughness | None = None

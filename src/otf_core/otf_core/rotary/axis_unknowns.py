@@ -43,14 +43,20 @@ def lag_block(axis: str) -> str:
     return f'lag {axis}'
 
 
-def bases_of(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> dict[str, Basis]:
-    """Functions that the motions of every axis are made of."""
+def smooth_bases(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> dict[str, Basis]:
+    """Cubic splines over equal parts of the range of every axis, or of a turn."""
     bases: dict[str, Basis] = {}
     for axis, at in nodes.items():
         parts = finer * int(np.clip(len(at) - 1, FEWEST, MOST))
         whole = machine.axes[axis].endless and at[-1] - at[0] > 2.0 * np.pi - 1e-2
         bases[axis] = over_turn(float(at[0]), parts) if whole else cubic(at, parts)
     return bases
+
+
+def linear_bases(machine: Machine, nodes: Mapping[str, Array]) -> dict[str, Basis]:
+    """Functions that are linear between the nodes of every axis, on a turn if smooth ones are."""
+    smooth = smooth_bases(machine, nodes)
+    return {axis: basis.linear_between(nodes[axis]) for axis, basis in smooth.items()}
 
 
 def layout(

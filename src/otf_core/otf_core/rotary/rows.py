@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +44,8 @@ class AxisRows:
         Pieces.
     fixed : mapping of block to ndarray, shape (c, p, k)
         Poses, places, squareness and location errors, reversal and lags.
-    motions : mapping of axis to list of (ndarray (c, p, 6), ndarray (p, size))
-        Influence of its six motions along the rows, and its functions, at every shift.
+    motions : mapping of axis to list of (ndarray (c, p, 6), ndarray (p,))
+        Influence of its six motions along the rows, and its position, at every shift.
     splines : ndarray, shape (p, k)
         Where the axes are: pieces with alike rows are treated together.
     """
@@ -55,8 +56,17 @@ class AxisRows:
     motions: Mapping[str, list[tuple[Array, Array]]]
     splines: Index
 
+    @cached_property
+    def _functions(self) -> dict[str, list[tuple[Array, Array]]]:
+        """Influence (c, p, 6) of the motions and the functions (p, size), at every shift."""
+        return {
+            axis: [(six, self.unknowns.bases[axis].matrix(q)) for six, q in shifts]
+            for axis, shifts in self.motions.items()
+        }
+
     def prepare(self) -> None:
-        """Nothing to prepare."""
+        """Set up what several threads use."""
+        self._functions  # noqa: B018
 
     def dense(self, pieces: Index | slice) -> Array:
         """Rows (c, m, full) of some pieces."""
@@ -64,7 +74,7 @@ class AxisRows:
         rows = np.zeros((*sample.shape[:2], self.unknowns.full))
         for name, own in self.fixed.items():
             rows[:, :, self.unknowns.blocks[name]] = own[:, pieces]
-        for axis, shifts in self.motions.items():
+        for axis, shifts in self._functions.items():
             for k, d in enumerate('XYZABC'):
                 block = self.unknowns.blocks[f'E{d}{axis}']
                 rows[:, :, block] = sum(
@@ -88,7 +98,7 @@ class AxisRows:
         product = np.zeros(self.unknowns.full)
         for name, own in self.fixed.items():
             product[self.unknowns.blocks[name]] += np.einsum('cpk,cp->k', own, rows)
-        for axis, shifts in self.motions.items():
+        for axis, shifts in self._functions.items():
             pull = sum(
                 weight.T @ np.einsum('cpk,cp->pk', six, rows) / len(shifts)
                 for six, weight in shifts
@@ -100,7 +110,7 @@ class AxisRows:
     def times(self, value: Array) -> Array:
         """Deviations (c, p) for values of the unknowns (full,)."""
         total = sum(own @ value[self.unknowns.blocks[n]] for n, own in self.fixed.items())
-        for axis, shifts in self.motions.items():
+        for axis, shifts in self._functions.items():
             blocks = [self.unknowns.blocks[f'E{d}{axis}'] for d in 'XYZABC']
             coefficients = np.stack([value[b] for b in blocks], axis=1) / len(shifts)
             for six, weight in shifts:
@@ -112,7 +122,7 @@ class AxisRows:
         product = np.zeros((self.unknowns.full, values.shape[2]))
         for name, own in self.fixed.items():
             product[self.unknowns.blocks[name]] = np.einsum('cpk,cpn->kn', own[:, pieces], values)
-        for axis, shifts in self.motions.items():
+        for axis, shifts in self._functions.items():
             blocks = [self.unknowns.blocks[f'E{d}{axis}'] for d in 'XYZABC']
             for six, weight in shifts:
                 turned = np.einsum('cpk,cpn->pkn', six[:, pieces], values) / len(shifts)
@@ -141,6 +151,10 @@ class AxisSystem:
     deviation: Array
     rows: AxisRows
     shares: Array
+
+    def of_unknowns(self, unknowns: Unknowns) -> AxisSystem:
+        """Return the same rows for other functions of the error motions."""
+        return replace(self, rows=replace(self.rows, unknowns=unknowns))
 
     @property
     def design(self) -> sparse.csr_array:
@@ -236,7 +250,7 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
             column = np.einsum('cni,ni->cn', axes[:, own], moved)[:, :, None]
             before = fixed.get(scalar, 0.0)
             fixed[scalar] = before + _filled(count, own, column)
-        _add_motions(motions, sight, pieces, own, axes, unknowns, q)
+        _add_motions(motions, sight, pieces, own, axes, q)
         for axis in seen.axes:
             if lag_block(axis) in unknowns.blocks:
                 late = -seen.velocity[:, :, machine.column(axis)]
@@ -272,10 +286,9 @@ def _add_motions(
     pieces: AxisPieces,
     own: NDArray[np.bool_],
     axes: Array,
-    unknowns: Unknowns,
     q: Array,
 ) -> None:
-    """Add influence and functions of the motions at the pieces of one target."""
+    """Add influence and positions of the motions at the pieces of one target."""
     machine, count = sight.machine, len(pieces)
     shifts = [np.zeros(int(own.sum()))]
     if not pieces.standstill:
@@ -283,17 +296,12 @@ def _add_motions(
     for number, shift in enumerate(shifts):
         at = sight.at(q[own] + shift[:, None] * pieces.step[own])
         for axis, six in at.motions.items():
-            basis = unknowns.bases[axis]
-            place = machine.axes[axis].wrapped(at.q[:, machine.column(axis)])
-            weight = np.zeros((count, basis.size))
-            weight[own] = basis.matrix(place)
-            whole = _filled(count, own, np.einsum('cni,nik->cnk', axes[:, own], six))
             known = motions.setdefault(axis, [])
-            if number < len(known):
-                six_before, weight_before = known[number]
-                known[number] = (six_before + whole, weight_before + weight)
-            else:
-                known.append((whole, weight))
+            if number == len(known):
+                known.append((np.zeros((len(axes), count, 6)), np.zeros(count)))
+            known[number][0][:, own] = np.einsum('cni,nik->cnk', axes[:, own], six)
+            place = machine.axes[axis].wrapped(at.q[:, machine.column(axis)])
+            known[number][1][own] = place
 
 
 def _along(

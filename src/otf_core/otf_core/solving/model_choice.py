@@ -32,7 +32,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import add, attrgetter
-from typing import Generic
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -144,7 +144,7 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
     return {axis: linear(at) for axis, at in nodes.items()}
 
 
-def _steps_unexplained(solved: SolvedRun) -> bool:
+def _steps_unexplained(solved: _SolvedRun) -> bool:
     """Return whether neighbouring pieces of a line differ by more than the noise."""
     pairs = []
     for alike in solved.whitener.alike:
@@ -231,25 +231,75 @@ def _try_all(
         systems = systems_of(of, poses, smooth, start.tables)
         return systems, whiteners_of(of, systems)
 
-    def fits(names: Sequence[str], of: tuple[list[System], list[Whitener]]) -> dict[str, _Tried]:
-        return {name: _tried(*of, start, limit, _CHOICES[name](nodes)) for name in names}
+    def fit(name: str, systems: Sequence[System], whiteners: Sequence[Whitener]) -> LinearSolution:
+        unknowns = layout(_CHOICES[name](nodes), len(systems))
+        own = [s.of_unknowns(unknowns) for s in systems]
+        normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
+        return LinearSolution.of(normal, unknowns, start.accepted, limit, start.logs)
 
-    scores = _likelihoods(fits((SMOOTH, STRAIGHT), rows(_thinned(runs))))
+    some = rows(_thinned(runs))
+    scores = _likelihoods({name: fit(name, *some) for name in (SMOOTH, STRAIGHT)})
     every = rows(runs)
-    tried = fits([name for name, score in scores.items() if score > -CLEAR], every)
-    if len(tried) > 1:
-        scores = _likelihoods(tried)
-    best = max(tried.values(), key=attrgetter('likelihood'))
-    solution = best.solved(*every, poses)
+
+    def solved(linear: LinearSolution) -> JointSolution:
+        return _solved(linear, *every, poses)
+
+    names = [name for name, score in scores.items() if score > -CLEAR]
+    solution, of_all = most_likely(lambda name: fit(name, *every), solved, names)
+    return solution, {name: s + of_all[names[0]] for name, s in scores.items()} | of_all
+
+
+class _SolvedRun(Protocol):
+    @property
+    def whitener(self) -> Whitener: ...
+
+    @property
+    def residual(self) -> Array: ...
+
+
+class _Solved(Protocol):
+    @property
+    def runs(self) -> Sequence[_SolvedRun]: ...
+
+
+AnySolution = TypeVar('AnySolution', bound=_Solved)
+
+
+def most_likely(
+    fit: Callable[[str], LinearSolution],
+    solved: Callable[[LinearSolution], AnySolution],
+    names: Sequence[str] = (SMOOTH, STRAIGHT),
+) -> tuple[AnySolution, dict[str, float]]:
+    """Choose the most likely functions, finer ones included where the best leave steps.
+
+    Parameters
+    ----------
+    fit : callable(name)
+        Linear solution with some functions, by their name.
+    solved : callable(solution)
+        The same with its runs.
+    names : sequence of str
+        Functions to choose from.
+
+    Returns
+    -------
+    solution
+        The most likely one, as ``solved`` gives it.
+    scores : mapping of name to float
+        Log likelihoods, less the best.
+    """
+    tried = {name: fit(name) for name in names}
+    scores, best = _likelihoods(tried), max(tried.values(), key=attrgetter('likelihood'))
+    solution = solved(best)
     if any(_steps_unexplained(run) for run in solution.runs):
-        finer = fits([FINER], every)[FINER]
+        finer = fit(FINER)
         scores[FINER] = finer.likelihood - best.likelihood
         if scores[FINER] > 0.0:
-            solution = finer.solved(*every, poses)
+            solution = solved(finer)
     return solution, {name: score - max(scores.values()) for name, score in scores.items()}
 
 
-def _likelihoods(tried: Mapping[str, _Tried]) -> dict[str, float]:
+def _likelihoods(tried: Mapping[str, LinearSolution]) -> dict[str, float]:
     """Log likelihoods, less the best."""
     most = max(one.likelihood for one in tried.values())
     return {name: one.likelihood - most for name, one in tried.items()}
@@ -278,13 +328,38 @@ def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class LinearSolution:
     """One linear solution, without what it leaves of the deviations."""
 
     unknowns: Unknowns
     solution: Solution
     roughness: Roughness
     normal: NormalEquations
+
+    @classmethod
+    def of(
+        cls,
+        normal: NormalEquations,
+        unknowns: Unknowns,
+        accepted: tuple[str, ...],
+        limit: float,
+        logs: Mapping[str, Array],
+    ) -> LinearSolution:
+        """Solve for some blocks with the roughness that makes the rows most likely.
+
+        Parameters
+        ----------
+        accepted : tuple of str
+            Blocks to solve for.
+        limit : float
+            ``unidentifiable_above``.
+        logs : mapping of motion to ndarray
+            Roughness to start from.
+        """
+        rough = Search(normal, unknowns, accepted, limit).run(logs)
+        return cls(
+            unknowns, solve(normal, unknowns, limit, accepted, rough.precision), rough, normal
+        )
 
     @property
     def likelihood(self) -> float:
@@ -293,35 +368,22 @@ class _Tried:
         volume = -2.0 * rough.log_likelihood - rough.square
         return -0.5 * (self.normal.rows * float(np.log(rough.square)) + volume)
 
-    def solved(
-        self,
-        systems: Sequence[System],
-        whiteners: Sequence[Whitener],
-        poses: Sequence[RigidTransform],
-    ) -> JointSolution:
-        """With what it leaves of the rows of any functions at the same poses and positions."""
-        own = [s.of_unknowns(self.unknowns) for s in systems]
-        residuals = residuals_of(own, self.solution)
-        own = [replace(s, rows=s.rows.released()) for s in own]
-        parts = zip(poses, own, whiteners, residuals, strict=True)
-        runs = tuple(SolvedRun(*p) for p in parts)
-        return JointSolution(self.unknowns, self.solution, self.roughness, self.normal, runs, 1)
 
-
-def _tried(
+def _solved(
+    linear: LinearSolution,
     systems: Sequence[System],
     whiteners: Sequence[Whitener],
-    start: Start,
-    limit: float,
-    bases: Bases,
-) -> _Tried:
-    """One linear solution at the poses and positions of rows of any functions."""
-    unknowns = layout(bases, len(systems))
-    own = [s.of_unknowns(unknowns) for s in systems]
-    normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
-    rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
-    solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
-    return _Tried(unknowns, solution, rough, normal)
+    poses: Sequence[RigidTransform],
+) -> JointSolution:
+    """A linear solution with what it leaves of the rows of any functions at the same poses."""
+    own = [s.of_unknowns(linear.unknowns) for s in systems]
+    residuals = residuals_of(own, linear.solution)
+    own = [replace(s, rows=s.rows.released()) for s in own]
+    parts = zip(poses, own, whiteners, residuals, strict=True)
+    runs = tuple(SolvedRun(*p) for p in parts)
+    return JointSolution(
+        linear.unknowns, linear.solution, linear.roughness, linear.normal, runs, 1
+    )
 
 
 Evidence = dict[str, float | int | str]

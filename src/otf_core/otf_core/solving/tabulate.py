@@ -105,11 +105,11 @@ class TableCost:
 
 def projection(motion: ErrorMotion, basis: Basis, nodes: Array) -> Array:
     """Node values of the best table from the coefficients, shape (nodes, size)."""
-    table = linear(nodes)
+    table = basis.linear_between(nodes)
     if basis.size == 1 or (
         basis.degree == table.degree and np.array_equal(basis.knots, table.knots)
     ):
-        return np.eye(basis.size)
+        return table.at_nodes(nodes, np.eye(basis.size))
     gauge = motion_gauge(motion, table)
     cuts = np.unique(np.concatenate([basis.knots, nodes]))
     places, weights = np.polynomial.legendre.leggauss(4)
@@ -117,9 +117,8 @@ def projection(motion: ErrorMotion, basis: Basis, nodes: Array) -> Array:
     q = (cuts[:-1, None] + half[:, None] * (1.0 + places)).ravel()
     weight = np.sqrt((half[:, None] * weights).ravel())[:, None]
     hats = table.matrix(q) @ gauge
-    return np.asarray(
-        gauge @ np.linalg.lstsq(hats * weight, basis.matrix(q) * weight, rcond=None)[0]
-    )
+    best = np.linalg.lstsq(hats * weight, basis.matrix(q) * weight, rcond=None)[0]
+    return table.at_nodes(nodes, gauge @ best)
 
 
 def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:

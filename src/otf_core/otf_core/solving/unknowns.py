@@ -116,6 +116,14 @@ class Basis:
         """Coefficients of the function with given values at ``centres``, shape (size, size)."""
         return np.asarray(np.linalg.inv(self.matrix(self.centres)), dtype=float)
 
+    def linear_between(self, nodes: Array) -> Basis:
+        """Functions of the same range that are linear between nodes (n,)."""
+        return Basis(nodes, LINEAR)
+
+    def at_nodes(self, nodes: Array, values: Array) -> Array:
+        """Values at the nodes (n,) of linear functions from their coefficients (size, ...)."""
+        return values
+
     def finer(self, parts: int) -> Array:
         """Knots with every interval cut into equal parts, shape (m,), m."""
         if len(self.knots) == 1:

@@ -46,7 +46,10 @@ def left(found, true, q):
 def test_recorded_trunnion_comes_out_as_it_is():
     result, true = calibrated(), truth()
     q = evenly_spread(machine().lower, machine().upper, 800)
-    assert left(result.tables, true, q) < 0.10
+    assert left(result.tables, true, q) < 0.05
+    bases = result.solution.unknowns.bases  # its errors are straight between coarse nodes
+    assert all(b.degree == 1 and len(b.knots) == len(true.motions[f'EX{a}'].position)
+               for a, b in bases.items())  # fmt: skip
     assert set(result.made.hidden) == {'ECX', 'ECZ'}
     assert all('spindle axis' in result.advice[n] for n in result.made.hidden)
     assert not result.failed_gates and result.fit.inflation < 1.2
@@ -235,7 +238,8 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
     for motion, table in result.tables.motions.items():
         change = np.abs(table.value - without.tables.motions[motion].value)
         small = 5e-7 if motion.unit == 'm' else 2e-6
-        assert np.all(change < np.maximum(small, table.u)), motion
+        # the roughness that is most likely may be another one: within its share of u
+        assert np.all(change < np.maximum(small, 3.0 * table.u)), motion
 
 
 def test_reflector_that_was_reseated_is_named():
