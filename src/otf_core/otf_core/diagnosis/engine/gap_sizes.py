@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.evidence import estimate
+from otf_core.diagnosis.engine.evidence import estimate, estimate_of
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.effects import REGISTRY, Effect
@@ -82,16 +82,17 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     own = np.concatenate([c.option.own for c in causes], axis=1)
     size = np.concatenate([c.option.size for c in causes])
     width = np.concatenate([c.option.widths for c in causes])
-    folds = range(FOLDS) if held_out else [-1]
-    judged = [f for f in folds if not held_out or (rows.fold == f).any()]
-    fits = [rows.fold != f for f in judged]
-    coefficients = [estimate(own[f], size, rows.residual[f], width).value for f in fits]
-    residual = rows.left(rows.plain_deviation[:, None] - plain @ np.stack(coefficients, axis=1))
-    if not held_out:
-        return _per_piece(rows, residual[:, 0])
+    judged = [k for k in range(FOLDS) if (rows.fold == k).any()] if held_out else [-1]
+    masks = [rows.fold == k for k in judged] if held_out else [np.ones(len(own), np.bool_)]
+    products = [(own[m].T @ own[m], own[m].T @ rows.residual[m]) for m in masks]
+    normal, right = (np.stack(part) for part in zip(*products, strict=True))
+    if held_out:  # all legs less those of the fold
+        normal, right = normal.sum(axis=0) - normal, right.sum(axis=0) - right
+    fits = [estimate_of(n, r, size, width).value for n, r in zip(normal, right, strict=True)]
+    residual = rows.left(rows.plain_deviation[:, None] - plain @ np.stack(fits, axis=1))
     values = np.zeros(len(rows.deviation))
-    for column, fit in zip(residual.T, fits, strict=True):
-        values[~fit] = column[~fit]
+    for column, mask in zip(residual.T, masks, strict=True):
+        values[mask] = column[mask]
     return _per_piece(rows, values)
 
 
