@@ -50,8 +50,8 @@ MOST_BEYOND = 0.05
 REPETITIONS = 4
 NOISE_SETTLED = 0.1
 DAMPED = 1e-4
-"""m and rad; what the data do not show, a pose follows in steps of little more than this, or of a
-tenth where the steps do not become smaller."""
+"""m and rad; what the data do not show, poses and places follow in steps of little more than this,
+or of a tenth where the steps do not become smaller."""
 FINE = 8
 """Parts of an interval between knots in tables for use inside."""
 
@@ -134,12 +134,14 @@ def choose_functions(
         ``unidentifiable_above``.
     """
     places = joint.runs[0].run.places
+    stations = {s.run.station for s in joint.runs}
 
     def fit(name: str) -> LinearSolution:
         unknowns = layouts[name]
         systems = [s.system.of_unknowns(unknowns) for s in joint.runs]
         normal = _sum_rows(systems, unknowns, [s.whitener for s in joint.runs])
         normal = normal + place_equations(joint.machine, unknowns, places)
+        normal = normal + _step_equations(unknowns, stations, places, DAMPED)
         return LinearSolution.of(
             normal, unknowns, _accepted(unknowns), limit, joint.roughness.logs
         )
@@ -256,13 +258,16 @@ def place_equations(
     return NormalEquations(matrix, right, square, rows)
 
 
-def _pose_equations(unknowns: Unknowns, stations: Iterable[int], size: float) -> NormalEquations:
-    """Steps of the poses of some size, m and rad, as normal equations."""
+def _step_equations(
+    unknowns: Unknowns, stations: Iterable[int], places: Iterable[str], size: float
+) -> NormalEquations:
+    """Steps of poses and places of some size, m and rad, as normal equations."""
     matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
-    for station in stations:
-        block = unknowns.free_blocks[pose_block(station)]
-        own = np.arange(block.start, block.stop)
-        matrix[own, own] = 1.0 / size**2
+    for name in (*map(pose_block, stations), *map(place_block, places)):
+        block = unknowns.free_blocks.get(name)
+        if block is not None:
+            own = np.arange(block.start, block.stop)
+            matrix[own, own] = 1.0 / size**2
     return NormalEquations(matrix, right, 0.0, 0)
 
 
@@ -331,7 +336,7 @@ def solve_jointly(
                 search = Search(normal, unknowns, accepted, limit)
                 rough = search.run(rough.logs if rough else logs)
             damping *= 0.1 if stuck else 1.0
-            damped = normal + _pose_equations(unknowns, poses, damping)
+            damped = normal + _step_equations(unknowns, poses, places, damping)
             newton = solve(damped, unknowns, limit, accepted, rough.precision)
         if solution is None:
             solution = newton

@@ -156,6 +156,16 @@ def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
     assert not result.tables.location['A0C'].identifiable
 
 
+def test_path_that_shows_little_ends_with_what_it_shows():
+    q = np.zeros((3, 5))
+    q[:, 3] = (-0.3, 0.3, -0.3)
+    parts = [AxisPath(machine().axis_names, q, f'nest-{k}') for k in (1, 2, 3)]
+    result = calibrate_axes([simulated(parts, feed=0.1)[0]], CalibrationConfig(), silent)
+    assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.made.hidden)
+    assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.made.hidden)
+    assert set(result.advice) == set(result.made.hidden) and all(result.advice.values())
+
+
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
     m = machine()
     axes = {**m.axes, 'C': replace(m.axes['C'], direction=(0.0, 0.0, -1.0))}
