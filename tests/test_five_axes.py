@@ -143,6 +143,7 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
     assert {'X0C', 'A0C'} <= set(told.not_identifiable)  # C has not moved the tool
     assert volume.provisional and list(volume.axes) == ['X', 'Y', 'Z', 'A', 'C']
     assert len(volume.positions) == 5 * len(volume.points) == 5 * 27
+
     def of_all_parts() -> list:  # the first of them may be of the part that arrived first
         return [t for t in tracks if len(t.poses) == len(tracks[-1].poses) > 1200]
 

@@ -161,7 +161,8 @@ def draw_axis_case(seed: int, number: int, kind: str, turn: int) -> AxisCase:
     while True:
         wanted = _wanted(kind, turn, rng)
         fitting = [m for m in MACHINES if all(w in (*KINDS_OF[m], 'linear') for w in wanted)]
-        cell = draw_axis_cell(str(rng.choice(fitting)), rng)
+        shares = np.array([MACHINES[m] for m in fitting])
+        cell = draw_axis_cell(str(rng.choice(fitting, p=shares / shares.sum())), rng)
         if 'reseating' in wanted and not cell.driven[-1].again:
             continue
         observer, parts = AxisObserver.of(cell), []

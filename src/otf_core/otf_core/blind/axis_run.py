@@ -29,7 +29,8 @@ from otf_core.blind.axis_nature import (
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.observation import Samples
 
-MACHINES = ('trunnion', 'rotary', 'head')
+MACHINES = {'trunnion': 0.6, 'rotary': 0.25, 'head': 0.15}
+"""Kinds of machines, and how often they are drawn."""
 RATE = 100.0
 """Hz; of the tracker."""
 EPOCH_NS = 1_760_000_000 * 10**9
@@ -171,7 +172,7 @@ def creep(
 ) -> Array:
     """One rotary axis through its range and back while the reflector creeps by ``slow``, m."""
     low, high = machine.range_of(axis)
-    count = int(np.ceil((high - low) / np.radians(4.0))) + 1
+    count = int(np.ceil((high - low) / CORNER)) + 1
     share = np.linspace(0.0, 1.0, count)
     q = _at(machine, count, **dict(rest), **{axis: low + (high - low) * share})
     q = held_at(machine, name, q, middle + np.outer(share - 0.5, slow))
@@ -183,6 +184,8 @@ def _inside(machine: Nature, q: Array) -> bool:
     return bool(np.all((q > low - 1e-9) & (q < high + 1e-9)))
 
 
+CORNER = np.radians(0.5)
+"""rad; between two corners of a creep: the chord is then some micrometres off the arc."""
 CREEPS = ((0.0, 0.0, 0.075), (0.055, 0.05, 0.0))
 """m; slow travel during one turn; at the rates that are drawn never as slow as a standstill."""
 

@@ -29,6 +29,10 @@ from otf_core.solving.residuals import fold_of, leg_numbers
 from otf_core.solving.solution import free_columns, identifiable_blocks
 from otf_core.solving.whitener import Whitener
 
+CREEPING = 0.5e-3
+"""m/s; a target that is slower stands. Where the linear axes follow a rotation it creeps at some
+mm/s while the machine moves, and slower still when the move begins and ends."""
+
 
 def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Rows:
     """Set up the rows.
@@ -41,7 +45,7 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
     """
     nodes = table_nodes(result.machine, *result.driven)
     joint, limit = result.solution, result.config.unidentifiable_above
-    speed = result.config.standstill_speed
+    speed = min(result.config.standstill_speed, CREEPING)
     observed = [
         ObservedParts(
             recording,
