@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from otf_core.diagnosis.weighing import input_words
 from otf_core.effects import EVERY, REGISTRY, ROTARY, catalogue
 from otf_core.effects.inputs import input_values
 from otf_core.effects.state import probe_state, state_in_parts
@@ -69,6 +70,8 @@ def test_inputs_of_rotary_axes():
     assert np.array_equal(input_values(state, 'c'), q[:, 4])
     assert np.array_equal(input_values(state, 'sense_a'), np.sign(rates[:, 3]))
     assert np.ptp(input_values(state, 'since_reversal_c')) > 0.0
+    assert input_words('a') == 'the position of A'
+    assert input_words('sense_c') == 'the sense of travel of C'
 
 
 def test_effects_of_rotary_axes_are_for_machines_that_have_some():

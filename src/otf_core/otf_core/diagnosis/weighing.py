@@ -56,7 +56,7 @@ from otf_core.effects.action import (
     Along,
     acting_name,
 )
-from otf_core.effects.inputs import SIGNAL
+from otf_core.effects.inputs import LETTERS, SIGNAL
 from otf_core.effects.located_inputs import (
     CYCLE,
     MOMENT,
@@ -327,7 +327,8 @@ LEAST_SHRINK = 20.0
 MOST, LEAST_BESIDES = 3, 0.15
 """Structures at most, and the share of the squared gap that each but the first must take."""
 WORDS = {
-    'time': 'time', 'x': 'the position of X', 'y': 'the position of Y', 'z': 'the position of Z',
+    'time': 'time',
+    **{a: f'the position of {a.upper()}' for a in LETTERS},
     'feed': 'the feed', 'acceleration': 'the acceleration along the path',
     'since_stop': 'the time since the last stop', 'lap': 'the lap', 'leg': 'the leg',
     'range': 'the length of the beam', 'azimuth': 'the azimuth of the beam',
@@ -342,9 +343,9 @@ ALMOST = 0.95
 """Component of a unit vector from which it counts as along an axis."""
 MECHANISMS = (
     ({'range', 'azimuth', 'elevation'}, 'air along the beam, the tracker or its stand'),
-    ({'sense_x', 'sense_y', 'sense_z'}, 'friction, play or clamps of the drives that reverse'),
+    ({f'sense_{a}' for a in LETTERS}, 'friction, play or clamps of the drives that reverse'),
     (
-        {'since_reversal_x', 'since_reversal_y', 'since_reversal_z'},
+        {f'since_reversal_{a}' for a in LETTERS},
         'wind-up and friction that build up after a reversal',
     ),
     ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),

@@ -38,19 +38,19 @@ OF_AXIS = {'sense': '', 'since_reversal': 'm'}
 """The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``, and ``a``, ``b``,
 ``c`` of rotary axes, for which m stands for rad."""
 _LINEAR = tuple(a.lower() for a in XYZ)
-_LETTERS = (*_LINEAR, 'a', 'b', 'c')
+LETTERS = (*_LINEAR, 'a', 'b', 'c')
 
 
 def known_input(name: str) -> bool:
     """Return whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
-    own = (head in OF_AXIS and axis in _LETTERS) or found_kind(name) is not None
-    return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
+    own = (head in OF_AXIS and axis in LETTERS) or found_kind(name) is not None
+    return own or name in UNITS or name in LETTERS or name.startswith(SIGNAL)
 
 
 def unit_of_input(name: str) -> str:
     """Unit of an input; signals have those of their topic, which are not known here."""
-    if name in _LETTERS:
+    if name in LETTERS:
         return 'm' if name in _LINEAR else 'rad'
     if kind := found_kind(name):
         return kind.unit
@@ -124,7 +124,7 @@ def span_of(states: Sequence[State], name: str) -> Span:
     """Range of an input over runs; of an azimuth about its mean direction."""
     if compression(name):
         return 0.0, float(max(input_values(s, name).max(initial=0.0) for s in states))
-    if name in _LETTERS:
+    if name in LETTERS:
         axis = states[0].machine.axes[name.upper()]
         return axis.min, axis.max
     if period := cycle_period(name):
