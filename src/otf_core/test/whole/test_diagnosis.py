@@ -149,10 +149,10 @@ def test_diagnosis_stands_on_the_calibration_that_the_user_gets(with_backlash):
     assert same_tables(with_backlash.calibration.plain.tables, given.tables)
 
 
-def test_size_of_the_residual_is_near_that_of_the_calibration(growing):
-    """Other weights leave about as much where the gap is twice the noise."""
-    fit = growing.calibration.plain.fit
-    assert growing.gap.measured_um == pytest.approx(1e6 * fit.residual_rms, rel=0.01)
+def test_least_squares_leave_no_more_than_the_calibration(growing):
+    """Its weights take what it does not model for noise."""
+    left = 1e6 * growing.calibration.plain.fit.residual_rms
+    assert 0.8 * left < growing.gap.measured_um < left
 
 
 def test_reversal_is_in_the_tables_and_a_cause_as_well(with_backlash):
