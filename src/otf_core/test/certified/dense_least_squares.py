@@ -195,16 +195,23 @@ def calibration(run, noise, roughness, knots, degree, nodes, start=None):
     return said
 
 
-def left_by_calibration(run, roughness, name):
-    """Last step of a solution with the noise specified, and what it leaves of its rows."""
-    model, noise = ErrorModel(run, table_nodes(run), 1), run['given']['specified']
-    found = solve(run, model, noise, model.prior(roughness), name)[1]
-    return found, np.eye(len(found.design)) - found.design @ found.gain
+def left_by_tables(run, roughness, name, noise=None, start=None):
+    """Last step of a solution, and what tables and poses leave of its rows: (r, r).
+
+    They are fitted with the noise specified, whatever that of the solution, and with no roughness.
+    """
+    model, specified = ErrorModel(run, table_nodes(run), 1), run['given']['specified']
+    found = solve(run, model, noise or specified, model.prior(roughness), name, start)[1]
+    pieces, tracker = found.pieces, run['machine']['tracker']
+    found.parts = noise_matrices(found.rows, pieces, pieces.xyz, found.pose[0], tracker, specified)
+    weights = found.parts[0] + found.parts[1]
+    gain, _ = least_squares(found.design, weights, model.tie_breaker())
+    return found, np.eye(len(found.design)) - found.design @ gain
 
 
-def residual_um(run, roughness, name):
+def residual_um(run, roughness, name, noise=None, start=None):
     """Residual of the pieces of a run, root mean square in um."""
-    found, left = left_by_calibration(run, roughness, name)
+    found, left = left_by_tables(run, roughness, name, noise, start)
     return 1e6 * np.sqrt(np.mean(lengths(left @ found.rows.deviation) ** 2))
 
 
@@ -217,7 +224,7 @@ def gap(run, roughness):
 
 def simulated_square(run, roughness):
     """Squared residual that simulations leave, um^2: expectation and standard deviation."""
-    found, left = left_by_calibration(run, roughness, 'twin.csv')
+    found, left = left_by_tables(run, roughness, 'twin.csv')
     covariance = 1e12 * left @ (found.parts[0] + found.parts[2]) @ left.T
     count = len(found.pieces.leg)
     return np.trace(covariance) / count, np.sqrt(2.0 * np.sum(covariance**2)) / count

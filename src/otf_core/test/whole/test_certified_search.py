@@ -169,13 +169,11 @@ def rows(found):
     return build_rows(*found.solved.plain, LIMIT)
 
 
-def test_gap_of_a_whole_diagnosis_is_that_of_the_calibrations(found):
+def test_gap_of_a_whole_diagnosis_is_what_tables_leave(found):
     assert found.solved.choice.model == 'none'
     gap = diagnose([recording('samples.csv')], lambda *_: recording('twin.csv'), (), CONFIG).gap
-    wanted = dense.calibration(
-        RUN, found.noise, found.roughness, NODES, 1, NODES, start=found.start
-    )
-    assert gap.measured_um == pytest.approx(1e6 * wanted['fit']['residual_rms'], rel=1e-6)
+    wanted = dense.residual_um(RUN, found.roughness, 'samples.csv', found.noise, found.start)
+    assert gap.measured_um == pytest.approx(wanted, rel=1e-6)
     square = gap.measured_um**2 - gap.simulated_um**2
     assert gap.before_um == pytest.approx(np.sqrt(square), rel=1e-12)
 
