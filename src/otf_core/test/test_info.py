@@ -49,6 +49,8 @@ def test_tables_of_a_calibration_and_of_others(results, calibrated, capsys):
     assert kind == 'error tables' and facts['not_seen'] == list(calibrated.not_identifiable)
     kind, facts = said(ROOM / 'truth.json', capsys)
     assert kind == 'error tables' and facts['fit'] == {}
+    kind, facts = said(ROOT / 'bags/trunnion/truth.json', capsys)
+    assert 'rotary axes' in kind and 'X0C' in facts['location']
 
 
 def test_residuals(results, calibrated, capsys):

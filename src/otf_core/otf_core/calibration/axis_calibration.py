@@ -15,6 +15,7 @@ from otf_core.budget.typical import TypicalSystematic, typical_warnings, with_ty
 from otf_core.calibration.axis_budget import budget_of_axes, observed_parts, typical_of_axes
 from otf_core.calibration.calibration_result import Headline, headline_of
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
+from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
@@ -41,6 +42,7 @@ from otf_core.rotary.axis_reversal import (
 )
 from otf_core.rotary.axis_solution import (
     AxisSolution,
+    UnsettledError,
     choose_functions,
     solve_jointly,
     solve_robustly,
@@ -49,8 +51,8 @@ from otf_core.rotary.axis_solution import (
 from otf_core.rotary.axis_unknowns import layout, linear_bases, place_block, smooth_bases
 from otf_core.rotary.curve_matching import MatchedRun, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
+from otf_core.rotary.part_steps import find_steps
 from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
-from otf_core.rotary.reseated import find_reseated
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.tabulation import AxisTables, tabulate
 from otf_core.solving.model_choice import FINER, SMOOTH, STRAIGHT
@@ -274,8 +276,14 @@ class _Job:
         }
         layouts = {name: self._layout(bases) for name, bases in shapes.items()}
         unknown = [None] * len(runs)
-        joint = solve(runs, fitted=unknown, unknowns=layouts[SMOOTH], tables=tables)
-        failed.extend(text for solved in joint.runs for text in find_reseated(solved))
+        try:
+            joint = solve(runs, fitted=unknown, unknowns=layouts[SMOOTH], tables=tables)
+        except UnsettledError as error:
+            steps = find_steps(error.joint)
+            if not steps:
+                raise
+            raise InputError(steps[0]) from None
+        failed.extend(find_steps(joint))
         joint = choose_functions(joint, layouts, self.config.unidentifiable_above)
         joint, fitted = improve(joint, fitted=unknown)
         unknowns = joint.unknowns

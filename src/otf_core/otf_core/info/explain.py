@@ -27,8 +27,14 @@ from otf_core.inputs.columns import find_columns, read_table
 from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.inputs.path_file import read_points
 from otf_core.inputs.text_points import TextReading, is_text
-from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
+from otf_core.model.expanded import (
+    COVERAGE_FACTOR,
+    micro_figure,
+    micro_significant,
+    micro_with_expanded,
+)
 from otf_core.model.machine import load_machine
+from otf_core.model.motions import unit_of
 from otf_core.model.provenance import moment
 from otf_core.prediction.absorbed import offset_words
 
@@ -196,6 +202,37 @@ def _explain_tables(data: Data) -> FileSummary:
     return FileSummary(tuple(rows), facts)
 
 
+def _explain_axis_tables(data: Data) -> FileSummary:
+    """Tables of a machine with rotary axes: the same, and the lines of its axes."""
+    common = _explain_tables(data)
+    typical = (data.get('typical_systematic') or {}).get('location') or {}
+    lines = []
+    for name, entry in data['location'].items():
+        if not entry.get('identifiable', True):
+            lines.append(f'{name} not seen')
+            continue
+        u = typical.get(name, entry)['u']
+        lines.append(f'{name} {_with_u(entry["value"], u, unit_of(name))}')
+    reversal = data.get('reversal') or {}
+    found = [
+        f'{name} {_with_u(entry["value"], entry["u"], entry["unit"])}'
+        for name, entry in (reversal.get('motions') or {}).items()
+    ]
+    found += [
+        f'lag of {axis} {1e6 * entry["value"]:.0f} us'
+        for axis, entry in (reversal.get('lags') or {}).items()
+    ]
+    rows: Rows = [('lines', '; '.join(lines))]
+    if found:
+        rows.append(('reversal', '; '.join(found)))
+    facts = {'location': data['location'], 'reversal': reversal}
+    return FileSummary((*common.rows, *rows), {**common.facts, **facts})
+
+
+def _with_u(value: float, u: float, unit: str) -> str:
+    return micro_with_expanded(value, COVERAGE_FACTOR * u, unit)
+
+
 def _explain_gap(data: Data) -> FileSummary:
     gap = data['gap']
     rows: Rows = [('verdict', f'{data["verdict"]}: {data.get("sentence", "")}')]
@@ -331,6 +368,13 @@ JSON_KINDS: tuple[FileKind, ...] = (
         'error tables',
         _explain_tables,
         'errors of the motions of a machine; otf predict, compare and simulate read it',
+    ),
+    _json_kind(
+        'otf-error-tables/2',
+        'error tables of a machine with rotary axes',
+        _explain_axis_tables,
+        'errors of the motions and lines of a machine; otf predict, compare, export and simulate '
+        'read it',
     ),
     _json_kind(
         'otf-gap/1', 'diagnosis', _explain_gap, 'where and why a run departs from its simulation'

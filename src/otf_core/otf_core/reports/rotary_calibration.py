@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.budget.budget import OBSERVED, PLACES
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose
 from otf_core.calibration.machine_verdict import Verdicts, judge_axes
+from otf_core.config import STANDSTILL, ForecastConfig, PlannerConfig
 from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.expanded import (
@@ -32,8 +34,15 @@ from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.noise.noise_model import noise_to_fields
+from otf_core.planning.rotary_paths import (
+    STOP_TIME,
+    PlannedPart,
+    RotaryForecast,
+    forecast_parts,
+)
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
+from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_facts import (
     BudgetLine,
     budget_lines,
@@ -56,6 +65,7 @@ from otf_core.reports.page import (
     Section,
     State,
     Table,
+    micro,
     page_html,
     sections_to_text,
 )
@@ -265,8 +275,18 @@ def location_words(result: AxisCalibration, name: str) -> str:
     )
 
 
-def sections(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> list[Section]:
-    """Sections of the report; ``lines`` of the budget are worked out if not given."""
+def sections(
+    result: AxisCalibration,
+    lines: Sequence[BudgetLine] | None = None,
+    forecast: RotaryForecast | None = None,
+) -> list[Section]:
+    """Sections of the report; ``lines`` of the budget are worked out if not given.
+
+    Parameters
+    ----------
+    forecast : RotaryForecast, optional
+        See ``forecast_of``.
+    """
     lines = lines or budget_lines_of(result)
     return [
         _overview(result),
@@ -276,7 +296,8 @@ def sections(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None)
         _volume(result),
         _targets(result),
         section_of_budget(result.tables, result.budget, lines),
-        section_of_correlations(result.tables, result.made.covariance, result.made.hidden),
+        *([_forecast(result, forecast)] if forecast else []),
+        section_of_correlations(result.tables, _seen_covariance(result), result.made.hidden),
         _conditions(result),
         _fit(result),
         _conventions(result),
@@ -541,6 +562,66 @@ def _targets(result: AxisCalibration) -> Section:
     )
 
 
+def _seen_covariance(result: AxisCalibration) -> Array:
+    """Covariance of scalars and nodes, zero for what the data do not show."""
+    seen = np.ones(len(result.made.covariance))
+    for name, place in table_places(result.tables).items():
+        seen[place] = name not in result.made.hidden
+    return np.asarray(result.made.covariance * np.outer(seen, seen))
+
+
+def forecast_of(result: AxisCalibration) -> RotaryForecast | None:
+    """What ``plan`` forecasts for the parts that were driven; None if the tracker was moved."""
+    if len(result.solution.poses) > 1:
+        return None
+    pieces = [s.run.pieces for s in result.solution.runs]
+    linear = [k for k, a in enumerate(result.machine.axis_names) if a in 'XYZ']
+    travel = np.concatenate([np.linalg.norm(p.rate[:, linear], axis=1) for p in pieces])
+    feed = float(np.median(travel[travel > 0.0])) if np.any(travel > 0.0) else PlannerConfig().feed
+    rate = sum(int(p.count.sum()) for p in pieces) / sum(float(p.duration.sum()) for p in pieces)
+    dwell = STOP_TIME if result.method == STANDSTILL else 0.0
+    parts = [PlannedPart(p.path, dwell, '') for m in result.matched for p in m.parts]
+    return forecast_parts(
+        result.machine,
+        parts,
+        first_pose(result).translation,
+        PlannerConfig(feed=min(max(feed, 1e-4), 5.0)),
+        ForecastConfig(rate=min(max(rate, 1.0), 5000.0)),
+    )
+
+
+def _forecast(result: AxisCalibration, forecast: RotaryForecast) -> Section:
+    """Uncertainty by the noise alone: as specified and planned, and as it came out."""
+    own = np.array([name in (*OBSERVED, PLACES) for name in result.budget.names])
+    variances = result.budget.variances()[own].sum(axis=0)
+    reached = {
+        name: float(np.sqrt(np.mean(variances[place])))
+        for name, place in table_places(result.tables).items()
+        if name not in result.made.hidden
+    }
+    ratios = [reached[n] / forecast.u[n] for n in reached if forecast.u.get(n, 0.0) > 0.0]
+    rows = tuple(
+        (
+            name,
+            micro_unit(unit_of(name)),
+            'not seen' if name in forecast.hidden else micro(forecast.u[name], 3),
+            micro(u, 3),
+        )
+        for name, u in reached.items()
+    )
+    words = (
+        'Standard uncertainties (k = 1) without systematic contributions, root mean square over '
+        'all nodes: as otf plan forecasts them for the parts that were driven, with the noise '
+        'that machine.yaml states and motions as smooth as usual, and as they came out.',
+        f'They came out at {np.median(ratios):.2f} times the forecast (median; '
+        f'{min(ratios):.2f} to {max(ratios):.2f}).',
+    )
+    head = ('Error', 'Unit', 'Forecast', 'Reached')
+    data = {n: {'forecast': forecast.u[n], 'reached': u} for n, u in reached.items()}
+    table = Table(head, rows, numbers=(2, 3), folded='All errors')
+    return Section('forecast', 'Forecast and reached', words, data, (table,))
+
+
 def _conditions(result: AxisCalibration) -> Section:
     given = result.machine.stated
     tables, words = stated_tables(result.machine)
@@ -629,6 +710,7 @@ def write_calibration(
 
 def page(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> str:
     """Return the report as one page; ``lines`` of the budget are worked out if not given."""
+    forecast = forecast_of(result)
     good = not result.failed_gates
     heading = Heading(
         f'Calibration of {result.machine.name}',
@@ -640,7 +722,7 @@ def page(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> 
         ),
         _tile_rows(result),
     )
-    return page_html(heading, sections(result, lines))
+    return page_html(heading, sections(result, lines, forecast))
 
 
 def format_result(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> str:

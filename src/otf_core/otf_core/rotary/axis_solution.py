@@ -99,6 +99,14 @@ class AxisSolution:
     iterations: int
 
 
+class UnsettledError(InputError):
+    """A solution that does not converge; ``joint`` is the last one."""
+
+    def __init__(self, message: str, joint: AxisSolution) -> None:
+        super().__init__(message)
+        self.joint = joint
+
+
 def tables_of(machine: Machine, unknowns: Unknowns, value: Array) -> ErrorTables:
     """Fine tables of a solution, for use inside; without uncertainties."""
     motions: dict[str, MotionTable] = {}
@@ -352,21 +360,26 @@ def solve_jointly(
         tables = tables_of(machine, unknowns, value)
         change = _change(residuals, before)
         stuck = change > MAX_RATIO_OF_CHANGES * last
-        if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
+        settled = change < config.alignment_stop or (iteration > 6 and change < 1e-8)
+        if settled or iteration == config.max_iterations:
             columns: list[Any] = [own, systems, whiteners, residuals, *zip(*models, strict=True)]
             solved = tuple(SolvedAxisRun(*row) for row in zip(*columns, strict=True))
             undamped = solve(normal, unknowns, limit, accepted, rough.precision)
-            return AxisSolution(
+            joint = AxisSolution(
                 machine, unknowns, replace(undamped, value=value), rough, normal, solved,
                 tuple(poses[k] for k in sorted(poses)), places, iteration,
             )  # fmt: skip
+            if settled:
+                return joint
+            break
         _move(poses, places, unknowns, value)
         solution = replace(solution, value=_without_steps(value, unknowns, poses, places))
         progress('solving', 0.5 * iteration / (iteration + 1))
     names = ', '.join(run.name for run in runs if run.name)
-    raise InputError(
+    raise UnsettledError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
-        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors',
+        joint,
     )
 
 

@@ -22,7 +22,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.reports.rotary_calibration import verdicts_of, write_calibration
-from otf_core.rotary.curve_matching import match
+from otf_core.rotary.curve_matching import match, split_parts
 from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
 
@@ -250,6 +250,17 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
         small = 5e-7 if motion.unit == 'm' else 2e-6
         # the roughness that is most likely may be another one: within its share of u
         assert np.all(change < np.maximum(small, 3.0 * table.u)), motion
+
+
+@pytest.mark.parametrize(('part', 'size'), [(1, 1e-5), (3, 2e-5)])
+def test_tracker_that_moved_a_little_between_parts_is_named(part, size):
+    samples = recorded().samples
+    first = split_parts(samples, machine(), recorded().axis_paths)[part].first
+    xyz = samples.xyz.copy()
+    xyz[first:] += size * (np.array([0.6, -0.3, 0.5]) + np.cross([0.7, -1.0, 0.3], xyz[first:]))
+    other = replace(recorded(), samples=replace(samples, xyz=xyz))
+    (text,) = calibrate_axes([other], CalibrationConfig(), silent).failed_gates
+    assert f'from part {part + 1} on' in text and 'the tracker has moved' in text
 
 
 def test_reflector_that_was_reseated_is_named():

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds what moved between two parts of a run: the tracker, or a reflector on the table.
+
+A step is a pose of the tracker of its own from a part on, or a place of its own of a target in a
+part that names it again. With its columns c beside the rows A of all unknowns, residuals e and
+weights W,
+
+    M = c^T W (c - A S),    M d = c^T W e,    S = (A^T W A)^-1 A^T W c,    gain = d^T M d
+
+M holds what tables, lines and places follow of a step: what they follow entirely, no data show. A
+drift of the tracker, quadratic in time, is estimated beside every step, so that it is not taken
+for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from otf_core.arrays import Array
+from otf_core.model.machine import TABLE
+from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun
+from otf_core.rotary.axis_unknowns import place_block
+from otf_core.solving.sensitivity import BesideTables, beside_tables
+from otf_core.solving.unknowns import pose_block
+
+SIGNIFICANT = 6.0
+"""Standard uncertainties of a step that count."""
+LEAST = 4e-6
+"""m; smaller steps do not matter beside the places of reflectors themselves."""
+LARGEST = 1e-3
+"""m; larger ones are no small steps, but a solution that went astray."""
+VAGUE = 1e-4
+"""m and rad; combinations of a step that the data show no better are left out."""
+DRIFT = 2
+"""Order of the drift that is estimated beside steps."""
+MOST = 3
+"""Steps of one run that are named."""
+SIMPLER = 0.8
+"""Share of the gain of the best step that another one of fewer numbers needs to be preferred."""
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step that is tried: from, or in, a part; of a target, or of the tracker."""
+
+    run: SolvedAxisRun
+    part: int
+    target: str
+    columns: Array
+
+    def size(self, d: Array) -> float:
+        """Root mean square displacement of what moves, m."""
+        if not len(d):
+            return 0.0
+        moved = self.columns @ d
+        acts = np.any(self.columns != 0.0, axis=(0, 2))
+        return float(np.sqrt(np.mean(np.sum(moved[:, acts] ** 2, axis=0))))
+
+    def words(self, d: Array) -> str:
+        """What moved, how far, and what to do."""
+        name = f'{Path(self.run.run.name).name}: ' if self.run.run.name else ''
+        shift = ', '.join(f'{1e6 * v:.1f}' for v in d[:3])
+        if self.target:
+            return (
+                f"{name}target '{self.target}': in part {self.part + 1} it lies "
+                f'{1e6 * np.linalg.norm(d):.1f} um from where it was before ({shift} um): it was '
+                f're-seated or has moved. Name it differently in that part, in bag and '
+                f'machine.yaml'
+            )
+        return (
+            f'{name}from part {self.part + 1} on all points lie at least {1e6 * self.size(d):.1f} '
+            f'um elsewhere: the tracker has moved. Check how it stands and record again, '
+            f'or record the parts of each place as a bag of its own'
+        )
+
+
+def find_steps(joint: AxisSolution) -> list[str]:
+    """Words on what moved between parts of every run, the clearest of a run first."""
+    messages = []
+    for number, solved in enumerate(joint.runs):
+        steps = list(_steps_of(solved))
+        if steps:
+            messages += _found(joint, number, steps)
+    return messages
+
+
+def _steps_of(solved: SolvedAxisRun) -> Iterator[_Step]:
+    """Steps of a run that are tried: targets that were named before, the tracker."""
+    run, part, fixed = solved.run, solved.run.pieces.part, solved.system.rows.fixed
+    present = np.unique(part).tolist()
+    for name in run.free:
+        if run.machine.targets[name].link != TABLE:
+            continue
+        parts = [k for k in present if run.parts[k].path.target == name]
+        for k in parts[1:]:
+            own = (part == k)[None, :, None]
+            yield _Step(solved, k, name, fixed[place_block(name)] * own)
+    pose = fixed[pose_block(run.station)]
+    for k in present[1:]:
+        yield _Step(solved, k, '', pose * (part >= k)[None, :, None])
+
+
+def _found(joint: AxisSolution, number: int, steps: Sequence[_Step]) -> list[str]:
+    """Words on the steps of one run, the clearest first."""
+    solved = joint.runs[number]
+    time = 2.0 * solved.run.pieces.time / max(float(solved.run.pieces.time.max()), 1e-9) - 1.0
+    pose = solved.system.rows.fixed[pose_block(solved.run.station)]
+    drift = [pose * time[None, :, None] ** k for k in range(1, DRIFT + 1)]
+    columns = np.concatenate([*drift, *(s.columns for s in steps)], axis=2)
+    others = [
+        columns if k == number else np.zeros((*s.residual.shape, columns.shape[2]))
+        for k, s in enumerate(joint.runs)
+    ]
+    sums = beside_tables(cast(Any, joint), others)
+    white = solved.whitener.whiten(solved.residual)
+    ratio = max(1.0, float(np.mean(white**2)))
+    ends = np.cumsum([DRIFT * pose.shape[2], *(s.columns.shape[2] for s in steps)])
+    places = [np.arange(a, b) for a, b in pairwise(ends.tolist())]
+    beside, words = np.arange(ends[0]), []
+    for _ in range(MOST):
+        fitted = [_fit(sums, own, beside) for own in places]
+        clear = [
+            gain / ratio if gain / ratio > SIGNIFICANT**2 + len(d) and s.size(d) > LEAST else 0.0
+            for s, (d, gain) in zip(steps, fitted, strict=True)
+        ]
+        if not any(clear):
+            break
+        good = [k for k, gain in enumerate(clear) if gain >= SIMPLER * max(clear)]
+        best = min(good, key=lambda k: (len(places[k]), -clear[k]))
+        words.append(steps[best].words(fitted[best][0]))
+        beside = np.concatenate([beside, places[best]])
+        places[best] = places[best][:0]
+    return words
+
+
+def _fit(sums: BesideTables, own: Array, beside: Array) -> tuple[Array, float]:
+    """Step and its gain, what is estimated beside it taken off."""
+    if not len(own):
+        return np.zeros(0), 0.0
+    normal, right = sums.normal, sums.right
+    inverse = np.linalg.pinv(normal[np.ix_(beside, beside)], rcond=1e-9, hermitian=True)
+    cross = normal[np.ix_(own, beside)] @ inverse
+    left = normal[np.ix_(own, own)] - cross @ normal[np.ix_(beside, own)]
+    pull = right[own] - cross @ right[beside]
+    size, vectors = np.linalg.eigh(left)
+    seen = size > VAGUE**-2
+    along = vectors[:, seen].T @ pull
+    return vectors[:, seen] @ (along / size[seen]), float(np.sum(along**2 / size[seen]))
