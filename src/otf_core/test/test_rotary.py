@@ -11,15 +11,17 @@ from rotary_cells import BAG, machine, recorded, truth
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.cdr import decode_axes, encode_axes
 from otf_core.cli import main
-from otf_core.errors import InputError
-from otf_core.inputs.recordings import read_recording
+from otf_core.errors import ConfigError, InputError
+from otf_core.inputs.path_file import read_path
+from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.model.axis_path import AxisPath, along_legs, nominal_track, position_at
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import ErrorMotion
 from otf_core.prediction.predict import predict
-from otf_core.rotary.curve_matching import split_parts
+from otf_core.rotary.curve_matching import match, split_parts
+from otf_core.rotary.mismatch import check_matched
 from otf_core.rotary.periodic import over_turn
 from otf_core.rotary.tabulation import field_rows, gauge_matrix
 from otf_core.sim.axis_cell import JointDrive
@@ -55,6 +57,34 @@ def test_bag_with_axis_positions_survives_writing(tmp_path):
     for one, other in zip(again.axis_paths, parts, strict=True):
         assert np.array_equal(one.positions, other.positions)
     assert np.array_equal(again.samples.xyz, recording.samples.xyz)
+
+
+def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
+    recording = recorded()
+    rows = np.column_stack([recording.samples.time, recording.samples.xyz])[:400]
+    np.savetxt(tmp_path / 's.csv', rows, '%.9f', ',', header='time_s,x_m,y_m,z_m', comments='')
+    parts, axes = recording.axis_paths, list(machine().axis_names)
+    lines = [f'target,{",".join(axes).lower()}']
+    lines += [f'{p.target},{",".join(map(repr, q))}' for p in parts for q in p.positions.tolist()]
+    (tmp_path / 'path.csv').write_text('\n'.join(lines))
+    plan = [{'target': p.target, 'positions': p.positions.tolist()} for p in parts]
+    content = {'schema': 'otf-rotary-plan/1', 'axes': axes, 'parts': plan}
+    (tmp_path / 'plan.json').write_text(json.dumps(content))
+    for file in ('path.csv', 'plan.json'):
+        again = read_recording(
+            [tmp_path / 's.csv'], machine(), ReadingOptions(path=tmp_path / file)
+        )
+        assert [p.target for p in again.axis_paths] == [p.target for p in parts]
+        for one, other in zip(again.axis_paths, parts, strict=True):
+            assert np.array_equal(one.positions, other.positions)
+        with pytest.raises(ConfigError, match='holds positions of rotary axes'):
+            read_path(tmp_path / file)
+    with pytest.raises(InputError, match=r'without a path; .* target,x,y,z,a,c'):
+        read_recording([tmp_path / 's.csv'], machine())
+    (tmp_path / 'linear.csv').write_text('x,y,z\n0,0,0.2\n0.1,0,0.2\n')
+    with pytest.raises(InputError, match=r'positions are missing: .* or give --path plan.json'):
+        options = ReadingOptions(path=tmp_path / 'linear.csv')
+        read_recording([tmp_path / 's.csv'], machine(), options)
 
 
 @pytest.mark.parametrize(
@@ -134,9 +164,26 @@ def test_parts_are_told_apart_by_the_broken_beam():
     parts = split_parts(recording.samples, machine(), recording.axis_paths)
     assert [p.path.target for p in parts] == ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
     assert parts[0].first == 0 and parts[-1].last == len(recording.samples)
-    with pytest.raises(InputError, match=r'6 parts were published .* only 4 times'):
-        six = [*recording.axis_paths, recording.axis_paths[0]]
+    with pytest.raises(InputError, match=r'path has 6 parts, but .* number 4, not 5'):
+        first = recording.axis_paths[0]
+        longer = replace(first, positions=np.concatenate([first.positions, first.positions]))
+        six = [longer, *recording.axis_paths]
         split_parts(recording.samples, machine(), six)
+
+
+def test_a_recording_that_ended_early_holds_the_first_parts():
+    recording = recorded()
+    third = split_parts(recording.samples, machine(), recording.axis_paths)[2]
+    end = third.first + (third.last - third.first) // 2
+    matched = match(recording.samples.part(0, end), machine(), recording.axis_paths)
+    assert [p.path.target for p in matched.parts] == ['tool', 'long', 'nest-1']
+    assert [p.target for p in matched.missing] == ['nest-2', 'nest-3']
+    assert 0.3 < matched.driven[2] < 0.7 and max(matched.distance) < 1e-4
+    (note,) = check_matched(recording.samples, matched, recording.axis_paths)
+    assert note.endswith('not recorded: nest-2, nest-3')
+    far = replace(matched, location={**matched.location, 'Z0A': 0.1})
+    with pytest.raises(InputError, match=r'axes: A: centre: .* it fits \['):
+        check_matched(recording.samples, far, recording.axis_paths)
 
 
 def test_tables_predict_the_exact_error_within_second_order():

@@ -204,6 +204,11 @@ def test_the_grammar_in_the_docs_is_that_of_these_texts():
 def test_a_track_in_another_unit_than_its_path_has_it_named(ratio, words):
     said = no_match.unit_by_size(ratio)
     assert words in said and bool(words) == bool(said)
+    turned = np.eye(3)[[1, 2, 0]] * 0.6 + 0.8 * np.eye(3)[[2, 0, 1]] * [[1, -1, 1]]
+    cube = np.array([[x, y, z] for x in (0, 3) for y in (0, 2) for z in (0, 1.0)])
+    assert no_match.extent(ratio * cube) == pytest.approx(ratio * 14**0.5)
+    q, _ = np.linalg.qr(turned)
+    assert no_match.extent(cube @ q) == pytest.approx(14**0.5)
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,14 @@ class BagReading:
             if topic.name not in self.topics:
                 listed = ', '.join(f'{n} ({t})' for n, t in sorted(self.topics.items())) or 'none'
                 option = '--topic' if topic is self.point else '--path-topic'
-                advice = f'record it, remap to that name, or name another one ({option})'
+                suited = FORMS if topic is self.point else (topic.type,)
+                others = [name for name, kind in sorted(self.topics.items()) if kind in suited]
+                another = ' or '.join(f'{option} {name}' for name in others[:3])
+                advice = (
+                    f'read another one: {another}'
+                    if another
+                    else f'record it, or remap to that name a topic of type {" or ".join(suited)}'
+                )
                 raise InputError(
                     f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
                     + ('; '.join(self.remarks) or advice)

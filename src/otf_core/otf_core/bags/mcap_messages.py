@@ -431,8 +431,8 @@ def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted
         )
     if topic in wanted and kind not in wanted[topic]:
         raise InputError(
-            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic][0]}'; "
-            f'record that type or remap the topic'
+            f"{where}: topic {topic} has type '{kind}', expected "
+            f'{" or ".join(map(repr, wanted[topic]))}; record one of these or name another topic'
         )
     if topic in wanted and encoding != 'cdr':
         raise InputError(f"{where}: topic {topic} is encoded as '{encoding}', expected 'cdr'")

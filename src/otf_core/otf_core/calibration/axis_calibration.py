@@ -17,6 +17,7 @@ from otf_core.calibration.calibration_result import Headline, headline_of
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
+from otf_core.model.axis_path import driven_length
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
@@ -166,6 +167,14 @@ class AxisCalibration:
             k, _ = self.budget_with_typical.expansion(variances[:, place])
             values[name] = k * u[place] * (name not in self.made.hidden)
         return values
+
+    @property
+    def needs(self) -> list[str]:
+        """What would show the errors that the data do not show, one line for those of one need."""
+        by_need: dict[str, list[str]] = {}
+        for name, need in self.advice.items():
+            by_need.setdefault(need, []).append(name)
+        return [f'{", ".join(names)}: needs {need}' for need, names in by_need.items()]
 
 
 def calibrate_axes(
@@ -502,10 +511,12 @@ def _fit_of(
     inflation: float,
 ) -> AxisFit:
     after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in joint.runs])
+    driven = [(share, p.path) for m in matched for share, p in zip(m.driven, m.parts, strict=True)]
+    driven += [(0.0, path) for m in matched for path in m.missing]
     coverage = float(
         np.average(
-            np.concatenate([m.driven for m in matched]),
-            weights=[len(p.path.positions) for m in matched for p in m.parts],
+            [share for share, _ in driven],
+            weights=[driven_length(recordings[0].machine, path.positions) for _, path in driven],
         )
     )
     return AxisFit(
@@ -579,7 +590,7 @@ def advice_for(
     for name in hidden:
         axis = name[-1]
         if axis not in moving:
-            advice[name] = f'{axis} did not move a reflector in view of the tracker'
+            advice[name] = f'a part in which {axis} moves a reflector in view of the tracker'
         elif axis in machine.rotary_names:
             advice[name] = _rotary_advice(machine, name, axis, nests, len(matched))
         elif len(tools) < 2 and name[1] in 'ABC':

@@ -46,7 +46,14 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.noise_model import NoiseModel, sample_variance
 from otf_core.noise.standstill import lost_samples
-from otf_core.pieces.finding import GATE, WARNING, Finding, failed_gates_of_data, words_of
+from otf_core.pieces.finding import (
+    COMPLETE_PATH,
+    GATE,
+    WARNING,
+    Finding,
+    failed_gates_of_data,
+    words_of,
+)
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError, driven_rows
@@ -421,7 +428,7 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
                     f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
                     f'continued smoothly'
                 )
-    if fit.coverage < 0.98:
+    if fit.coverage < COMPLETE_PATH:
         warnings.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
     if fit.residual_ratio > 1.5:
         warnings.append(

@@ -29,7 +29,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.model.provenance import moment
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills, lost_samples, standstill_noise
-from otf_core.pieces.finding import GATE, MIN_COVERAGE, WARNING, Finding, words_of
+from otf_core.pieces.finding import COMPLETE_PATH, GATE, MIN_COVERAGE, WARNING, Finding, words_of
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import (
     Setup,
@@ -146,7 +146,7 @@ def _read(
         remarks += reading.remarks
         seen = replace(seen, topics=reading.topics, said=tuple(reading.said))
         with refused.of('path', source):
-            if AXES.name not in reading.topics:
+            if not reading.axis_paths and AXES.name not in reading.topics:
                 if reading.path is not None:
                     reading.require(reading.path)
                 seen = replace(seen, path=path_of(source, [reading]))
@@ -183,8 +183,11 @@ def _followed(seen: CheckedRecording, refused: _Refusals) -> CheckedRecording:
         return seen
     if machine is not None:
         recordings = [Recording(samples, path, machine, name)]
-        with refused.of('run', name):
+        with refused.of('following', name):
             check_recordings(recordings)
+        if 'following' in refused:
+            return seen
+        with refused.of('run', name):
             runs, nodes = prepare_runs(recordings, config)
             (run, *_), findings = examine(runs, nodes, config)
             return replace(seen, run=run, findings=findings, nodes=nodes, alignment=run.alignment)
@@ -453,8 +456,6 @@ def _check_beam(seen: CheckedRecording) -> CheckOutcome:
 BEAM = Check('beam', _check_beam)
 
 
-COMPLETE_PATH = 0.98
-"""Driven share from which on nothing is reported."""
 SHORT_LEG = 4.0
 """Corner exclusions; a leg no longer is not looked for."""
 LEG_SEEN = 0.5
@@ -492,7 +493,9 @@ def _check_path(seen: CheckedRecording) -> CheckOutcome:
 
 def _check_parts(result: AxisCalibration) -> CheckOutcome:
     """Parts of a machine with rotary axes, as far as they were driven."""
-    shares = [share for one in result.matched for share in one.driven]
+    shares = [
+        share for one in result.matched for share in (*one.driven, *(0.0 for _ in one.missing))
+    ]
     missing = [k + 1 for k, share in enumerate(shares) if share < COMPLETE_PATH]
     text = ''
     if missing:
@@ -618,8 +621,7 @@ def _known_of_axes(result: AxisCalibration) -> CheckOutcome:
     words = [f'u of the motions, k = 1, rms over the nodes: {_sizes(mean_u)}']
     if unseen:
         words.append(f'not shown by these parts: {", ".join(unseen)}')
-        words += [f'{name} is shown by {result.advice[name]}' for name in unseen
-                  if name in result.advice]  # fmt: skip
+        words += result.needs
     facts = {'not_identifiable': unseen, 'mean_u': mean_u}
     return CheckOutcome('\n'.join(words), {'forecast': facts})
 

@@ -158,8 +158,12 @@ def answer_from(
 
 
 def _places(files: Sequence[Path], folder: str) -> list[str]:
-    """Names of files as they stand in a folder."""
-    return [str(f.relative_to(folder)) if f.is_relative_to(folder) else f.name for f in files]
+    """Names of files as they stand in a folder, or in the one in which they were prepared."""
+    if not files:
+        return []
+    own = all(f.is_relative_to(folder) for f in files)
+    root = folder if own else os.path.commonpath([f.parent for f in files])
+    return [str(f.relative_to(root)) for f in files]
 
 
 def report_files(files: Sequence[Path], folder: str) -> str:

@@ -123,7 +123,13 @@ def not_compared(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[s
     """What cannot be compared, and why."""
     machine = a.tables.machine
     reasons: dict[str, str] = {}
-    one_gauge = a.extra.get('gauge') == b.extra.get('gauge') and a.extra.get('gauge') is not None
+    gauges = [source.extra.get('gauge') for source in (a, b)]
+    one_gauge = gauges[0] == gauges[1] and gauges[0] is not None
+    unstated = [n for n, gauge in zip(names, gauges, strict=True) if gauge is None]
+    apart_words = (
+        f'{" and ".join(unstated)} state{"s" * (len(unstated) == 1)} no gauge' if unstated
+        else 'the gauges differ'
+    ) + ', so that only the errors in the volume can be compared'  # fmt: skip
     ends = [table_ranges(s.tables) for s in (a, b)]
     for k, axis in enumerate(machine.axis_names):
         own = [str(m) for m in machine.motions if m.axis == axis]
@@ -131,11 +137,11 @@ def not_compared(names: tuple[str, str], a: TablesFile, b: TablesFile) -> dict[s
         width = machine.axes[axis].max - machine.axes[axis].min
         apart = max(abs(ends[0][j][k] - ends[1][j][k]) for j in (0, 1))
         if not one_gauge:
-            reasons |= dict.fromkeys(own, 'the files do not state one gauge')
+            reasons |= dict.fromkeys(own, apart_words)
         elif apart > SAME_RANGE * width:
             reasons |= dict.fromkeys(own, f'the tables cover different ranges of {axis}')
     if not one_gauge:
-        reasons |= dict.fromkeys(machine.squareness, 'the files do not state one gauge')
+        reasons |= dict.fromkeys(machine.squareness, apart_words)
     for name, source in zip(names, (a, b), strict=True):
         listed = source.extra.get('not_identifiable')
         hidden = set(listed) if isinstance(listed, list) else set()

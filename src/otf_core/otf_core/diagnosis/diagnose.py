@@ -67,7 +67,7 @@ from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.pieces.finding import Finding
+from otf_core.pieces.finding import Finding, incomplete_path
 from otf_core.pieces.runs import Recording, Run, reduce_recording
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
 from otf_core.solving.unknowns import Basis
@@ -409,7 +409,7 @@ def _stated(
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
-        contradictions=contradictions,
+        contradictions=(*incomplete_path(calibration.plain.fit.coverage), *contradictions),
         table_change_um=table_change_um,
         unnamed=_said(weighed),
         applied=tuple(

@@ -308,13 +308,15 @@ class RemainingError:
     points : int
         Of the grid over the whole volume.
     before_mean, before_max : float
-        m; length of the error vectors by the tables: the figures of the calibration.
+        m; length of the error vectors by the tables: the figures of the calibration of three axes.
     after_mean, after_max : float
         m; the same less what the file holds.
     between_max : float
         m; largest remainder on a finer grid over the range of the tables, between the nodes too.
     wide : float
         m; expanded uncertainty that the calibration states for the mean; zero if unknown.
+    rotary : bool
+        The machine has rotary axes.
     """
 
     points: int
@@ -324,17 +326,26 @@ class RemainingError:
     after_max: float
     between_max: float
     wide: float = 0.0
+    rotary: bool = False
 
     @property
     def words(self) -> str:
         """One line."""
         share = 100 * (1 - self.after_mean / self.before_mean) if self.before_mean > 0 else 0.0
         change = f'{abs(share):.0f} % {"less" if share >= 0 else "more"}'
+        worse = (
+            '; the errors that this file removes cancel part of those that it cannot hold: use it '
+            'only together with a compensation of those'
+            if share < -0.5
+            else ''
+        )
+        whose = 'over the ranges of all axes' if self.rotary else 'as in the calibration'
         return (
-            f'volumetric error by the tables, {self.points} points as in the calibration: mean '
+            f'volumetric error by the tables, {self.points} points {whose}: mean '
             f'{self._um(self.before_mean)}, largest {self._um(self.before_max)}; this file leaves '
             f'mean {self._um(self.after_mean)} ({change}), largest '
             f'{self._um(self.after_max)}, between these points up to {self._um(self.between_max)}'
+            f'{worse}'
         )
 
     def _um(self, value: float) -> str:
@@ -343,7 +354,7 @@ class RemainingError:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, um."""
-        sizes = {k: v for k, v in asdict(self).items() if k not in ('points', 'wide')}
+        sizes = {k: v for k, v in asdict(self).items() if k not in ('points', 'wide', 'rotary')}
         return {'points': self.points, **{f'{k}_um': 1e6 * v for k, v in sizes.items()}}
 
 
@@ -381,4 +392,5 @@ def remaining_error(
         float(after.max()),
         float(between.max()),
         float(wide),
+        bool(machine.rotary_names),
     )

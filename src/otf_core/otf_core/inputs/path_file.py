@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A path from a file: plan.json of otf plan, the NC program that was driven, or corner points."""
+"""A path from a file: plan.json of otf plan, the NC program that was driven, or corner points.
+
+Of a machine with rotary axes: its plan.json, or a CSV of axis positions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,12 +23,22 @@ from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
 from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.model.axis_path import AxisPath
+from otf_core.model.motions import AXES, LETTERS, ROTARY
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 
 # Reads what ``otf plan`` wrote: plan.json (``otf-plan/1``) with feed of every leg and dwells.
 
 SCHEMA = 'otf-plan/1'
+ROTARY_SCHEMA = 'otf-rotary-plan/1'
+MAX_HEADER = 10_000
+"""Characters of a first line that are read to see what a file is."""
+
+
+ROTARY_WORDS = (
+    'holds positions of rotary axes, but a machine with three linear axes is expected: do the '
+    'files belong together?'
+)
 
 
 @dataclass(frozen=True)
@@ -84,6 +97,8 @@ def read_plan(path: str | Path) -> PlanFile:
     data = read_json(path)
     where = str(path)
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
+        if isinstance(data, Mapping) and data.get('schema') == ROTARY_SCHEMA:
+            raise ConfigError(f'{where}: {ROTARY_WORDS}')
         raise ConfigError(f"{where}: not a plan; expected the schema '{SCHEMA}' of otf plan")
     points = _numbers(data, 'path', (-1, 3), where)
     feed = _numbers(data, 'feed', (len(points) - 1,), where)
@@ -115,6 +130,8 @@ def read_points(name: str | Path) -> tuple[Array, str]:
     """
     try:
         table = read_table(name)
+        if _are_axes({n.strip().lower() for n in table.names or ()}):
+            raise ConfigError(f'{name}: {ROTARY_WORDS}')
         columns = named_columns(table, nominal=True)
         if columns is None:
             raise ConfigError(
@@ -127,20 +144,49 @@ def read_points(name: str | Path) -> tuple[Array, str]:
         raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
 
 
-def read_axis_paths(name: str | Path, axes: tuple[str, ...]) -> list[AxisPath]:
-    """Parts of a run of a machine with rotary axes, of a CSV with the letters of the axes.
+def holds_axis_positions(name: str | Path) -> bool:
+    """Return whether a file is a plan.json or a CSV with positions of rotary axes."""
+    if looks_like_json(name):
+        data = read_json(name)
+        return isinstance(data, Mapping) and data.get('schema') == ROTARY_SCHEMA
+    try:
+        with open(name, encoding='utf-8-sig') as file:
+            head = {word.strip().lower() for word in file.readline(MAX_HEADER).split(',')}
+    except (OSError, UnicodeDecodeError):
+        return False
+    return _are_axes(head)
 
-    A column ``target`` names the reflector in view; where it changes, another part begins.
+
+def _are_axes(names: Set[str]) -> bool:
+    """Return whether names of columns are letters of axes, rotary ones among them."""
+    linear = {a.lower() for a in AXES}
+    rotary = {a.lower() for a in ROTARY}
+    return linear < names and bool(names & rotary) and names <= linear | rotary | {'target'}
+
+
+def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath]:
+    """Parts of a run of a machine with rotary axes: its plan.json, or a CSV of axis positions.
+
+    The header holds the letters of the axes. A column ``target`` names the reflector in view;
+    where it changes, another part begins.
+
+    Parameters
+    ----------
+    axes : sequence of str, optional
+        Axes of the machine; otherwise those that the file names.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, has another header, or a line is no position.
     """
+    if looks_like_json(name):
+        return _planned_parts(name)
     lines = _lines_of(name)
     head = [word.strip().lower() for word in lines[0].split(',')]
+    letters = tuple(axes) or tuple(a for a in LETTERS if a.lower() in head)
     if 'target' not in head:
-        return [AxisPath(axes, read_positions(name, axes))]
+        return [AxisPath(letters, read_positions(name, letters))]
     column = head.index('target')
     targets, rows = [], []
     for line in lines:
@@ -148,10 +194,31 @@ def read_axis_paths(name: str | Path, axes: tuple[str, ...]) -> list[AxisPath]:
         if len(cells) > column:
             targets.append(cells.pop(column).strip())
         rows.append(','.join(cells))
-    positions = _positions_of(name, rows, axes)
+    positions = _positions_of(name, rows, letters)
     targets = [t for t, line in zip(targets[1:], lines[1:], strict=False) if line.strip()]
     ends = [0, *(k for k in range(1, len(targets)) if targets[k] != targets[k - 1]), len(targets)]
-    return [AxisPath(axes, positions[a:b], targets[a]) for a, b in pairwise(ends)]
+    return [AxisPath(letters, positions[a:b], targets[a]) for a, b in pairwise(ends)]
+
+
+def _planned_parts(name: str | Path) -> list[AxisPath]:
+    """Parts of the plan.json of a machine with rotary axes."""
+    data = read_json(name)
+    if not isinstance(data, Mapping) or data.get('schema') != ROTARY_SCHEMA:
+        raise ConfigError(
+            f"{name}: not a plan for rotary axes; expected the schema '{ROTARY_SCHEMA}' of otf "
+            f'plan, or a CSV of axis positions'
+        )
+    axes, parts = data.get('axes'), data.get('parts')
+    if not isinstance(axes, list) or not isinstance(parts, list) or not parts:
+        raise ConfigError(f'{name}: axes, parts: expected lists as otf plan writes them')
+    paths = []
+    for k, part in enumerate(parts):
+        where = f'{name}: parts: {k + 1}'
+        if not isinstance(part, Mapping) or not isinstance(part.get('target'), str):
+            raise ConfigError(f'{where}: target: missing')
+        positions = _numbers(part, 'positions', (-1, len(axes)), where)
+        paths.append(AxisPath(tuple(map(str, axes)), positions, part['target']))
+    return paths
 
 
 def _lines_of(name: str | Path) -> list[str]:
@@ -162,7 +229,7 @@ def _lines_of(name: str | Path) -> list[str]:
     return lines or ['']
 
 
-def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
+def read_positions(name: str | Path, axes: Sequence[str]) -> Array:
     """Axis positions (n, k), m and rad, of a CSV with the letters of the axes as its header.
 
     Raises
@@ -173,7 +240,7 @@ def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
     return _positions_of(name, _lines_of(name), axes)
 
 
-def _positions_of(name: str | Path, lines: list[str], axes: tuple[str, ...]) -> Array:
+def _positions_of(name: str | Path, lines: list[str], axes: Sequence[str]) -> Array:
     header = ','.join(axes).lower()
     head = lines[0].replace(' ', '').lower()
     if sorted(head.split(',')) != sorted(header.split(',')):

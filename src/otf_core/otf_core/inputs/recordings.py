@@ -12,7 +12,7 @@ from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.bag_signals import read_signals
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, rename_topic
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.path_file import read_path
+from otf_core.inputs.path_file import holds_axis_positions, read_axis_paths, read_path
 from otf_core.inputs.text_points import TextReading, is_text
 from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.machine import TOOL, Machine, load_machine
@@ -29,8 +29,8 @@ class ReadingOptions:
     Attributes
     ----------
     path : str or Path, optional
-        A plan.json, a CSV of corner points or an NC program; takes the place of a path in the
-        recording.
+        A plan.json, a CSV of corner points or of axis positions, or an NC program; takes the
+        place of a path in the recording.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
     publisher : int, optional
@@ -85,7 +85,9 @@ def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyRea
         path = None if given.path is not None else rename_topic(PATH, given.path_topic)
         reading = BagReading(source, rename_topic(POINT, given.topic), path, recover=given.recover)
     reading.publisher = given.publisher
-    if given.path is not None:
+    if given.path is not None and holds_axis_positions(given.path):
+        reading.paths, reading.axis_paths = [], read_axis_paths(given.path)
+    elif given.path is not None:
         corners, words = read_path(given.path)
         reading.paths = [corners]
         if words:
@@ -102,7 +104,10 @@ def read_content(sources: Sequence[str | Path], given: ReadingOptions = AS_IT_IS
         One recording, or several that are parts of the run, in any order: every part has samples,
         one of them at least the path, which is the same in all that have it.
     """
-    return content_of([open_reading(source, given) for source in sources], sources, given.path)
+    readings = [open_reading(source, given) for source in sources]
+    for other in readings[1:] if given.path is not None else ():
+        other.axis_paths = []  # one file of parts belongs to all recordings together
+    return content_of(readings, sources, given.path)
 
 
 def read_recording(
@@ -153,9 +158,17 @@ def driven_path(
     parts = tuple(part.of(machine) for part in axis_paths)
     if machine.rotary_names:
         if not parts:
+            letters = ','.join(machine.axis_names).lower()
+            other = (
+                '; the path found is that of a machine with three linear axes: is machine.yaml '
+                'that of the recorded machine?'
+                if path is not None
+                else ''
+            )
             raise InputError(
-                f'{AXES.name} is missing; of a machine with the rotary axes '
-                f'{", ".join(machine.rotary_names)} a bag holds axis positions ({AXES.type})'
+                f'axis positions are missing: {machine.name} has rotary axes '
+                f'({", ".join(machine.rotary_names)}); record {AXES.name} ({AXES.type}), or give '
+                f'--path plan.json or a CSV target,{letters}{other}'
             )
         return nominal_track(machine, parts), parts
     if path is not None:

@@ -354,7 +354,8 @@ class TextReading:
         if any(topic.name == PATH.name for topic in wanted) and not self.paths:
             raise InputError(
                 f'{self._where}: is a table of samples without a path; give the path beside it: '
-                f'--path plan.json, or a CSV of its corner points x,y,z'
+                f'--path plan.json, or a CSV of its corner points x,y,z (with rotary axes: of '
+                f'axis positions, as target,x,y,z,a,c)'
             )
 
     def received(self) -> ReceivedPoints:

@@ -21,6 +21,8 @@ from otf_core.model.path import NominalPath
 
 MIN_MOTION = 1e-9
 """m or rad; corners that differ by less are one."""
+LIKE_MM = 50.0
+"""Ranges by which a linear axis leaves its own from which positions are in mm, most likely."""
 MOST_TURNS = 30.0
 """Turns of an endless axis beyond which its positions are in degrees, most likely."""
 LEVER = 0.2
@@ -79,12 +81,14 @@ class AxisPath:
         if sorted(self.axes) != sorted(machine.axis_names):
             raise InputError(
                 f'axis positions are of {", ".join(self.axes)}, the machine {machine.name} has '
-                f'{", ".join(machine.axis_names)}; do recording and machine.yaml belong together?'
+                f'{", ".join(machine.axis_names)}; do these positions and machine.yaml belong '
+                f'together?'
             )
         if self.target not in machine.targets:
             raise InputError(
                 f"target '{self.target}' is not among the targets of machine.yaml "
-                f'({", ".join(machine.targets)})'
+                f'({", ".join(machine.targets)}); state its link and place there under targets, '
+                f'or correct its name in the recording'
             )
         q = self.positions[:, [self.axes.index(a) for a in machine.axis_names]]
         _check_ranges(machine, q)
@@ -95,6 +99,12 @@ class AxisPath:
 def travel_per_unit(machine: Machine) -> Array:
     """Travel (k,) that a unit of every axis counts as, m: a rotation on the radius ``LEVER``."""
     return np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+
+
+def driven_length(machine: Machine, positions: Array) -> float:
+    """Travel of all axes from corner to corner, m, rotations on the radius ``LEVER``."""
+    legs = np.diff(positions, axis=0) * travel_per_unit(machine)
+    return float(np.linalg.norm(legs, axis=1).sum())
 
 
 def driven_through(machine: Machine, positions: Array) -> NDArray[np.bool_]:
@@ -116,7 +126,11 @@ def _check_ranges(machine: Machine, q: Array) -> None:
             continue
         out = np.maximum(axis.min - q[:, k], q[:, k] - axis.max)
         if out.max() > 1e-3:
-            asked = '; is it in degrees?' if axis.rotary and out.max() > 3.0 else ''
+            asked = ''
+            if axis.rotary and out.max() > 3.0:
+                asked = '; is it in degrees?'
+            elif not axis.rotary and out.max() > LIKE_MM * (axis.max - axis.min):
+                asked = '; is it in mm?'
             raise InputError(
                 f'axis positions: corner {int(out.argmax())} leaves the range of axis {name} by '
                 f'{out.max():.4g} {axis.unit}{asked}'

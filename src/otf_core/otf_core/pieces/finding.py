@@ -8,6 +8,8 @@ from dataclasses import dataclass
 WARNING, GATE = 'warning', 'gate'
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
+COMPLETE_PATH = 0.98
+"""Driven share from which on nothing is reported."""
 MAX_OUTLIERS = 0.2
 """Share of left-out samples above which a calibration fails the quality gate."""
 
@@ -34,6 +36,17 @@ class Finding:
 def words_of(findings: tuple[Finding, ...], severity: str) -> tuple[str, ...]:
     """Words of the findings of one severity."""
     return tuple(f'{f.check}: {f.words}' for f in findings if f.severity == severity)
+
+
+def incomplete_path(coverage: float) -> tuple[Finding, ...]:
+    """What a diagnosis says of a run that was not driven to its end."""
+    if coverage >= COMPLETE_PATH:
+        return ()
+    words = (
+        f'only {100 * coverage:.0f} % of the path was recorded; what acts on the rest alone is '
+        f'not seen'
+    )
+    return (Finding('coverage', WARNING, words),)
 
 
 def failed_gates_of_data(coverage: float, outliers: int, samples: int) -> list[str]:

@@ -649,7 +649,7 @@ def _conventions(result: AxisCalibration) -> Section:
         'Errors are actual minus nominal, of the target relative to the table, in the frame of '
         'the table; symbols of ISO 230-1 and ISO 230-7.',
         f'Gauge: {GAUGE}.',
-        *(f'{name} is not seen: it needs {why}.' for name, why in result.advice.items()),
+        *(f'Not seen: {line}.' for line in result.needs),
     )
     return Section('conventions', 'Conventions', words, text=('', *words))
 

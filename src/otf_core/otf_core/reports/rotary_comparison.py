@@ -69,13 +69,21 @@ def _left_out(result: RotaryComparison) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for name, reason in result.not_compared.items():
         reasons.setdefault(reason, []).append(name)
-    return [f'not compared: {", ".join(names)}: {why}' for why, names in reasons.items()]
+    every = len(result.machine.motions) + len(result.machine.scalars)
+    lines = []
+    for why, names in reasons.items():
+        which = ', '.join(names)
+        if len(names) > every // 2:
+            which = f'single errors ({len(names)} of {every})'
+        lines.append(f'not compared: {which}: {why}')
+    return lines
 
 
 def format_rotary_comparison(result: RotaryComparison) -> str:
     """Return the text for a terminal."""
-    rows = [HEAD, *_rows(result)]
-    wide = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
+    own = _rows(result)
+    rows = [HEAD, *own] if own else []
+    wide = [max(len(row[k]) for row in rows) for k in range(len(HEAD))] if rows else []
     lines = [f'a: {result.names[0]}', f'b: {result.names[1]}', '']
     lines += [
         '  '.join(

@@ -20,6 +20,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import write_text
+from otf_core.inputs.path_file import ROTARY_SCHEMA
 from otf_core.model.machine import BED, Machine
 from otf_core.model.motions import unit_of
 from otf_core.planning.axis_programs import (
@@ -37,7 +38,6 @@ from otf_core.planning.rotary_paths import (
     SightShare,
 )
 
-SCHEMA = 'otf-rotary-plan/1'
 ENOUGH = 0.9
 """Share of the positions that facings are counted up to."""
 HAND_TURN = 20.0
@@ -90,7 +90,7 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
     """Return a plan as plain data in the layout of plan.json."""
     forecast = plan.forecast
     return {
-        'schema': SCHEMA,
+        'schema': ROTARY_SCHEMA,
         'machine': plan.machine.to_dict(),
         'tracker': {'link': plan.machine.tracker.link, 'place': plan.place.tolist()},
         'axes': list(plan.machine.axis_names),

@@ -29,6 +29,8 @@ from otf_core.rotary.track import MOST, STEP, Curve, Track, assign_places, by_le
 BREAK = 1.9
 """s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""
 MOST_BREAKS = 200
+SAME_LENGTH = 0.1
+"""Share by which the track of a whole part may be longer or shorter than its curve."""
 MISMATCH = 0.3
 """Log of the ratio of measured and nominal length of a part that counts as one unit of misfit."""
 KNOWN = 1e-4
@@ -85,6 +87,8 @@ class MatchedRun:
         m; median distance of the samples from the curve, for every part.
     driven : tuple of float
         Share of the curve that was driven, for every part.
+    missing : tuple of AxisPath
+        Parts of the path at its end that were not recorded.
     """
 
     machine: Machine
@@ -96,6 +100,7 @@ class MatchedRun:
     location: Mapping[str, float]
     distance: tuple[float, ...]
     driven: tuple[float, ...]
+    missing: tuple[AxisPath, ...] = ()
 
     def sight(self, target: str) -> Sight:
         """A target at the place that is known of it now."""
@@ -111,20 +116,15 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
     """Tell the parts of a run apart by the broken beam.
 
     Where the beam was broken more often than parts were changed, the breaks are taken between
-    which the track is about as long as the curve of every part.
+    which the track is about as long as the curve of every part. Of a recording that ended early
+    the parts are those at the beginning of the path.
 
     Raises
     ------
     InputError
-        If there are fewer breaks than parts call for.
+        If there are fewer breaks than parts call for, and the tracks are not those of the first.
     """
     ends = np.flatnonzero(np.diff(samples.stamp_ns) >= BREAK * 1e9) + 1
-    if len(ends) < len(paths) - 1:
-        raise InputError(
-            f'{len(paths)} parts were published (/planner/axes), but the beam is broken for 2 s '
-            f'only {len(ends)} times; between parts the reflector is moved by hand, or give a bag '
-            f'for each part'
-        )
     if len(ends) > MOST_BREAKS:
         gaps = np.diff(samples.stamp_ns)[ends - 1]
         ends = np.sort(ends[np.argsort(gaps)[-MOST_BREAKS:]])
@@ -133,6 +133,14 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
     chords = [float(np.linalg.norm(samples.xyz[e] - samples.xyz[e - 1])) for e in ends]
     nominal = [Curve.of(Sight.of_target(machine, p.target), p.positions).length for p in paths]
     pieces = len(lengths)
+    if pieces < len(paths):
+        if not _are_first(lengths, nominal):
+            raise InputError(
+                f'the path has {len(paths)} parts, but breaks of the beam of 2 s or more number '
+                f'{len(ends)}, not {len(paths) - 1}; break it while the reflector is moved by '
+                f'hand between two parts, or give a recording for each part'
+            )
+        paths = paths[:pieces]
     best = np.full((len(paths) + 1, pieces + 1), np.inf)
     cut = np.zeros((len(paths) + 1, pieces + 1), dtype=np.int64)
     best[0, 0] = 0.0
@@ -152,6 +160,12 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
         parts.append(Part(paths[k - 1], marks[start], marks[end]))
         end = start
     return parts[::-1]
+
+
+def _are_first(lengths: Sequence[float], nominal: Sequence[float]) -> bool:
+    """Whether tracks are as long as the first curves, the last track at most."""
+    share = np.array(lengths) / np.maximum(nominal[: len(lengths)], 1e-9)
+    return bool(np.all(np.abs(share[:-1] - 1.0) <= SAME_LENGTH) and share[-1] <= 1.0 + SAME_LENGTH)
 
 
 def nominal_places(machine: Machine) -> dict[str, Array]:
@@ -213,7 +227,9 @@ def match(
             )
         tracks.append(track)
         track = track.resampled(min(QUICK_STEP, max(STEP, track.length / FEWEST)))
-        following.append(_Following(part, track, by_length(track, curve)))
+        cut_off = len(parts) < len(paths) and part is parts[-1]
+        reach = track.reach if cut_off else by_length(track, curve)
+        following.append(_Following(part, track, reach))
     if pose is None:
         pose = _first_pose(machine, following, known)
     rounds = QUICK_ROUNDS if quick else ROUNDS
@@ -223,7 +239,8 @@ def match(
         pose, known, location = _refined(
             machine, following, pose, known, rounds, location, NARROWEST
         )
-    return _placed(samples, machine, following, pose, known, location)
+    matched = _placed(samples, machine, following, pose, known, location)
+    return replace(matched, missing=tuple(paths[len(parts) :]))
 
 
 def _finer(one: _Following, track: Track) -> _Following:

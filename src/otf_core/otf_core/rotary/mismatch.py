@@ -2,7 +2,8 @@
 """Why a track does not fit the curves that machine.yaml and the bag say: which change would do.
 
 Tried are: an axis that turns the other way, rotary axes in the other order, names of two targets
-exchanged, and a tracker that was moved between the parts. What fits much better is named.
+exchanged, a tracker on the other link, and a tracker that was moved between the parts. What fits
+much better is named.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ import numpy as np
 
 from otf_core.errors import InputError, OtfError
 from otf_core.model.axis_path import AxisPath
-from otf_core.model.machine import TABLE, Chain, Machine
+from otf_core.model.machine import BED, TABLE, Chain, Machine
 from otf_core.model.observation import Samples
-from otf_core.rotary.curve_matching import MatchedRun, match
+from otf_core.rotary.curve_matching import BREAK, MatchedRun, match
 
 SUSPECT = 2.5e-4
 """m; median distance of a part from its curve, after the rough fit, above which others are tried:
@@ -29,6 +30,8 @@ REFUSED = 1e-3
 """m; a part that is further off is not solved for."""
 FAR = 10.0
 """Standard uncertainties by which a place may be off without a word."""
+UNSOLVABLE = 2e-2
+"""m or rad; a line that lies further away is beyond errors of first order."""
 CENTRE = 1e-3
 """m; a line of an axis that lies further away is a mistake in machine.yaml, not an error."""
 TILT = 3e-3
@@ -52,10 +55,26 @@ def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPat
         if matched.distance[worst] > REFUSED:
             raise InputError(
                 f"part {worst + 1} ('{matched.parts[worst].path.target}'): the track is "
-                f'{1e3 * matched.distance[worst]:.2f} mm off the curve that the axes drive; check '
-                f'chain, direction and centre of the rotary axes, and the places of the targets'
+                f'{1e3 * matched.distance[worst]:.2f} mm off the curve that the axes drive; '
+                f'{_parts_words(samples, paths)}check chain, direction and centre of the rotary '
+                f'axes, and link and place of the targets and of the tracker'
             )
+    far = {n: (v, True) for n, v in matched.location.items() if abs(v) > UNSOLVABLE}
+    if far:
+        raise InputError('; '.join(wrong_lines(far, matched.machine)))
     return _notes(matched)
+
+
+def _parts_words(samples: Samples, paths: Sequence[AxisPath]) -> str:
+    """Words where the beam was broken more often than the path has changes of parts."""
+    breaks = int(np.count_nonzero(np.diff(samples.stamp_ns) >= BREAK * 1e9))
+    if breaks < len(paths):
+        return ''
+    return (
+        f'the beam was broken {breaks} times for 2 s or more, but the path has {len(paths)} '
+        f'part{"s" * (len(paths) > 1)}: if the path of a part is missing, record or give all '
+        f'parts; otherwise '
+    )
 
 
 def _explained(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath]) -> str:
@@ -101,11 +120,20 @@ def _alternatives(
             ),
         )
     yield from _other_orders(machine, paths)
-    nests = sorted({p.target for p in paths if machine.targets[p.target].link == TABLE})
-    for one, other in combinations(nests, 2):
+    seen = sorted({p.target for p in paths})
+    for one, other in combinations(seen, 2):
+        if machine.targets[one].link != machine.targets[other].link:
+            continue
         names = {one: other, other: one}
         driven = [replace(p, target=names.get(p.target, p.target)) for p in paths]
         yield machine, driven, f"it fits where the names '{one}' and '{other}' are exchanged"
+    link = BED if machine.tracker.link == TABLE else TABLE
+    yield (
+        replace(machine, tracker=replace(machine.tracker, link=link)),
+        list(paths),
+        f'it fits where the tracker stands on the {"bed" if link == BED else "table"}; write '
+        f'tracker: link: {link} in machine.yaml',
+    )
 
 
 def _other_orders(
@@ -170,6 +198,13 @@ def _check_names(matched: MatchedRun) -> None:
 
 def _notes(matched: MatchedRun) -> list[str]:
     notes = []
+    if matched.missing:
+        last = len(matched.parts)
+        names = ', '.join(p.target for p in matched.missing)
+        notes.append(
+            f'only the first {last} of {last + len(matched.missing)} parts were recorded; not '
+            f'recorded: {names}'
+        )
     for name in sorted({p.path.target for p in matched.parts}):
         target = matched.machine.targets[name]
         off = float(np.linalg.norm(matched.places[name] - np.array(target.place)))

@@ -53,7 +53,7 @@ MIRRORED_MESSAGE = (
 def why_no_match(samples: Samples, track: Track, guide: MatchingInput, tolerance: float) -> str:
     """State why nothing fits, as far as the shapes show."""
     out, size = share_of_spikes(samples)
-    ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
+    ratio = extent(track.points) / extent(guide.vertices)
     if out > MIN_STANDOUT_SHARE:
         return (
             f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm or more off '
@@ -69,6 +69,12 @@ def why_no_match(samples: Samples, track: Track, guide: MatchingInput, tolerance
         f'no run of measured corners fits the path within match_tolerance '
         f'({1e3 * tolerance:g} mm): do bag and path belong together?'
     )
+
+
+def extent(points: Array) -> float:
+    """Length of a chord that is about the longest between points (n, 3), in any orientation, m."""
+    first = points[np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()]
+    return float(np.linalg.norm(points - first, axis=1).max())
 
 
 def unit_by_size(ratio: float) -> str:

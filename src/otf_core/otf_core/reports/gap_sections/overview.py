@@ -421,7 +421,9 @@ def overview_section(diagnosis: Diagnosis) -> Section:
         f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
         '',
     )
-    return Section('overview', '', tuple(words), {'gap': asdict(gap)}, text=text,
+    contradictions = [f'{f.severity.capitalize()}, {f.check}: {f.words}.' for f in
+                      diagnosis.contradictions]  # fmt: skip
+    return Section('overview', '', (*words, *contradictions), {'gap': asdict(gap)}, text=text,
                    draw=lambda: [where_picture(diagnosis)])  # fmt: skip
 
 
