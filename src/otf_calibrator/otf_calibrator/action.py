@@ -24,7 +24,7 @@ from otf_msgs.msg import CalibrationResult
 REPEAT = 0.5
 """s; feedback is published at least so often."""
 REFUSED = 2
-"""Code of a goal that cannot begin, as of wrong usage of the command line."""
+"""Status of a goal that cannot start: that of wrong usage of the command line."""
 
 
 class CalibrateAction:

@@ -144,7 +144,7 @@ def corrected_program(plan: Plan, header: Sequence[str]) -> str:
 # shares of that length are equal places in it, whatever the correction has moved.
 
 POSITION_TOLERANCE = 2e-6
-"""m; the control stands at a point."""
+"""m; the control counts as standing at a point that is nearer than this."""
 ERROR_STEP = 1e-3
 """m; the error is taken this often along the path."""
 DETOUR = 1e-4

@@ -22,7 +22,8 @@ from otf_core.model.path import NominalPath
 MIN_MOTION = 1e-9
 """m or rad; corners that differ by less are one."""
 LIKE_MM = 50.0
-"""Ranges by which a linear axis leaves its own from which positions are in mm, most likely."""
+"""Positions of a linear axis that leave its range by more than this many ranges are in mm, most
+likely."""
 MOST_TURNS = 30.0
 """Turns of an endless axis beyond which its positions are in degrees, most likely."""
 LEVER = 0.2

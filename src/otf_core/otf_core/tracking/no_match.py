@@ -211,7 +211,7 @@ def _check_far_step(
         seconds = float(samples.time[track.hops[edge]])
         raise InputError(
             f'tracker or target moved about {seconds:.1f} s after the start by '
-            f'{1e3 * shift:.1f} mm: each part of the track follows the path, both together do '
-            f'not; clamp both and record again, or cut the recording there and give the parts '
-            f'as two runs'
+            f'{1e3 * shift:.1f} mm: each part of the track follows the path, but both '
+            f'together do not; clamp both and record again, or cut the recording there and '
+            f'give the parts as two runs'
         )

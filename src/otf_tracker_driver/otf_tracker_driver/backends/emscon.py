@@ -84,7 +84,9 @@ class Emscon(Backend):
             if time.monotonic() - began > (INITIALISED if initialising else PATIENCE):
                 break
             if self.cancelled():
-                raise TrackerError(f'tracker at {own.host}:{own.port}: connecting was given up')
+                raise TrackerError(
+                    f'tracker at {own.host}:{own.port}: no connection in time; gave up'
+                )
             time.sleep(PAUSE)
         known = self._thread.state.tracker
         return f'{known or "tracker"} at {own.host}:{own.port}'

@@ -17,7 +17,7 @@ class ReplayConfig(Parameters):
 
     bag: str = parameter('', 'rosbag2 folder or .mcap file with /tracker/point; required')
     publish_path: bool = parameter(
-        True, 'publish the path in the bag as planner/path or planner/axes, too'
+        True, 'also publish the path in the bag, as planner/path or planner/axes'
     )
 
 

@@ -29,7 +29,7 @@ MOVED_WITHIN = 120.0
 """s; for commands that move the tracker or initialise it."""
 SLOW = {Command.INITIALIZE, Command.CHANGE_FACE, Command.GO_BIRD_BATH, Command.FIND_REFLECTOR}
 BUSY_FOR = 30.0
-"""s; a tracker that is busy longer than that is said to be."""
+"""s; a tracker that is busy for longer is reported as busy."""
 FIRST_BUSY_PAUSE, BUSY_PAUSE = 0.02, 0.2
 """s; until it is asked again, doubled each time."""
 MOST_REFLECTORS = 200

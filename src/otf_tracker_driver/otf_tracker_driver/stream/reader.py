@@ -284,8 +284,8 @@ class Reader:
                 f'or is stamp in the description another column?'
             )
         return (
-            f'{self._how.source}: points are left out, as their time is not later than that '
-            f'before; check stamp and time in the description'
+            f'{self._how.source}: points are left out, since their time is not later than that '
+            f'of the point before; check stamp and time in the description'
         )
 
     def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:

@@ -115,7 +115,7 @@ EDGES = (
     ('Y', (1.0, 0.5, 0.0), '', 6.0, 15.0),
     ('Z', (0.0, 0.0, 0.5), 'end', -6.0, 4.0),
 )
-"""Where the axes are named: a place on the box, and which way off it."""
+"""Name of every axis: place on the box, alignment of the text, and offset from the place, px."""
 
 
 def box(low: Array, high: Array) -> list[Item]:
