@@ -41,7 +41,6 @@ def is_on(given, name):
     ----------
     given : mapping of str to str
         Launch arguments.
-    name : str
     """
     word = given[name].strip().lower()
     if word not in SWITCH:

@@ -25,10 +25,6 @@ class SoakTracker:
     ----------
     planning : PlannerConfig
         Of the path that it drives.
-
-    Attributes
-    ----------
-    port : int
     """
 
     def __init__(self, machine: Machine, planning: PlannerConfig, seed: int) -> None:

@@ -32,7 +32,6 @@ class CalibrateAction:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     latest : callable
         Returns the result that was published last, None before the first.
     """

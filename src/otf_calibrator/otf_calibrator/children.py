@@ -178,8 +178,6 @@ class Diagnosis:
 
     Parameters
     ----------
-    recording : Recording
-    config : CalibrationConfig
     folder : Path
         Of its calibration; the files of the diagnosis go there when they are whole.
 

@@ -259,7 +259,6 @@ class Collector:
 
         Parameters
         ----------
-        path : PartsTrack
         further : bool
             They begin with the parts that are known: the run goes on. Else samples so far are set
             aside.

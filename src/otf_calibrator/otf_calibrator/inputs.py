@@ -47,7 +47,6 @@ class PathReceiver:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     path, axes : str
         Topics.
     settings : callable

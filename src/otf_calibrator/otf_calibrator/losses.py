@@ -81,7 +81,6 @@ class Restarts:
 
     Attributes
     ----------
-    seconds : float
     samples : int
         As many as there would have been at the rate before.
     uncounted : bool

@@ -102,7 +102,6 @@ class PartsCollector:
 
         Parameters
         ----------
-        part : AxisPath
         message : bytes
             In which it came.
         stamp_ns : int, ns

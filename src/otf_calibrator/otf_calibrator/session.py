@@ -97,9 +97,6 @@ class Session:
 
     Attributes
     ----------
-    collector : Collector
-    intake : Intake
-    worker : Worker
     diagnosis : Diagnosis or None
         The diagnosis under way.
     """

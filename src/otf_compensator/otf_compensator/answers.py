@@ -28,7 +28,6 @@ class CompensationServer:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     tables_in_use : callable
         Return the tables; InputError if nothing is to be answered now.
     """

@@ -55,7 +55,6 @@ class Diagnostics:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     hardware : callable
         Returns what the node works with, such as name and serial number of a device.
     tasks : mapping of str to callable

@@ -37,7 +37,6 @@ class Drain:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     msg_type : type
         Message class.
     callback : callable

@@ -16,7 +16,6 @@ class LatestMessage:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     msg_type : type
         Message class.
     """

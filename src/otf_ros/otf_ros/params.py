@@ -63,7 +63,6 @@ class NodeParameters:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     *groups : subclasses of otf_core.config.Parameters
         Names must differ between the groups. Those of the frames, which every node has, come by
         themselves.

@@ -33,7 +33,6 @@ class TopicWatch:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     read : mapping of str to rclpy.qos.QoSProfile
         Topics, and the quality of service that the node asks of them.
     single : str

@@ -42,7 +42,6 @@ class Status:
 
     Attributes
     ----------
-    message : TrackerStatus
     latency : float or None, s
         Age of the oldest sample of the last batch when it was published; None if unknown.
     """

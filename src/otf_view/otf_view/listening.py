@@ -29,13 +29,8 @@ class LiveRunListener:
     Samples are subscribed to once the calibrator takes some: a driver that waits for listeners
     shall wait for the calibrator, not for a picture.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-
     Attributes
     ----------
-    run : LiveRun
     news : int
         Grows whenever path, errors on the grid or result change.
     folder : Path or None

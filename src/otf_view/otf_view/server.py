@@ -80,11 +80,6 @@ class PageServer:
     port : int
         0: any that is free.
 
-    Attributes
-    ----------
-    events : Events
-    url : str
-
     Raises
     ------
     ConfigError

@@ -206,7 +206,6 @@ def draw_trial(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
     places : int
         Tracker places it is measured from.
     signals : bool
@@ -262,7 +261,6 @@ class Draw:
 
     Attributes
     ----------
-    rng : numpy.random.Generator
     duration : float, s
     """
 
@@ -342,7 +340,6 @@ def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> Appli
         Of the registry or of ``OUTSIDE``.
     duration : float, s
         Of the run.
-    rng : numpy.random.Generator
     """
     draw = Draw(rng, machine, duration)
     if name in OUTSIDE:

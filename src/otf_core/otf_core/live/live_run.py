@@ -103,8 +103,6 @@ class LiveRun:
     ----------
     pose : RigidTransform or None
         Of the tracker in the machine frame, as this run shows it.
-    track : Track
-    progress : RunProgress
     rate : float
         Samples per second as they arrive, Hz; NaN as long as it is not known.
     """

@@ -62,7 +62,6 @@ def check_plan(machine: Machine, feed: float, rng: np.random.Generator) -> Plan:
     ----------
     feed : float
         m/s
-    rng : numpy.random.Generator
     """
     size = machine.upper - machine.lower
     low, high = machine.lower + INNER * size, machine.upper - INNER * size

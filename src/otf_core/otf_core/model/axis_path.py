@@ -176,7 +176,6 @@ class PartsTrack(NominalPath):
 
     Attributes
     ----------
-    machine : Machine
     parts : tuple of AxisPath
         Axes in the order of the machine.
     ends : tuple of int
@@ -209,7 +208,6 @@ def nominal_track(
 
     Parameters
     ----------
-    machine : Machine
     parts : sequence of AxisPath
     places : mapping of target to ndarray, shape (3,), m, optional
         Where reflectors were found to be; else as machine.yaml says.

@@ -197,7 +197,6 @@ class ReflectorView:
 
     Parameters
     ----------
-    sight : Sight
     q : ndarray, shape (n, k), m and rad
     """
 

@@ -110,7 +110,6 @@ class Chain:
 
     Attributes
     ----------
-    target : str
     corners : ndarray, shape (n, k), m and rad
     words : str
         What it is.

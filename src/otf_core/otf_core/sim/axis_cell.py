@@ -62,7 +62,6 @@ class JointDrive:
 
     Parameters
     ----------
-    machine : Machine
     positions : ndarray, shape (n, k), m and rad
     feed, acceleration : float
         m/s and m/s^2, of the axes together; see ``axis_path.travel_per_unit``.

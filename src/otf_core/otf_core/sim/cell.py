@@ -69,7 +69,6 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
     ----------
     size : float
         m; mean length of the error vectors once the best rigid motion is taken out.
-    rng : numpy.random.Generator
     """
     motions: dict[str, MotionTable] = {}
     longest = float(np.max((machine.upper - machine.lower)[:3]))

@@ -39,7 +39,6 @@ def draw_noise(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: fl
 
     Parameters
     ----------
-    rng : numpy.random.Generator
     rate : float
         Samples per second.
 
@@ -77,7 +76,6 @@ def draw_received(time: Array, loss: float, rng: np.random.Generator) -> NDArray
         Since the start.
     loss : float
         Share of packets that is lost.
-    rng : numpy.random.Generator
 
     Returns
     -------

@@ -39,7 +39,6 @@ def sample_moving_target(
         Its tracker says the noise.
     config : SimulationConfig
         Rate, clock and colour of the noise.
-    rng : numpy.random.Generator
     """
     step = 1.0 / (config.rate * (1.0 + config.clock_drift))
     moments = np.arange(time[0] + step * rng.uniform(), time[-1], step)

@@ -82,7 +82,6 @@ class Session:
 
     Attributes
     ----------
-    state : SessionState
     configured : asyncio.Event
         Set once the tracker has been configured.
     """

@@ -41,10 +41,6 @@ class EmulatedTracker:
         Rate of the tracker's clock, less one.
     record : callable, optional
         See Measuring.
-
-    Attributes
-    ----------
-    device : Device
     """
 
     def __init__(

@@ -59,7 +59,6 @@ class Reader:
         What keeps points from flowing just now.
     points, unreadable : int
         Lines that held a point, and lines that did not.
-    connected : bool
     not_fetched : int
         Points that nobody fetched in time.
     connections, interruptions : int

@@ -31,7 +31,6 @@ class AxisMove:
         Increments of the axes that move.
     endless : tuple of str
         Endless axes among them.
-    seconds : float
     length : float
         Travel, mm and degrees: of the linear axes, where none moves of the rotary ones.
     stop : bool
