@@ -29,7 +29,7 @@ from otf_core.model.expanded import (
     with_expanded,
 )
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import TOOL
+from otf_core.model.machine import SPINDLE
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
@@ -65,6 +65,7 @@ from otf_core.reports.page import (
     Section,
     State,
     Table,
+    join_names,
     micro,
     page_html,
     sections_to_text,
@@ -460,12 +461,14 @@ def _lines(result: AxisCalibration) -> Section:
             words.append(f'{name}: not identifiable')
     for axis in result.machine.rotary_names:
         words += [location_words(result, n) for n in location_names(axis)]
-    spindle = result.machine.targets[TOOL]
-    if TOOL in result.targets and spindle.u == 0.0:
+    targets = result.machine.targets
+    exact = [n for n in result.targets if targets[n].link == SPINDLE and targets[n].u == 0.0]
+    if exact:
         words.append(
-            'machine.yaml states no uncertainty of target_offset (targets: tool: u): the lines '
-            'are known relative to the reflector in the spindle as stated there, and U of X0C, '
-            'Y0A and their like contains nothing for it.'
+            f'The place of {join_names(exact)} in the spindle counts as exact (targets: u is 0 or '
+            f'not stated): U of location errors contains nothing for it. With two lengths a '
+            f'spindle that leans makes a rotation of the axis that carries it look wrong near '
+            f'its zero position; state u of all reflectors in the spindle.'
         )
     data = {
         n: {'value': value, 'u': u, 'identifiable': seen}
