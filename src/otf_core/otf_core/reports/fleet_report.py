@@ -61,12 +61,15 @@ def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
 def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
     """Row of a machine with rotary axes: location errors among the remarks."""
     good, size = not data['failed_gates'], data['volumetric_error']
-    state = data['verdicts']['machine']['state']
+    state, first = data['verdicts']['machine']['state'], data.get('headline')
+    typical = data.get('typical_systematic') or {}
+    whole = {**typical.get('squareness', {}), **typical.get('location', {})}
 
     def words(error: str, entry: Mapping[str, Any]) -> str:
         if error in data['not_identifiable']:
             return 'not known'
-        return with_expanded(1e6 * entry['value'], 1e6 * COVERAGE_FACTOR * entry['u'])
+        u = whole.get(error, entry)['u']
+        return with_expanded(1e6 * entry['value'], 1e6 * COVERAGE_FACTOR * u)
 
     lines = [
         f'{n} {words(n, v)}{"" if n in data["not_identifiable"] else " " + micro_unit(unit_of(n))}'
@@ -79,7 +82,7 @@ def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
         State(STATES.get(state, state), MOODS.get(state, '')),
         f'{1e6 * size["mean"]:.1f}',
         f'{1e6 * size["max"]:.1f}',
-        '-',
+        significant(1e6 * first['expected_after_compensation']['U']['max']) if first else '-',
         *(words(k, data['squareness'][k]) for k in SQUARENESS),
         offset_words(np.array(data['machine']['target_offset'])),
         '; '.join([*([remark] if remark else []), f'location errors: {", ".join(lines)}']),
