@@ -11,7 +11,12 @@ of the smallest, whole processes and insides apart.
 peak memory over the 32 bytes of a sample (stamp and three coordinates), with and without what
 Python with NumPy and SciPy takes on its own. Ten million samples are a bag of half a gigabyte.
 
+``--rotary``: machines with three and with five axes, the tracker on the bed and on the table,
+each a recording of about 300 000 samples (ten minutes at 500 Hz); in turn, processor time of
+``otf calibrate`` and its ratio to that of three axes.
+
 Usage: python bench/calibrate_speed.py [--laps N] [--repeats N]
+       python bench/calibrate_speed.py --rotary [--repeats N]
        python bench/calibrate_speed.py --growth [1,2,5,10] [--folder SCRATCH]
 """
 
@@ -26,15 +31,19 @@ from child import Cost, circumstances, measured, spread
 from markdown import heading, numbers, row
 
 JOBS = Path(__file__).with_name('calibrate_jobs.py')
-MACHINE = Path(__file__).resolve().parents[1] / 'src/otf_bringup/config/machine.yaml'
+ROOT = Path(__file__).resolve().parents[1]
+MACHINE = ROOT / 'src/otf_bringup/config/machine.yaml'
+TRUNNION = ROOT / 'examples/trunnion.yaml'
+SAMPLES, SLOW = 300_000, 20
+"""Samples of a recording of ``--rotary``, and rate, Hz, at which its duration is found out."""
 SEED = 20_260_011
 BYTES = 32
 """of a sample: int64 stamp, three float64"""
 
 
-def command(bag: Path, out: Path) -> list[str | Path]:
+def command(bag: Path, out: Path, machine: Path = MACHINE) -> list[str | Path]:
     """Words of the command."""
-    words = ['calibrate', bag, '--machine', MACHINE, '--out', out, '--overwrite', '--no-report']
+    words = ['calibrate', bag, '--machine', machine, '--out', out, '--overwrite', '--no-report']
     return ['-m', 'otf_core.cli', *words]
 
 
@@ -95,11 +104,43 @@ def growth(folder: Path, millions: tuple[float, ...]) -> None:
               flush=True)  # fmt: skip
 
 
+def recorded(machine: Path, bag: Path) -> Path:
+    """Simulate a run of about ``SAMPLES`` samples."""
+    words = ['-m', 'otf_core.cli', 'simulate', '--machine', machine, '--seed', str(SEED), '--out']
+    measured([*words, f'{bag}-slow', '--rate', str(SLOW)])
+    slow = json.loads(Path(f'{bag}-slow/simulation.json').read_text(encoding='utf-8'))
+    count = slow['provenance']['runs'][0]['samples']
+    measured([*words, bag, '--rate', f'{SLOW * SAMPLES / count:.1f}'])
+    return bag
+
+
+def beside_three_axes(folder: Path, repeats: int) -> None:
+    """Print the processor time of three and of five axes."""
+    table = folder / 'table.yaml'
+    table.write_text(TRUNNION.read_text(encoding='utf-8').replace('link: b}', 'link: w}'))
+    machines = {'three axes': MACHINE, 'five axes, tracker on the bed': TRUNNION,
+                'five axes, tracker on the table': table}  # fmt: skip
+    bags = {name: recorded(one, folder / f'bag-{k}') for k, (name, one) in
+            enumerate(machines.items())}  # fmt: skip
+    costs: dict[str, list[Cost]] = {name: [] for name in machines}
+    for _ in range(repeats):
+        for name, one in machines.items():
+            costs[name].append(measured(command(bags[name], folder / 'out', one)))
+    print(f'{SAMPLES} samples each; {repeats} times in turn, {circumstances()}\n')
+    print(heading(('machine', 'processor s', 'ratio', 'peak MB')))
+    first = min(c.processor for c in costs['three axes'])
+    for name, own in costs.items():
+        processor = [c.processor for c in own]
+        print(row((name, spread(processor), f'{min(processor) / first:.2f}',
+                   spread([c.peak / 1e6 for c in own], '.0f'))))  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--laps', type=int, default=4)
     parser.add_argument('--repeats', type=int, default=10)
     parser.add_argument('--growth', type=numbers, nargs='?', const=(1, 2, 5, 10))
+    parser.add_argument('--rotary', action='store_true')
     parser.add_argument('--folder', type=Path, help='keeps the bags of --growth for the next time')
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -107,6 +148,8 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if chosen.growth:
             growth(folder, chosen.growth)
+        elif chosen.rotary:
+            beside_three_axes(Path(scratch), chosen.repeats)
         else:
             beside_rosbags(Path(scratch), chosen.laps, chosen.repeats)
 

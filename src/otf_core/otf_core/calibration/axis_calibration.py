@@ -60,6 +60,9 @@ from otf_core.solving.model_choice import FINER, SMOOTH, STRAIGHT
 from otf_core.solving.unknowns import Basis, Unknowns
 from otf_core.threads import one_thread
 
+FIRST_REPETITIONS = 2
+"""Of the solution that positions on the curves, functions and reversal are taken from."""
+
 
 @dataclass(frozen=True)
 class AxisFit:
@@ -294,7 +297,7 @@ class _Job:
             raise InputError(steps[0]) from None
         failed.extend(find_steps(joint))
         joint = choose_functions(joint, layouts, self.config.unidentifiable_above)
-        joint, fitted = improve(joint, fitted=unknown)
+        joint, fitted = improve(joint, fitted=unknown, repetitions=FIRST_REPETITIONS)
         unknowns = joint.unknowns
         if self.config.reversal != NONE:
             unknowns = self._with_reversal(joint)

@@ -186,6 +186,7 @@ def solve_robustly(
     fitted: Sequence[Array | None],
     config: CalibrationConfig,
     progress: Progress,
+    repetitions: int = REPETITIONS,
 ) -> tuple[AxisSolution, list[Array | None]]:
     """Leave out what is far from a solution, fit the noise, solve again; until nothing changes.
 
@@ -203,7 +204,7 @@ def solve_robustly(
         What its residuals say of the noise of every run.
     """
     known = list(fitted)
-    for repetition in range(REPETITIONS):
+    for repetition in range(repetitions):
         same, runs = True, []
         for k, solved in enumerate(joint.runs):
             drop = _far(solved, config.outlier_limit)
@@ -213,8 +214,8 @@ def solve_robustly(
                 same = False
             known[k] = noise.logs
             runs.append(replace(solved.run, pieces=solved.run.pieces.without(drop)))
-        progress('solving', (repetition + 1) / (REPETITIONS + 1))
-        if same or repetition == REPETITIONS - 1:
+        progress('solving', (repetition + 1) / (repetitions + 1))
+        if same or repetition == repetitions - 1:
             break
         tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
         joint = solve_jointly(

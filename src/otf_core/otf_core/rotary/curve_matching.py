@@ -416,11 +416,14 @@ def closest(
         Unit direction of travel.
     """
     reach = curve.reach_at(place)
+    moving = np.arange(len(reach))
     for _ in range(ROUNDS):
-        tangent = _chord(curve, reach)
-        step = np.einsum('ni,ni->n', points - curve.at(reach), tangent)
-        reach = np.clip(reach + np.clip(step, -LONGEST_STEP, LONGEST_STEP), 0.0, curve.length)
-        if np.abs(step).max(initial=0.0) < SETTLED:
+        own = reach[moving]
+        step = np.einsum('ni,ni->n', points[moving] - curve.at(own), _chord(curve, own))
+        own = own + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        reach[moving] = np.clip(own, 0.0, curve.length)
+        moving = moving[np.abs(step) >= SETTLED]
+        if not len(moving):
             break
     place = curve.place_at(reach)
     seen = sight.at(position_at(curve.positions, place))

@@ -214,10 +214,11 @@ def _of_part(
     if len(own) < 10:
         return None
     points = matched.pose.apply(samples.xyz[own])
-    wanted = points
+    curve, wanted = Curve.of(sight, positions), points
     if tables is not None:
-        wanted = points - sight.at(position_at(positions, matched.place[own])).displacement(tables)
-    curve = Curve.of(sight, positions)
+        errors = sight.at(position_at(positions, curve.place)).displacement(tables)
+        there = [np.interp(matched.place[own], curve.place, error) for error in errors.T]
+        wanted = points - np.stack(there, axis=1)
     place, seen, tangent = closest(sight, curve, matched.place[own], wanted)
     offset = np.ascontiguousarray((points - seen.position).T)
     stretch = reach.stretch[_leg_of(place, positions)]
