@@ -47,7 +47,7 @@ def on_axis_increment(machine: Machine, part: PlannedPart) -> PlannedPart:
     scale = program_units(machine) / INCREMENT
     low, high = machine.lower * scale, machine.upper * scale
     inner = np.ceil(low - 1e-3), np.floor(high + 1e-3)
-    q = np.clip(np.rint(part.path.positions * scale), *inner) / scale
+    q = np.clip(np.rint(part.path.positions * scale), *inner) / scale + 0.0  # no -0.0
     path = AxisPath(machine.axis_names, q, part.path.target)
     return replace(part, path=path.of(machine))
 
