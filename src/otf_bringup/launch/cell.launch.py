@@ -37,7 +37,12 @@ ARGUMENTS = [
     ('params_file', str(CONFIG / 'params.yaml'), 'all other parameters'),
     ('namespace', '', 'namespace of nodes and topics'),
     ('output_directory', 'calibrations', 'where results go'),
-    ('path_file', '', 'CSV x,y,z, plan.json or NC program to drive instead of a created path'),
+    (
+        'path_file',
+        '',
+        'path to drive instead of a created one: CSV x,y,z, plan.json or NC program; with rotary '
+        'axes CSV target,x,y,z,a,c',
+    ),
     ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
     ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
     ('diagnose', 'false', 'diagnose every run after its calibration'),
@@ -76,9 +81,18 @@ BACKEND_PARAMETERS = {
 INFOS = {**PLANNER_PARAMETERS, **BACKEND_PARAMETERS}
 
 
+def unit_of(info):
+    """Return the unit of a parameter as descriptions have it: ' [m/s]', or nothing."""
+    return f' [{info.unit}]' if info.unit else ''
+
+
 def generate_launch_description():
     own = [
-        (SHORT.get(name, name), '', f'{info.meaning} (default: that of params_file)')
+        (
+            SHORT.get(name, name),
+            '',
+            f'{info.meaning}{unit_of(info)} (default: that of params_file)',
+        )
         for name, info in INFOS.items()
     ]
     declared = [

@@ -81,7 +81,7 @@ class Status:
         if kind in HELD_UP and lasted > FAULT_AFTER:
             state = TrackerStatus.FAULT
         text = trouble or hindrance.text
-        if kind not in ORDINARY or lasted >= 1.0:
+        if lasted >= 1.0:
             text += f'; no samples for {lasted:.0f} s'
         if hindrance.restarts and kind not in ORDINARY:
             text += f', {hindrance.restarts} restart{"s" if hindrance.restarts > 1 else ""}'
