@@ -10,7 +10,7 @@ from test_nc import numbers, rs274  # noqa: F401  (the fixture)
 from test_rotary_paths import FEED, trunnion
 
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import driven_through
+from otf_core.model.axis_path import driven_through, seconds_of_legs
 from otf_core.model.joints import Sight
 from otf_core.planning import axis_programs as programs
 from otf_core.planning import rotary_paths as paths
@@ -79,7 +79,7 @@ def test_a_program_drives_the_part_that_is_published(name, link):
     text = programs.part_program(DIALECTS[name], machine, part, number, FEED.feed, ['head'])
     found = driven(name, text, machine.axis_names)
     np.testing.assert_allclose(found.q, part.path.positions * scale, atol=2e-6)
-    wanted = paths.seconds_of_legs(machine, part.path.positions, FEED.feed)
+    wanted = seconds_of_legs(machine, part.path.positions, FEED.feed)
     near = 0.02 if name == 'heidenhain' else 2e-3
     np.testing.assert_allclose(found.seconds, wanted, rtol=near, atol=6e-4)
     smooth = driven_through(machine, part.path.positions)

@@ -10,7 +10,7 @@ from otf_core.model.axis_path import PartsTrack, nominal_track
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import AxisPlan, Plan, check_inside, plan_for_path
-from otf_core.planning.axis_plan import axis_plan, planned_parts
+from otf_core.planning.part_choice import axis_plan, planned_parts
 from otf_core.planning.path_creation import plan_path
 from otf_core.planning.rotary_paths import PlannedPart
 from otf_path_planner.params import PlannerFiles

@@ -15,7 +15,7 @@ from otf_core.config import PlannerConfig
 from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import ConfigError
 from otf_core.model.machine import load_machine
-from otf_core.planning.axis_plan import planned_parts
+from otf_core.planning.part_choice import planned_parts
 from otf_msgs.msg import Plan
 from otf_path_planner.node import PathPlanner
 from otf_ros import convert, qos

@@ -233,17 +233,12 @@ def _plan_rotary(
 
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
-    from otf_core.planning.axis_plan import planned_parts
     from otf_core.planning.clearance import near_misses
+    from otf_core.planning.line_of_sight import check_side, default_tracker_place, sights
     from otf_core.planning.nc import DIALECTS
+    from otf_core.planning.part_choice import planned_parts
     from otf_core.planning.plan_report import read_place
-    from otf_core.planning.rotary_paths import (
-        check_side,
-        default_tracker_place,
-        duration_of,
-        forecast_parts,
-        sights,
-    )
+    from otf_core.planning.rotary_forecast import duration_of, forecast_parts
     from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
 
     for option in ('path', 'after', 'wanted_uncertainty'):

@@ -30,6 +30,8 @@ LEVER = 0.2
 """m; a rotation counts as travel on this radius."""
 SMOOTH = 0.2
 """Change of the unit direction in the axes below which a corner is driven through."""
+TURN_RATE = np.radians(15.0)
+"""rad/s; rotary axes turn no faster, so that samples at 500 Hz lie 0.03 degrees apart."""
 TRACK_STEP, TRACK_TURN = 5e-3, 0.03
 """m of travel and rad of rotation between points of a track that stands for the curve."""
 
@@ -106,6 +108,21 @@ def driven_length(machine: Machine, positions: Array) -> float:
     """Travel of all axes from corner to corner, m, rotations on the radius ``LEVER``."""
     legs = np.diff(positions, axis=0) * travel_per_unit(machine)
     return float(np.linalg.norm(legs, axis=1).sum())
+
+
+def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
+    """Times (n - 1,) of the legs between corners, s: none is faster than feed and ``TURN_RATE``.
+
+    Parameters
+    ----------
+    feed : float
+        m/s, of the linear axes.
+    """
+    legs = np.abs(np.diff(q, axis=0))
+    turning = np.array([machine.axes[a].rotary for a in machine.axis_names])
+    travel = np.linalg.norm(legs[:, ~turning], axis=1)
+    angle = legs[:, turning].max(axis=1, initial=0.0)
+    return np.asarray(np.maximum(travel / feed, angle / TURN_RATE))
 
 
 def driven_through(machine: Machine, positions: Array) -> NDArray[np.bool_]:

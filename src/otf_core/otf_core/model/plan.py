@@ -76,7 +76,7 @@ class AxisPlan:
     parts : tuple of AxisPath
         Between two of them the reflector is moved by hand.
     feed : tuple of float, m/s
-        Programmed speed in every part, a rotation counting as travel at a radius of 0.2 m.
+        Programmed speed of the linear axes in every part; see ``axis_path.seconds_of_legs``.
     dwell : tuple of float, s
         Standstill at every corner of a part that is not driven through.
     stops : tuple of bool

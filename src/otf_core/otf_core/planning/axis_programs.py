@@ -11,21 +11,22 @@ reflector at one place of the workpiece while the rotary axes turn.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath, driven_through
+from otf_core.model.axis_path import AxisPath, driven_through, seconds_of_legs
 from otf_core.model.joints import Sight
 from otf_core.model.machine import TOOL, Machine
 from otf_core.planning.nc.dialect import AxisMove, Dialect, comment_lines
 from otf_core.planning.rotary_paths import (
     STOP_TIME,
     PlannedPart,
+    courses,
     creeps,
-    seconds_of_legs,
 )
 
 INCREMENT = 1e-3
@@ -165,7 +166,10 @@ def verification_part(machine: Machine) -> PlannedPart | None:
     It is driven with TCP on; its corners are where the axes are then, 1 degree apart.
     """
     table = replace(machine, tracker=replace(machine.tracker, link='w'))
-    chains = [c for a in machine.rotary_names for c in creeps(table, a, TOOL, 0.0)[:1]]
+    chains = []
+    for axis in machine.rotary_names:
+        with suppress(ConfigError):  # the linear axes do not reach
+            chains.append(creeps(table, {axis: courses(machine, axis)}, TOOL, 0.0)[0])
     if not chains:
         return None
     path = AxisPath(machine.axis_names, np.concatenate(chains), TOOL).of(machine)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chains of a machine with rotary axes that show its errors within a time.
+"""The plan of a machine with rotary axes: the chains that show its errors within a time.
 
 From all chains those are taken out, some at a time, whose loss costs least per second,
 
@@ -19,17 +19,19 @@ from itertools import accumulate, groupby
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
+from otf_core.model.plan import AxisPlan
 from otf_core.noise.noise_model import NoiseModel
+from otf_core.planning.axis_programs import on_axis_increment
+from otf_core.planning.line_of_sight import default_tracker_place
+from otf_core.planning.rotary_forecast import Judge, duration_of
 from otf_core.planning.rotary_paths import (
     HAND_MOVE,
     Chain,
-    Judge,
     PlannedPart,
     candidate_chains,
-    duration_of,
     parts_of,
 )
 from otf_core.solving.normal import NormalEquations
@@ -43,6 +45,10 @@ UNSEEN, HARDLY = 30.0, 0.15
 """What an error that is not seen costs, and the share of its variance from which it is not."""
 AT_ONCE = 0.06
 """Share of the chains that goes at once while the time is far exceeded."""
+COARSE, LONG_PIECES = 10, 4.0
+"""Intervals of the range of an axis, and how much longer pieces are, where chains are chosen."""
+SHORT_LIST = 6
+"""Chains whose worth is computed beyond first order, beside those that go at once."""
 
 
 def choose_parts(
@@ -98,7 +104,8 @@ class _Choice:
         self.limit = ROTARY_TIME if time_budget is None else time_budget
         each = [parts_of(machine, [c])[0] for c in chains]
         self.seconds = [duration_of(machine, p, config) for p in each]
-        self.judge = Judge(machine, each, place, config, judged, noise)
+        piece = LONG_PIECES * CalibrationConfig.piece_length
+        self.judge = Judge(_coarser(machine), each, place, config, judged, noise, piece)
         self.each = each
 
     @cached_property
@@ -144,11 +151,14 @@ class _Choice:
 
     def _fewer(self, selected: list[int], free: list[int]) -> list[int]:
         total = sum((self.equations[k] for k in selected), self.judge.known)
-        now = self._sum_of_logs(total)
+        now, slope = self._sum_of_logs(total), self._slope(total)
         saved = {k: self.seconds[k] + self._hand(selected, k) for k in free}
+        count = max(1, int(AT_ONCE * len(free)))
+        first = {k: float(np.vdot(self.equations[k].matrix, slope)) / saved[k] for k in free}
+        short = sorted(free, key=lambda k: first[k])[: count + SHORT_LIST]
         cost = {k: (self._sum_of_logs(total.less(self.equations[k])) - now) / saved[k]
-                for k in free}  # fmt: skip
-        drop = sorted(free, key=lambda k: cost[k])[: max(1, int(AT_ONCE * len(free)))]
+                for k in short}  # fmt: skip
+        drop = sorted(short, key=lambda k: cost[k])[:count]
         over = self._spent(selected) - self.limit
         while len(drop) > 1 and sum(saved[k] for k in drop[:-1]) > over:
             drop = drop[:-1]
@@ -156,11 +166,17 @@ class _Choice:
 
     def _with_one_more(self, selected: list[int]) -> list[int] | None:
         """The best chain that still fits beside the others; None if none does."""
-        out = [k for k in range(len(self.chains)) if k not in selected]
-        fits = [k for k in out if self._spent(sorted([*selected, k])) <= self.limit]
+        left = self.limit - self._spent(selected)
+        out = [k for k in range(len(self.chains)) if k not in selected and self.seconds[k] <= left]
+        total = sum((self.equations[k] for k in selected), self.judge.known)
+        slope = self._slope(total)
+        out.sort(key=lambda k: -float(np.vdot(self.equations[k].matrix, slope)))
+        fits: list[int] = []
+        for k in out:
+            if len(fits) < SHORT_LIST and self._spent(sorted([*selected, k])) <= self.limit:
+                fits.append(k)
         if not fits:
             return None
-        total = sum((self.equations[k] for k in selected), self.judge.known)
         gain = {k: -self._sum_of_logs(total + self.equations[k]) for k in fits}
         return sorted([*selected, max(fits, key=lambda k: gain[k])])
 
@@ -183,11 +199,23 @@ class _Choice:
 
     def _variances(self, normal: NormalEquations) -> Array:
         """Mean variance of every error over its nodes."""
-        scale = self.judge.limit**2
-        cover = Positive((normal.matrix + self.judge.prior) * scale)
-        variance = np.einsum('ij,ji->i', self.rows, cover.solve(self.rows.T))
+        return self._means(self._cover(normal) @ self.rows.T)
+
+    def _cover(self, normal: NormalEquations) -> Array:
+        """Covariance of the free unknowns, in units of the squared limit."""
+        return Positive((normal.matrix + self.judge.prior) * self.judge.limit**2).inverse
+
+    def _means(self, pulled: Array) -> Array:
+        variance = np.einsum('ij,ji->i', self.rows, pulled)
         sizes = np.diff([*self.starts, len(variance)])
         return np.asarray(np.maximum(np.add.reduceat(variance, self.starts) / sizes, 1e-30))
+
+    def _slope(self, normal: NormalEquations) -> Array:
+        """Minus the derivative of S by the normal equations, (free, free)."""
+        pulled = self._cover(normal) @ self.rows.T
+        sizes = np.diff([*self.starts, len(self.rows)])
+        weight = np.repeat(1.0 / (sizes * self._means(pulled)), sizes)
+        return np.asarray((pulled * weight) @ pulled.T)
 
     @cached_property
     def before(self) -> Array:
@@ -201,7 +229,48 @@ class _Choice:
         return float(np.log(variance).sum()) + UNSEEN * unseen
 
 
+def _coarser(machine: Machine) -> Machine:
+    """A machine with ``COARSE`` intervals between the nodes of an axis at most."""
+    axes = {
+        name: replace(own, table_pitch=max(own.table_pitch, (own.max - own.min) / COARSE))
+        for name, own in machine.axes.items()
+    }
+    return replace(machine, axes=axes)
+
+
 def hand_moves(parts: Sequence[PlannedPart]) -> int:
     """How often the reflector is taken to another place."""
     order = [target for target, _ in groupby(parts, key=lambda p: p.path.target)]
     return len(order) - 1
+
+
+def planned_parts(
+    machine: Machine,
+    config: PlannerConfig,
+    place: Array | None = None,
+    judged: ForecastConfig | None = None,
+    noise: NoiseModel | None = None,
+    time_budget: float | None = None,
+) -> list[PlannedPart]:
+    """Parts to drive, at positions that a program can state; see ``part_choice.choose_parts``.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,), m, optional
+        Beam origin in the frame of the tracker's link; by default ``default_tracker_place``.
+    """
+    at = default_tracker_place(machine) if place is None else place
+    judged = judged or ForecastConfig()
+    chosen = choose_parts(machine, at, config, judged, noise, time_budget)
+    return [on_axis_increment(machine, part) for part in chosen]
+
+
+def axis_plan(machine: Machine, parts: Sequence[PlannedPart], config: PlannerConfig) -> AxisPlan:
+    """Plan to drive parts: feed as in the forecast, dwells of the parts or of all corners."""
+    return AxisPlan(
+        tuple(part.path for part in parts),
+        tuple(config.feed for _ in parts),
+        tuple(part.dwell or config.corner_dwell for part in parts),
+        tuple(part.dwell > 0.0 for part in parts),
+        sum(duration_of(machine, part, config) for part in parts),
+    )

@@ -28,15 +28,11 @@ from otf_core.planning.axis_programs import (
     verification_part,
     verification_program,
 )
+from otf_core.planning.line_of_sight import SMR_ANGLE, SightShare
 from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.part_choice import hand_moves
-from otf_core.planning.rotary_paths import (
-    HAND_MOVE,
-    SMR_ANGLE,
-    PlannedPart,
-    RotaryForecast,
-    SightShare,
-)
+from otf_core.planning.rotary_forecast import RotaryForecast
+from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart
 
 ENOUGH = 0.9
 """Share of the positions that facings are counted up to."""

@@ -18,7 +18,7 @@ from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.state import state_in_parts
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath, position_at, travel_per_unit
+from otf_core.model.axis_path import AxisPath, position_at, seconds_of_legs, travel_per_unit
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight, exact_position
 from otf_core.model.machine import Machine
@@ -64,7 +64,7 @@ class JointDrive:
     ----------
     positions : ndarray, shape (n, k), m and rad
     feed, acceleration : float
-        m/s and m/s^2, of the axes together; see ``axis_path.travel_per_unit``.
+        m/s and m/s^2, of the linear axes; rotary ones turn no faster than ``axis_path.TURN_RATE``.
     dwell : float
         s, at the ends of every stretch.
     stops : bool
@@ -81,8 +81,8 @@ class JointDrive:
         stops: bool = False,
     ) -> None:
         legs = np.diff(positions, axis=0) * travel_per_unit(machine)
-        length = np.linalg.norm(legs, axis=1)
-        unit = legs / length[:, None]
+        unit = legs / np.linalg.norm(legs, axis=1)[:, None]
+        length = feed * seconds_of_legs(machine, positions, feed)
         turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
         turned |= stops
         self._positions = positions

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
-from otf_core.planning.axis_plan import axis_plan, planned_parts
+from otf_core.planning.part_choice import axis_plan, planned_parts
 from otf_core.planning.path_creation import plan_path
 from otf_core.planning.rotary_paths import PlannedPart
 from otf_core.sim.axis_cell import simulate_parts
