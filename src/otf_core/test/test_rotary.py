@@ -14,7 +14,7 @@ from otf_core.cli import main
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.recordings import ReadingOptions, read_recording
-from otf_core.model.axis_path import AxisPath, along_legs, nominal_track, position_at
+from otf_core.model.axis_path import TURN_RATE, AxisPath, along_legs, nominal_track, position_at
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
@@ -156,7 +156,7 @@ def test_drive_passes_all_corners_and_keeps_to_the_legs():
     at = drive.at(np.linspace(0, drive.duration, 2000))
     assert np.allclose(at[0], q[0]) and np.allclose(at[-1], q[-1])
     assert np.abs(at[:, 3] - 0.5 * at[:, 4]).max() < 1e-12
-    assert np.abs(np.diff(at[:, 4])).max() < 0.05 / 0.2 * drive.duration / 2000 * 1.01
+    assert np.abs(np.diff(at[:, 4])).max() < TURN_RATE * drive.duration / 2000 * 1.01
 
 
 def test_parts_are_told_apart_by_the_broken_beam():

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import accumulate, groupby
 
 import numpy as np
@@ -135,6 +135,7 @@ class _Choice:
             If no chain fits.
         """
         selected = list(range(len(self.chains)))
+        total = sum(self.equations, self.judge.known)
         while self._spent(selected) > self.limit:
             free = [k for k in selected if self.whole or not self.chains[k].is_lines]
             if len(selected) == 1 or not free:
@@ -142,15 +143,19 @@ class _Choice:
                     f'--time-budget: {self.limit:g} s: the shortest chain alone takes '
                     f'{min(self.seconds):.0f} s'
                 )
-            selected = self._fewer(selected, free)
+            drop = self._worth_least(selected, free, total)
+            selected = [k for k in selected if k not in drop]
+            total = reduce(NormalEquations.less, (self.equations[k] for k in drop), total)
         while True:
             more = self._with_one_more(selected)
             if more is None:
                 return selected
             selected = more
 
-    def _fewer(self, selected: list[int], free: list[int]) -> list[int]:
-        total = sum((self.equations[k] for k in selected), self.judge.known)
+    def _worth_least(
+        self, selected: list[int], free: list[int], total: NormalEquations
+    ) -> list[int]:
+        """Those of the free chains that cost least per second."""
         now, slope = self._sum_of_logs(total), self._slope(total)
         saved = {k: self.seconds[k] + self._hand(selected, k) for k in free}
         count = max(1, int(AT_ONCE * len(free)))
@@ -162,7 +167,7 @@ class _Choice:
         over = self._spent(selected) - self.limit
         while len(drop) > 1 and sum(saved[k] for k in drop[:-1]) > over:
             drop = drop[:-1]
-        return [k for k in selected if k not in drop]
+        return drop
 
     def _with_one_more(self, selected: list[int]) -> list[int] | None:
         """The best chain that still fits beside the others; None if none does."""

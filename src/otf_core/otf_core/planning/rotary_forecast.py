@@ -22,6 +22,7 @@ from otf_core.model.axis_path import (
     seconds_of_legs,
     travel_per_unit,
 )
+from otf_core.model.evaluation import PLACES, evenly_spread
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.machine import BED, SPINDLE, TABLE, Machine
@@ -34,9 +35,7 @@ from otf_core.rotary.curve_matching import Part, nominal_places
 from otf_core.rotary.reduction import TOGETHER, AxisPieces
 from otf_core.rotary.rows import AxisRun, build_rows
 from otf_core.rotary.tabulation import (
-    PLACES,
     determined_combinations,
-    evenly_spread,
     field_rows,
     gauge_matrix,
     raw_rows,
