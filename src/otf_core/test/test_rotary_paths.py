@@ -27,7 +27,7 @@ FEED = PlannerConfig(feed=0.1, levels=2)
 PLACES = {'a': [0.2, 0.03, 0.1], 'b': [-0.09, 0.16, 0.06], 'c': [-0.07, -0.17, 0.13]}
 
 
-def trunnion(link='b', nests=3):
+def trunnion(link='b', nests=3, chain='w-C-A-b-Y-X-Z-t'):
     nest = {n: {'link': 'w', 'place': p, 'u': 1e-3} for n, p in list(PLACES.items())[:nests]}
     linear = {'X': (-0.3, 0.3), 'Y': (-0.25, 0.25), 'Z': (0.0, 0.6)}
     axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.1} for a, (lo, hi) in linear.items()}
@@ -35,12 +35,28 @@ def trunnion(link='b', nests=3):
                  'direction': [1, 0, 0], 'centre': [0, 0, 0.05]}  # fmt: skip
     axes['C'] = {'kind': 'rotary', 'min': 0.0, 'max': 6.2832, 'table_pitch': 0.5236,
                  'direction': [0, 0, 1], 'centre': [0, 0, 0], 'endless': True}  # fmt: skip
+    axes = {a: own for a, own in axes.items() if a in chain}
     return machine_from_dict({
-        'name': 'trunnion', 'chain': 'w-C-A-b-Y-X-Z-t', 'axes': axes,
+        'name': 'trunnion', 'chain': chain, 'axes': axes,
         'target_offset': [0.0, 0.0, -0.15],
         'tracker': {'u_range': 5e-7, 'u_angle': 2e-6, 'link': link},
         'targets': {'long': {'link': 't', 'place': [0.0, 0.0, -0.25], 'u': 0.0}}
         | (nest if link == 'b' else {}),
+    })  # fmt: skip
+
+
+def swivel_head():
+    """C carries A carries the spindle; lengths and a reflector off its axis."""
+    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.2}
+            for a, lo, hi in (('X', -0.5, 0.5), ('Y', -0.4, 0.4), ('Z', 0.0, 0.6))}  # fmt: skip
+    for a, end, direction in (('C', 3.14, [0, 0, 1]), ('A', 1.7, [1, 0, 0])):
+        axes[a] = {'kind': 'rotary', 'min': -end, 'max': end, 'table_pitch': 0.4,
+                   'direction': direction, 'centre': [0, 0, 0]}  # fmt: skip
+    places = {'long': [0.0, 0.0, -0.3], 'side': [0.08, 0.0, -0.2]}
+    return machine_from_dict({
+        'name': 'head', 'chain': 'w-b-X-Y-Z-C-A-t', 'axes': axes,
+        'target_offset': [0.0, 0.0, -0.2], 'tracker': {'u_range': 5e-7, 'u_angle': 2e-6},
+        'targets': {n: {'link': 't', 'place': p, 'u': 0.0} for n, p in places.items()},
     })  # fmt: skip
 
 
@@ -110,10 +126,7 @@ def test_lines_alone_show_no_rotary_axis_and_name_the_reason(lines):
 
 
 def test_stops_show_angular_positioning_of_a_single_rotary_axis():
-    data = trunnion().to_dict()
-    data['chain'] = 'w-C-b-Y-X-Z-t'
-    del data['axes']['A']
-    machine = machine_from_dict(data)
+    machine = trunnion(chain='w-C-b-Y-X-Z-t')
     plan = paths.plan_parts(machine, FEED)
     assert any(p.dwell for p in plan)
     assert 'ECC' not in judged(machine, plan).hidden
@@ -171,21 +184,6 @@ def test_a_budget_is_kept_and_spent_on_all_errors_that_can_be_seen():
         choose_parts(machine, place, FEED, judge, time_budget=5.0)
 
 
-def swivel_head():
-    """C carries A carries the spindle; lengths and a reflector off its axis."""
-    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.2}
-            for a, lo, hi in (('X', -0.5, 0.5), ('Y', -0.4, 0.4), ('Z', 0.0, 0.6))}  # fmt: skip
-    for a, end, direction in (('C', 3.14, [0, 0, 1]), ('A', 1.7, [1, 0, 0])):
-        axes[a] = {'kind': 'rotary', 'min': -end, 'max': end, 'table_pitch': 0.4,
-                   'direction': direction, 'centre': [0, 0, 0]}  # fmt: skip
-    places = {'long': [0.0, 0.0, -0.3], 'side': [0.08, 0.0, -0.2]}
-    return machine_from_dict({
-        'name': 'head', 'chain': 'w-b-X-Y-Z-C-A-t', 'axes': axes,
-        'target_offset': [0.0, 0.0, -0.2], 'tracker': {'u_range': 5e-7, 'u_angle': 2e-6},
-        'targets': {n: {'link': 't', 'place': p, 'u': 0.0} for n, p in places.items()},
-    })  # fmt: skip
-
-
 def test_a_swivel_head_shows_all_by_creep_with_its_other_axis_tilted():
     machine = swivel_head()
     chains = paths.candidate_chains(machine, FEED)
@@ -216,6 +214,48 @@ def test_a_spindle_that_passes_a_nest_or_the_tracker_is_named():
     assert any('the tracker' in w for w in near_misses(low, box, at))
 
 
+BOXES = {
+    'fixture': {'link': 'w', 'low': [0.0, 0.1, 0.0], 'high': [0.1, 0.2, 0.3]},
+    'column': {'link': 'b', 'low': [-0.9, 0.6, 0.0], 'high': [-0.8, 0.7, 2.0]},
+    'ram': {'link': 't', 'low': [-0.05, -0.05, 0.0], 'high': [0.05, 0.05, 0.3]},
+}
+
+
+def test_boxes_that_meet_or_stand_in_the_beam_are_named():
+    data = trunnion().to_dict() | {'surroundings': {'half_angle': 1.0, 'boxes': BOXES}}
+    machine = machine_from_dict(data)
+    assert machine_from_dict(machine.to_dict()) is not None
+    assert machine.to_dict()['surroundings'] == data['surroundings']
+    place = np.array([-1.0, 0.7, 1.0])
+    box = [part(machine, 'tool', paths.box_lines(machine, 2))]
+    words = ' '.join(near_misses(machine, box, place))
+    assert 'box fixture to 0 mm of box ram' in words
+    assert 'the reflector of the spindle (tool) to 0 mm of box fixture' in words
+    assert 'box column stands in the beam to tool' in words
+    assert 'column to' not in words
+    # the table turns the fixture away from the ram, which waits, and into the beam
+    turned = [part(machine, 'a', paths.turn(machine, 'C', Z=0.6))]
+    words = ' '.join(near_misses(machine, turned, place))
+    assert 'mm of' not in words
+    assert 'box fixture stands in the beam to a' in words
+    wide, narrow = (sight.sight_share(m, 'a', place) for m in (machine, trunnion()))
+    assert wide.facings[1] > narrow.facings[1]
+
+
+@pytest.mark.parametrize(
+    ('section', 'words'),
+    [
+        ({'half_angle': 60.0}, 'surroundings: half_angle'),
+        ({'boxes': {'a': {**BOXES['ram'], 'link': 'x'}}}, "a: link: expected 'w'"),
+        ({'boxes': {'a': {**BOXES['ram'], 'high': [0, 0, 0]}}}, 'a: high: .* not above low'),
+        ({'box': {}}, 'box: unknown key'),
+    ],
+)
+def test_surroundings_that_cannot_be_are_refused_by_their_key(section, words):
+    with pytest.raises(ConfigError, match=words):
+        machine_from_dict(trunnion().to_dict() | {'surroundings': section})
+
+
 def test_tracker_stands_where_the_table_tilts_to():
     machine = trunnion()
     assert sight.default_tracker_place(machine)[1] > 0.25
@@ -231,9 +271,34 @@ def test_the_table_hides_its_reflectors_from_the_other_side():
     assert good.open > 0.95 > 0.7 > bad.open
     assert all(a <= b for a, b in zip(good.facings, good.facings[1:], strict=False))
     assert good.facings[-1] > 0.8
-    sight.check_side(machine, place)
-    with pytest.raises(ConfigError, match='the side to which it tilts'):
-        sight.check_side(machine, place * [1.0, -1.0, 1.0])
+    assert good.ranges['A'] == pytest.approx((-0.5, 1.9))
+    assert bad.ranges['A'][1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ('machine', 'place', 'words'),
+    [
+        (trunnion(), [0.6, -0.8, 0.8], 'table hides a .* the side to which it tilts'),
+        (trunnion(chain='w-C-b-Y-X-Z-t'), [-0.7, -0.7, -0.3], 'table hides a in 100 %'),
+        (trunnion('w', chain='w-C-b-Y-X-Z-t'), [0.0, 0.0, 2.0], 'spindle hides tool'),
+        (swivel_head(), [0.0, 0.0, 2.0], 'spindle hides tool .* where the reflector faces'),
+    ],
+)
+def test_a_wrong_side_for_the_tracker_is_refused_with_the_reason(machine, place, words):
+    sight.check_side(machine, sight.default_tracker_place(machine))
+    with pytest.raises(ConfigError, match=words):
+        sight.check_side(machine, np.array(place))
+
+
+def test_a_table_that_tilts_to_both_sides_is_planned_with_the_range_that_is_seen():
+    machine = trunnion()
+    axes = {**machine.axes, 'A': replace(machine.axes['A'], min=-1.9)}
+    both = replace(machine, axes=axes)
+    place = sight.default_tracker_place(both)
+    sight.check_side(both, place)
+    own = sight.sight_share(both, 'a', place)
+    assert own.open < sight.LEAST_OPEN
+    assert own.ranges['A'][1] - own.ranges['A'][0] > 1.5
 
 
 def test_parts_come_back_from_their_file(tmp_path):

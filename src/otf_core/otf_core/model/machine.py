@@ -34,10 +34,11 @@ from otf_core.model.motions import (
     location_names,
 )
 from otf_core.model.presets import TRACKERS, chosen
+from otf_core.model.surroundings import Surroundings, surroundings_from_fields
 
 KEYS = (
     'name', 'chain', 'axes', 'target_offset', 'tracker', 'uncertainty', 'limits', 'instrument',
-    'conditions', 'certificate', 'signals', 'targets',
+    'conditions', 'certificate', 'signals', 'targets', 'surroundings',
 )  # fmt: skip
 """Of machine.yaml; all from ``uncertainty`` on are optional."""
 
@@ -223,6 +224,8 @@ class Machine:
         What is recorded beside the samples.
     targets : mapping of str to Target
         Places of reflectors; ``tool`` is at ``target_offset``.
+    surroundings : Surroundings
+        Half-angle of reflectors, and bodies, for plans alone.
     file_sha256 : str
         SHA-256 of the file it was read from; empty if there is none.
     """
@@ -238,6 +241,7 @@ class Machine:
     signals: tuple[SignalSpec, ...] = ()
     file_sha256: str = field(default='', repr=False, compare=False)
     stated_targets: Mapping[str, Target] = field(default_factory=dict)
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -327,6 +331,8 @@ class Machine:
             data['signals'] = {s.wanted: s.to_dict() for s in self.signals}
         if self.stated_targets:
             data['targets'] = {n: t.to_dict() for n, t in self.stated_targets.items()}
+        if surroundings := self.surroundings.to_dict():
+            data['surroundings'] = surroundings
         return data
 
 
@@ -388,10 +394,13 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     targets = _targets(top.mapping('targets'), offset) if top.has('targets') else {}
     if turning and declared is not None:
         declared, targets = _with_stated_offset(declared, targets, data, offset)
+    about = Surroundings()
+    if top.has('surroundings'):
+        about = surroundings_from_fields(top.mapping('surroundings'))
     top.done(known=KEYS)
     return Machine(
         name, chain, axes, offset, spec, declared, limits, circumstances, signals,
-        stated_targets=targets,
+        stated_targets=targets, surroundings=about,
     )  # fmt: skip
 
 

@@ -244,7 +244,7 @@ def creeps(
         If the linear axes do not reach any of it.
     """
     sight = Sight.of_target(machine, target)
-    nominal = sight.nominal(_middle(machine)[None])[0]
+    nominal = sight.nominal(linear_middle(machine)[None])[0]
     axis = next(iter(turning))
     own = machine.axes[axis]
     across = np.array(own.direction)
@@ -307,7 +307,7 @@ def _tilts(machine: Machine, axis: str) -> list[float]:
     return [float(v) for v in ends if abs(v - at) > LEAST_TILT]
 
 
-def _middle(machine: Machine) -> Array:
+def linear_middle(machine: Machine) -> Array:
     """Linear axes in the middle of their ranges, rotary axes at rest, (k,)."""
     q = rest(machine)
     for name in AXES:
@@ -369,7 +369,7 @@ def _lines(machine: Machine, config: PlannerConfig, number: int) -> Array:
 
 def _spiral_outward(machine: Machine, axis: str) -> Array:
     """X from its middle to its end while a rotary axis turns, Y and Z in their middles."""
-    middle = _middle(machine)
+    middle = linear_middle(machine)
     x, y, z = (machine.column(a) for a in AXES)
     others = {'Y': float(middle[y]), 'Z': float(middle[z])}
     own = machine.axes[axis]

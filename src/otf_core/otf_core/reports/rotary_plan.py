@@ -21,14 +21,14 @@ from otf_core.arrays import Array
 from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import write_text
 from otf_core.inputs.path_file import ROTARY_SCHEMA
-from otf_core.model.machine import BED, Machine
+from otf_core.model.machine import BED, TABLE, Machine
 from otf_core.model.motions import unit_of
 from otf_core.planning.axis_programs import (
     part_program,
     verification_part,
     verification_program,
 )
-from otf_core.planning.line_of_sight import SMR_ANGLE, SightShare
+from otf_core.planning.line_of_sight import LEAST_OPEN, SightShare
 from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.part_choice import hand_moves
 from otf_core.planning.rotary_forecast import RotaryForecast
@@ -51,7 +51,7 @@ class RotaryPlan:
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the frame of its link.
     sight : mapping of target to SightShare
-        Of targets on the table, seen from a tracker on the bed.
+        Of targets that rotary axes turn before the tracker.
     near : sequence of str
         Where a reflector comes near to something.
     """
@@ -66,8 +66,13 @@ class RotaryPlan:
 
     @property
     def turns(self) -> int:
-        """How often a reflector on the table is turned by hand to its next facing."""
-        driven = {part.path.target for part in self.parts}
+        """How often a reflector is turned by hand to its next facing."""
+        turning = [self.machine.column(a) for a in self.machine.rotary_names]
+        driven = {
+            part.path.target
+            for part in self.parts
+            if np.ptp(part.path.positions[:, turning], axis=0).any()
+        }
         return sum(facings_needed(s) - 1 for name, s in self.sight.items() if name in driven)
 
     @property
@@ -101,7 +106,12 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
             for part, duration in zip(plan.parts, plan.durations, strict=True)
         ],
         'sight': {
-            name: {'half_angle': SMR_ANGLE, 'open': own.open, 'facings': list(own.facings)}
+            name: {
+                'half_angle': plan.machine.surroundings.half_angle,
+                'open': own.open,
+                'facings': list(own.facings),
+                'ranges': {a: list(ends) for a, ends in own.ranges.items()},
+            }
             for name, own in plan.sight.items()
         },
         'near': list(plan.near),
@@ -137,8 +147,15 @@ def plan_words(plan: RotaryPlan) -> str:
         share = 100 * own.facings[count - 1]
         lines.append(
             f'  {name}: seen in {share:.0f} % of the positions of the rotary axes with {facings} '
-            f'({np.degrees(SMR_ANGLE):.0f} degrees to each side)'
+            f'({np.degrees(machine.surroundings.half_angle):.0f} degrees to each side)'
         )
+        if own.facings[-1] < ENOUGH <= own.open:
+            lines.append(
+                f'  {name}: a cat-eye or an active target sees more (surroundings: half_angle in '
+                f'machine.yaml)'
+            )
+        if own.open < LEAST_OPEN:
+            lines.append(f'  {name}: {_hidden_words(machine, name, own)}')
     lines += [f'  {sentence}' for sentence in plan.near]
     lines += [
         '',
@@ -157,6 +174,20 @@ def plan_words(plan: RotaryPlan) -> str:
         lines += ['', 'Will not be seen:']
         lines += [f'  {name}: {why}' for name, why in forecast.hidden.items()]
     return '\n'.join(lines) + '\n'
+
+
+def _hidden_words(machine: Machine, name: str, sight: SightShare) -> str:
+    what = 'table' if machine.targets[name].link == TABLE else 'spindle'
+    ranges = ' or '.join(
+        f'{axis} from {np.degrees(low):.0f} to {np.degrees(high):.0f} degrees'
+        for axis, (low, high) in sight.ranges.items()
+        if high > low and not machine.axes[axis].endless
+    )
+    words = (
+        f'the {what} hides it in {100 * (1 - sight.open):.0f} % of the positions from the best '
+        f'place of the tracker'
+    )
+    return words + (f'; it is never hidden with {ranges}' if ranges else '')
 
 
 def path_csv(machine: Machine, parts: Sequence[PlannedPart]) -> str:
