@@ -60,7 +60,7 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
         (
             'name:',
             'feed: 3\nname:',
-            'feed: unknown key; known here: name, .*, limits, .*signals, targets$',
+            'feed: unknown key; known here: name, .*, limits, .*targets, surroundings$',
         ),
         ('chain:', 'chian:', r'chian: unknown key; did you mean chain\?$'),
         ('name:', 'Name:', r'Name: unknown key; did you mean name\?$'),

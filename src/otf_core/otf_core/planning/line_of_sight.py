@@ -71,7 +71,7 @@ def _beams(machine: Machine, name: str, place: Array, q: Array) -> Array:
         at = sight.nominal(linear_middle(machine)[None])
     beam = np.broadcast_to(np.asarray(place) - at, seen.position.shape)
     beam = beam / np.linalg.norm(beam, axis=1)[:, None]
-    return beam if seen.inner is None else np.einsum('nij,ni->nj', seen.inner, beam)
+    return beam if seen.inner is None else np.asarray(np.einsum('nij,ni->nj', seen.inner, beam))
 
 
 def _lowest(machine: Machine, name: str) -> tuple[float, float]:
