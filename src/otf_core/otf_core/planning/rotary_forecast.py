@@ -30,7 +30,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.rotary_paths import STOP_TIME, PlannedPart
 from otf_core.rotary.axis_solution import AxisSolution, place_equations
-from otf_core.rotary.axis_unknowns import bases_of, layout
+from otf_core.rotary.axis_unknowns import layout, smooth_bases
 from otf_core.rotary.curve_matching import Part, nominal_places
 from otf_core.rotary.reduction import TOGETHER, AxisPieces
 from otf_core.rotary.rows import AxisRun, build_rows
@@ -186,7 +186,7 @@ class Judge:
         self.nodes = table_nodes(machine, *self.driven)
         self.free = tuple(n for n, t in machine.targets.items()
                           if t.u > 0.0 and n in {p.path.target for p in parts})  # fmt: skip
-        self.unknowns = layout(machine, bases_of(machine, self.nodes), 1, self.free)
+        self.unknowns = layout(machine, smooth_bases(machine, self.nodes), 1, self.free)
         self.places = nominal_places(machine)
         self.pose = RigidTransform(np.eye(3), np.asarray(place, dtype=float))
         self.prior = expected_precision(self.unknowns, self.limit, judged.error_size)
