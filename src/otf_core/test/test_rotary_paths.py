@@ -123,6 +123,16 @@ def test_lines_alone_show_no_rotary_axis_and_name_the_reason(lines):
     still = [n for n in (*machine.location, *machine.motions) if n[-1] in 'AC']
     for name in still:
         assert 'no part moves' in forecast.why_hidden(machine, lines, str(name))
+    words = forecast.why_hidden(trunnion(nests=0), lines, 'ECC')
+    assert 'three targets on the table' in words
+
+
+def test_linear_axes_that_do_not_follow_a_rotation_are_named():
+    machine = swivel_head()
+    short = {a: replace(own, min=-0.05, max=0.05) for a, own in machine.axes.items() if a in 'XYZ'}
+    machine = replace(machine, axes={**machine.axes, **short})
+    moved = [part(machine, 'tool', paths.positions_of(machine, A=[0.0, 1.0], X=[0.0, 0.05]))]
+    assert 'Y would leave its range' in forecast.why_hidden(machine, moved, 'EAA')
 
 
 def test_stops_show_angular_positioning_of_a_single_rotary_axis():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
 from otf_core.model.axis_path import (
     driven_through,
     position_at,
@@ -25,10 +26,10 @@ from otf_core.model.axis_path import (
 from otf_core.model.evaluation import PLACES, evenly_spread
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
-from otf_core.model.machine import BED, SPINDLE, TABLE, Machine
+from otf_core.model.machine import BED, TABLE, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.planning.rotary_paths import STOP_TIME, PlannedPart
+from otf_core.planning.rotary_paths import STOP_TIME, PlannedPart, courses, creeps
 from otf_core.rotary.axis_solution import AxisSolution, place_equations
 from otf_core.rotary.axis_unknowns import layout, smooth_bases
 from otf_core.rotary.curve_matching import Part, nominal_places
@@ -282,9 +283,14 @@ def _by_name(
 def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str:
     """State by the rank condition why an error will not be seen, and what would show it."""
     axis = name[-1]
+    on_table = [n for n, t in machine.targets.items() if t.link == TABLE]
+    bed = machine.tracker.link == BED
     moved = [p for p in parts if axis in _axes_in_view(machine, p) and _travels(machine, p, axis)]
     if not moved:
-        return f'no part moves {axis} between tracker and reflector'
+        words = f'no part moves {axis} between tracker and reflector'
+        if bed and axis in machine.chain.table_side and not on_table:
+            words += '; state three targets on the table (link: w) in machine.yaml'
+        return words
     turns = axis in machine.rotary_names
     angular = name[1] == axis or name in machine.location
     if (
@@ -297,13 +303,33 @@ def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str
             f'left out, is the one in which {name} acts. Drive another axis at the same time, '
             f'in both senses, or stop'
         )
-    table = {p.path.target for p in moved if machine.targets[p.path.target].link == TABLE}
-    if turns and 0 < len(table) < 3 and machine.tracker.link == BED:
+    if name[1] in 'ABC' and name not in machine.scalars and _lever(machine, moved, name) < STILL:
+        return 'all reflectors lie on the line about which it turns them'
+    table = {p.path.target for p in moved if p.path.target in on_table}
+    if turns and 0 < len(table) < 3 and bed:
         return f'{len(table)} reflector place(s) on the table; three, not in line with {axis}'
-    tools = {p.path.target for p in moved if machine.targets[p.path.target].link == SPINDLE}
+    if turns and not table:
+        try:
+            creeps(machine, {axis: courses(machine, axis)}, moved[0].path.target)
+        except ConfigError as error:
+            return f'the linear axes do not follow the rotation: {error}'
+    tools = {p.path.target for p in moved} - set(on_table)
     if len(tools) == 1:
         return 'one reflector place on the tool side; a second one of other length or off the axis'
-    return 'all reflectors lie on the line about which it turns them'
+    return (
+        f'the reflectors and moves of {axis} say too little of it: a reflector farther off the '
+        f'axis, longer travel, or more time'
+    )
+
+
+def _lever(machine: Machine, parts: Sequence[PlannedPart], name: str) -> float:
+    """Most that a reflector moves per unit of a motion, m/rad."""
+    most = 0.0
+    for part in parts:
+        seen = Sight.of_target(machine, part.path.target).at(part.path.positions)
+        six = seen.motions[name[-1]][:, :, 'XYZABC'.index(name[1])]
+        most = max(most, float(np.abs(six).max()))
+    return most
 
 
 def _axes_in_view(machine: Machine, part: PlannedPart) -> set[str]:
