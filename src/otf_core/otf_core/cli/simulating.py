@@ -379,7 +379,7 @@ def _loop_of_trunnion(
 ) -> int:
     """The circle of a trunnion."""
     from otf_core.loop.trunnion import check_trunnion, go_round_trunnion
-    from otf_core.planning.axis_plan import planned_parts
+    from otf_core.planning.part_choice import planned_parts
     from otf_core.reports.loop import (
         failed_gates_of_trunnion,
         format_trunnion_loop,

@@ -35,7 +35,7 @@ from otf_core.loop.control import (
     trunnion_module,
     written_files,
 )
-from otf_core.model.axis_path import AxisPath, nominal_track
+from otf_core.model.axis_path import AxisPath, nominal_track, seconds_of_legs
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight, exact_position
@@ -47,7 +47,7 @@ from otf_core.pieces.runs import Recording
 from otf_core.planning.axis_programs import part_program
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.nc.dialect import AxisMove
-from otf_core.planning.rotary_paths import PlannedPart, seconds_of_legs
+from otf_core.planning.rotary_paths import PlannedPart
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.predict import predict
 from otf_core.sim.axis_cell import BROKEN_BEAM

@@ -34,12 +34,8 @@ from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.noise.noise_model import noise_to_fields
-from otf_core.planning.rotary_paths import (
-    STOP_TIME,
-    PlannedPart,
-    RotaryForecast,
-    forecast_parts,
-)
+from otf_core.planning.rotary_forecast import RotaryForecast, forecast_parts
+from otf_core.planning.rotary_paths import STOP_TIME, PlannedPart
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import table_places
