@@ -163,27 +163,60 @@ class IsgReader:
         return found
 
 
+class HeidenhainReader(IsgReader):
+    """The same by columns for the table editor: mm, degrees, rad."""
+
+    def __init__(self, text, sign='error'):
+        head, _, rows = text.partition('\nAXIS,AXISPOS,C1,C2,C3,C4,C5,C6,OWN\n')
+        factor = 1.0 if sign == 'error' else -1.0
+        (constants,) = re.findall(r'constants for the kinematics: (.*)', head)
+        words = [entry.split() for entry in constants.split(', ')]
+        self.constant = {name: factor * float(value) for name, value, _ in words}
+        vector = r'\((\S+), (\S+), (\S+)\)'
+        self.direction = {}
+        for name, *values in re.findall(
+            rf'([ABC]): .* relative to the table about {vector}, .* through {vector} mm', head
+        ):
+            self.direction[name] = np.array(values[:3], float)
+            centre = zip('XYZ', values[3:], strict=True)
+            self.constant |= {f'P{d}{name}': float(v) for d, v in centre}
+        self.columns = {}
+        table = [row.split(',') for row in rows.splitlines()]
+        for axis in {row[0] for row in table}:
+            values = np.array([row[1:] for row in table if row[0] == axis], float)
+            for k, direction in enumerate('XYZABC'):
+                own = values[:, 7] if axis == direction and axis in 'ABC' else values[:, 1 + k]
+                self.columns[f'E{direction}{axis}'] = values[:, 0], factor * own
+        self.chain = re.search(r'chain (\S+),', head)[1]
+        self.target = np.array(re.search(rf'target offset {vector} mm', head).groups(), float)
+
+
+READERS = {'isg': IsgReader, 'heidenhain': HeidenhainReader}
+
+
 def units(machine):
     return np.array(
         [np.degrees(1.0) if machine.axes[a].rotary else 1e3 for a in machine.axis_names]
     )
 
 
-def left_by_isg(tables, q, sign='error'):
+def left_by_file(tables, q, sign='error', name='isg'):
     """Position errors before and after the linear axes were corrected by the file, m."""
     machine = tables.machine
-    text = exported('isg', tables, sign).files['cell.txt'].decode()
-    reader, scale = IsgReader(text, sign), units(machine)
+    text = exported(name, tables, sign).files['cell.txt'].decode()
+    reader, scale = READERS[name](text, sign), units(machine)
     command = np.array([reader.corrected(machine.axis_names, row * scale) for row in q]) / scale
     wanted = nominal_position(machine, q)
     before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
     return before, np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
 
 
-@pytest.mark.parametrize('chain', CHAINS)
-def test_isg_csv_takes_the_position_error_off_in_five_axes(chain):
+@pytest.mark.parametrize(
+    ('name', 'chain'), [*(('isg', chain) for chain in CHAINS), ('heidenhain', CHAINS[1])]
+)
+def test_a_file_takes_the_position_error_off_in_five_axes(name, chain):
     tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
-    before, after = left_by_isg(tables, places(tables.machine))
+    before, after = left_by_file(tables, places(tables.machine), name=name)
     assert before.mean() > 4e-5
     assert after.mean() < 0.05 * before.mean()
     assert after.max() < 0.05 * before.max()
@@ -192,7 +225,7 @@ def test_isg_csv_takes_the_position_error_off_in_five_axes(chain):
 @pytest.mark.parametrize(
     'name', ['X0C', 'B0C', 'Z0A', 'C0A', 'EXC', 'EBC', 'ECC', 'EAA', 'EZA', 'A0Z']
 )
-def test_every_column_of_isg_csv_has_its_sign(name):
+def test_every_column_has_its_sign(name):
     size = 1e-4
     tables = constant(five_axes(), size, name)
     for sign, factor in (('error', 1.0), ('correction', -1.0)):
@@ -201,8 +234,9 @@ def test_every_column_of_isg_csv_has_its_sign(name):
         (head, row) = next((h, r) for h, r in itertools.pairwise(rows) if name in h)
         unit = 1e3 if name[1 if name[0] == 'E' else 0] in 'XYZ' else 1.0
         assert float(row[head.index(name)]) == pytest.approx(factor * size * unit)
-        before, after = left_by_isg(tables, places(tables.machine, 10), sign)
-        assert after.max() < 0.02 * before.max()
+        for file in READERS:
+            before, after = left_by_file(tables, places(tables.machine, 5), sign, file)
+            assert after.max() < 0.02 * before.max()
 
 
 def test_isg_csv_states_units_frame_and_that_orientation_keeps_its_error():
@@ -392,6 +426,20 @@ def encoder_correction(text, machine, q):
     return change
 
 
+def joint_correction(files, machine, q):
+    """What LinuxCNC adds to commands: nominal minus actual position, mm and degrees."""
+    change = np.zeros_like(q)
+    piece = files['cell.ini'].decode()
+    for k, axis in enumerate(machine.axis_names):
+        scale = np.degrees(1.0) if machine.axes[axis].rotary else 1e3
+        name = re.search(rf'\[JOINT_{k}\]\nCOMP_FILE = (\S+)', piece)[1]
+        rows = [r.split() for r in files[name].decode().splitlines() if r[0] != '#']
+        nominal, forward, backward = np.array(rows, float).T
+        np.testing.assert_array_equal(forward, backward)
+        change[:, k] = np.interp(scale * q[:, k], nominal, nominal - forward) / scale
+    return change
+
+
 @pytest.mark.parametrize('chain', CHAINS)
 @pytest.mark.parametrize('letter', ['A', 'C'])
 def test_encoder_tables_take_the_angular_positioning_off(chain, letter):
@@ -408,17 +456,21 @@ def test_encoder_tables_take_the_angular_positioning_off(chain, letter):
         for m in machine.motions
     }
     tables = replace(constant(machine), motions={**others, name: curve})
-    made = exported('sinumerik-enc', tables)
+    made, joints = exported('sinumerik-enc', tables), exported('linuxcnc', tables)
     text = made.files['cell.txt'].decode()
     q = places(machine)
     wanted = nominal_position(machine, q)
     before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
-    command = q + encoder_correction(text, machine, q)
-    after = np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
     assert before.max() > 5e-6
-    assert after.max() < 0.01 * before.max()
-    assert remaining_error(tables, made.held).after_max < 0.01 * before.max()
+    for file, change in (
+        (made, encoder_correction(text, machine, q)),
+        (joints, joint_correction(joints.files, machine, q)),
+    ):
+        after = np.linalg.norm(exact_position(tables, q + change) - wanted, axis=1)
+        assert after.max() < 0.01 * before.max()
+        assert remaining_error(tables, file.held).after_max < 0.01 * before.max()
     assert 'angular positioning' in text
+    assert any('actual angles in degrees' in remark for remark in joints.remarks)
 
 
 def test_an_endless_axis_joins_its_ends_in_the_encoder_table():
@@ -444,13 +496,13 @@ def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
     assert 'rotary axes at zero' in text
 
 
-@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'sinumerik-enc', 'pivot'])
+@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'sinumerik-enc', 'linuxcnc', 'pivot'])
 def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
     file = tmp_path / 'error_tables.json'
     file.write_text(json.dumps(tables_to_dict(tables)))
     sign = ['--sign', 'error'] if export_format(name).sign_is_asked else []
-    out = tmp_path / 'out.txt'
+    out = tmp_path / 'out.ini'
     assert run('export', file, '--format', name, '--out', out, *sign) == 0
     assert 'this file leaves' in capsys.readouterr().out
     assert run('info', out, '--json') == 0
