@@ -7,7 +7,7 @@ location error any more: the numbers follow from the tables alone, their names f
 
 - LinuxCNC, src/emc/kinematics/trtfuncs.c: x/y/z-rot-point is the centre of C, x/y/z-offset leads
   from there to the centre of the tilting axis; the tables turn right-handed, and the other way
-  with conventional-directions, a pin that 2.9.0 before its release does not have;
+  with conventional-directions, a pin that 2.9.0~pre1 does not have;
 - SINUMERIK Operate, Commissioning Manual 6FC5397-1DP40, swivel data set: offset vectors I1 to I4
   ($TC_CARR1-6, 15-20), vectors of the axes V1, V2 ($TC_CARR7-12), reversed of axes that carry the
   workpiece.
@@ -210,7 +210,7 @@ def _linuxcnc(old: Machine, new: Machine) -> list[str]:
     lines = [head, '# directions cannot be entered there: A0C, B0C and the like stay']
     for pin, value in before.items():
         if pin.endswith('directions'):
-            lines += [f'# {pin}: LinuxCNC 2.9 or later', f'setp {pin} {value:.0f}']
+            lines += [f'# {pin}: not in LinuxCNC 2.9.0~pre1 and older', f'setp {pin} {value:.0f}']
             continue
         lines += [
             f'# old {value:.6f}, change {after[pin] - value + 0.0:+.6f} mm',
