@@ -128,3 +128,22 @@ def test_kinds_are_asked_without_an_error_for_any_file(tmp_path):
     (tmp_path / 'binary.csv').write_bytes(bytes(range(256)))
     assert not any(kind.is_one(tmp_path / 'binary.csv') for kind in KINDS)
     assert explain(ROOM / 'machine.yaml')[0].name == 'machine description'
+
+
+def test_a_plan_of_rotary_axes_and_its_files_are_no_recordings(tmp_path, capsys):
+    plan = {
+        'schema': 'otf-rotary-plan/1',
+        'axes': ['X', 'Y', 'Z', 'C'],
+        'parts': [{'target': 'nest', 'duration': 90.0, 'positions': [[0, 0, 0, 0], [0, 0, 0, 1]]}],
+        'forecast': {'grid_u': 7e-7, 'hidden': {'ECZ': 'why'}},
+    }
+    (tmp_path / 'plan.json').write_text(json.dumps(plan))
+    (tmp_path / 'path.csv').write_text('target,x,y,z,c\nnest,0,0,0,0\nnest,0,0,0,1\n')
+    (tmp_path / 'point.csv').write_text('x,y,z,c\n0,0,0,1\n')
+    kind, facts = said(tmp_path / 'plan.json', capsys)
+    assert kind == 'plan of a machine with rotary axes' and facts['parts'] == ['nest']
+    assert said(tmp_path / 'path.csv', capsys) == ('axis positions', {'parts': ['nest']})
+    assert said(tmp_path / 'point.csv', capsys)[0] == 'axis positions'
+    (tmp_path / 'path.mcap').touch()
+    write_manifest(tmp_path / MANIFEST, [tmp_path / 'plan.json'], 'plan')
+    assert said(tmp_path, capsys)[0] == 'folder of results'

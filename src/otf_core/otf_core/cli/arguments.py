@@ -76,6 +76,10 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         '--join', action='store_true',
         help='the bags are parts of one run whose recording was interrupted and restarted',
     )  # fmt: skip
+    sub.add_argument(
+        '--same-station', action='store_true',
+        help='the tracker was not moved between the recordings (machines with rotary axes)',
+    )  # fmt: skip
     add_reading(sub)
 
 
@@ -89,10 +93,6 @@ def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
         help='correct for effects and include them in u: those that a diagnosis finds, or those '
         'of an effects.yaml, whose coefficients are estimated again where the data determine '
         'them; plain/ keeps the calibration without correction',
-    )  # fmt: skip
-    sub.add_argument(
-        '--same-station', action='store_true',
-        help='the tracker was not moved between the recordings (machines with rotary axes)',
     )  # fmt: skip
     sub.add_argument(
         '--residuals-csv', action='store_true', help='also write the residuals as residuals.csv'

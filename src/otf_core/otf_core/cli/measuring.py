@@ -43,6 +43,8 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
     machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
     paths = _for_each(arguments.path or [None], runs, '--path')
+    if arguments.same_station and not machines[0].rotary_names:
+        raise ConfigError('--same-station: for machines with rotary axes only')
     return [
         read_recording(parts, machine, reading_options(arguments, path))
         for parts, machine, path in zip(runs, machines, paths, strict=True)
@@ -74,8 +76,6 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         recordings = read_recordings(arguments)
         if recordings[0].machine.rotary_names:
             return _calibrate_axes(arguments, config, recordings, out, progress)
-        if arguments.same_station:
-            raise ConfigError('--same-station: for machines with rotary axes only')
         result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
         progress('writing', 0.0)
         facts = facts_of(result)
@@ -223,8 +223,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         causes = arguments.own_causes
         own = read_own_causes(causes, recordings[0].machine) if causes else ()
         diagnosis = diagnose(
-            recordings, twin_recording, arguments.exclude, config, progress, own=own
-        )
+            recordings, twin_recording, arguments.exclude, config, progress, own=own,
+            same_station=arguments.same_station,
+        )  # fmt: skip
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)

@@ -8,7 +8,7 @@ import math
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,21 @@ import numpy as np
 from otf_core.bags.bag_reading import BagReading, path_of
 from otf_core.bags.bag_source import is_storage
 from otf_core.bags.rosbag2_metadata import PATH, POINT
-from otf_core.errors import ConfigError, OtfError
+from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.exports.format import MARK, MARK_BYTES, is_export
 from otf_core.files.output_folder import MANIFEST, is_unchanged, listed_files
 from otf_core.files.strict_yaml import read_json, read_yaml
 from otf_core.files.writing import unreadable
 from otf_core.inputs.columns import find_columns, read_table
 from otf_core.inputs.nc_program import is_program, read_program
-from otf_core.inputs.path_file import read_points
+from otf_core.inputs.path_file import (
+    ROTARY_SCHEMA,
+    holds_axis_positions,
+    read_axis_paths,
+    read_points,
+)
 from otf_core.inputs.text_points import TextReading, is_text
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
     micro_figure,
@@ -279,6 +285,17 @@ def _explain_plan(data: Data) -> FileSummary:
     return FileSummary(tuple(rows), facts)
 
 
+def _explain_rotary_plan(data: Data) -> FileSummary:
+    forecast, parts = data['forecast'], data['parts']
+    grid = f'{1e6 * forecast["grid_u"]:.2f} um on average over the ranges driven'
+    rows = (
+        ('parts', ', '.join(f'{p["target"]} ({p["duration"] / 60:.1f} min)' for p in parts)),
+        ('forecast', f'{grid} (k = 1, noise alone)'),
+        ('not shown', ', '.join(forecast['hidden']) or 'none'),
+    )
+    return FileSummary(rows, {'parts': [p['target'] for p in parts]})
+
+
 def _explain_noise(data: Data) -> FileSummary:
     angle = ' and '.join(f'{1e6 * v:.3f}' for v in data['u_angle'])
     rows = (
@@ -384,6 +401,12 @@ JSON_KINDS: tuple[FileKind, ...] = (
         'plan',
         _explain_plan,
         'path, feeds and dwells; otf simulate and the path planner drive it',
+    ),
+    _json_kind(
+        ROTARY_SCHEMA,
+        'plan of a machine with rotary axes',
+        _explain_rotary_plan,
+        'parts to be driven; check, calibrate, diagnose and simulate read it with --path',
     ),
     _json_kind(
         'otf-noise/1',
@@ -521,7 +544,10 @@ YAML_SUFFIXES = ('.yaml', '.yml')
 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
-        return (path / 'metadata.yaml').is_file() or any(map(is_storage, path.iterdir()))
+        written_by_otf = (path / MANIFEST).is_file()  # a plan holds its path as an MCAP file
+        return (path / 'metadata.yaml').is_file() or (
+            not written_by_otf and any(map(is_storage, path.iterdir()))
+        )
     return is_storage(path) or path.suffix == '.bag'
 
 
@@ -541,9 +567,19 @@ def _explain_bag(path: Path) -> FileSummary:
         points = len(path_driven.points)
         rows.append(('path', f'{points} corner points, {path_driven.length:.2f} m'))
         facts |= {'path_points': points, 'path_length': path_driven.length}
+    if reading.axis_paths:
+        rows.append(_parts_row(reading.axis_paths))
+        facts |= {'parts': [p.target for p in reading.axis_paths]}
     rows += [('INCOMPLETE', text) for text in reading.remarks]
-    rows.append(('usable?', 'see otf check'))
+    usable = 'see otf check' if POINT.name in reading.topics else f'no: {POINT.name} is missing'
+    rows.append(('usable?', usable))
     return FileSummary(tuple(rows), facts)
+
+
+def _parts_row(parts: Sequence[AxisPath]) -> tuple[str, str]:
+    """Parts of a machine with rotary axes."""
+    listed = ', '.join(f'{p.target} ({len(p.positions)} corners)' for p in parts)
+    return 'parts', f'{len(parts)} of axes {", ".join(parts[0].axes)}: {listed}'
 
 
 BAG = FileKind(
@@ -640,6 +676,21 @@ def _explain_program(path: Path) -> FileSummary:
     return FileSummary(tuple(rows), facts)
 
 
+def _explain_axis_positions(path: Path) -> FileSummary:
+    try:
+        parts = read_axis_paths(path)
+    except InputError:  # points of a prediction need not differ
+        return FileSummary((('positions', 'without any motion between them'),))
+    return FileSummary((_parts_row(parts),), {'parts': [p.target for p in parts]})
+
+
+AXIS_POSITIONS = FileKind(
+    'axis positions',
+    'of a machine with rotary axes, m and rad; check, calibrate, diagnose and simulate read them '
+    'with --path, predict with --points',
+    lambda path: path.suffix.lower() == '.csv' and holds_axis_positions(path),
+    _explain_axis_positions,
+)
 PROGRAM = FileKind(
     'NC program',
     'a path; check, calibrate, diagnose, plan, simulate read it with --path',
@@ -713,6 +764,7 @@ KINDS: tuple[FileKind, ...] = (
     MACHINE,
     RESIDUALS,
     DIRECT,
+    AXIS_POSITIONS,
     POINTS,
     PROGRAM,
     TABLE,
