@@ -33,7 +33,7 @@ A = TypeVar('A')
 R = TypeVar('R')
 
 TICKET = 2
-"""Bytes that say which item is next."""
+"""Bytes of the number of the next item."""
 _PR_SET_PDEATHSIG = 1
 """Option of ``prctl`` (linux/prctl.h): the signal that the end of the parent sends."""
 NICE = 10

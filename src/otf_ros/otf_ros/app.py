@@ -30,7 +30,7 @@ LONGEST_WAIT = 0.2
 STDERR = 2
 """By its number: a process may run without ``sys.stderr``."""
 LONGEST_END = 10.0
-"""s; a process that the middleware does not let go of ends and says where it hangs."""
+"""s; a process that the middleware still holds then ends itself and states where it hangs."""
 _USAGE_ERRORS = (
     ParameterException,
     NameValidationException,

@@ -366,7 +366,7 @@ DEPARTED_FORMS = {
     servo_soft: frozenset({'servo_mismatch'}),
     ringing: frozenset({'vibration'}),
 }
-"""Forms, and the names of causes any of which is right for each."""
+"""Forms, each with the causes that count as right for it."""
 
 
 _UNIT = np.eye(3)

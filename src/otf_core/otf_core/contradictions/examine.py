@@ -251,7 +251,7 @@ sample to be taken; fewest of these, else all are."""
 ROUNDING_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
 """m; to what recordings are rounded."""
 WARNING_OUTLIER_SHARE, GATE_OUTLIER_SHARE = 0.1, 0.3
-"""Share of outliers from which on they are named; from which on the result is not relied on."""
+"""Shares of outliers from which they are reported, and from which the quality gate fails."""
 
 
 def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:

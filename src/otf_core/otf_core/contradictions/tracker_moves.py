@@ -157,7 +157,7 @@ MIN_GAIN, MIN_GAIN_OF_SEVERAL = 45.0, 100.0
 """Drop of the sum of squares for each of the six numbers, in residual variances: at least; where
 there may be several steps."""
 MIN_SIZE = 2.0
-"""Standard deviations of a sample that a step measures at least: noise that wanders does less."""
+"""Standard deviations of a sample that a step must exceed; drifting noise stays below."""
 NEAR_PEAK, AWAY_FROM_PEAK = (0.03, 0.06), 0.1
 """Distances from a peak, as shares of the run."""
 MAX_SHARE_AWAY = 0.5

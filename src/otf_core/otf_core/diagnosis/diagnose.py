@@ -79,7 +79,7 @@ MOST_PIECES = 12_000
 """Pieces of all runs together beyond which they are made longer: time and memory of a diagnosis
 are in proportion to their number."""
 WORTH_IT = 1.2
-"""Factor on the length from which they are: the runs are solved again for it."""
+"""Factor on the length from which it pays: longer pieces mean solving the runs again."""
 PER_NODE = 3.0
 """Pieces between two table nodes at least, so that waves between nodes are seen."""
 

@@ -513,7 +513,7 @@ def counts_rows(texts: Sequence[str]) -> bool:
 
 
 CHANCE_ROWS = 3
-"""Rows with which a column may count by chance."""
+"""Rows up to which numbers may count 1, 2, 3 by chance."""
 
 
 def _unnamed(table: TextTable) -> Columns | None:

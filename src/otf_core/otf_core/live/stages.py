@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 # Stages of long jobs and their shares of the time, so that one number says how far a job is.
 
 Progress = Callable[[str, float], None]
-"""Takes what is being done, and the share of it, or of the whole, that is done."""
+"""Takes the name of a stage, and the share of it, or of the whole job, that is done."""
 
 
 def silent(stage: str, share: float) -> None:

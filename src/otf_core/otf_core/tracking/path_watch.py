@@ -16,10 +16,10 @@ END_STANDSTILL = 1.0
 MIN_TRAVEL = 0.5
 """Share of the path length before which no end is expected (gaps shorten the travel)."""
 NEARLY, SOON = 0.98, 0.25
-"""After nearly the whole path so short a standstill, s, ends the run, if at the end point."""
+"""Driven share of the path, and standstill (s) at its end point, that end a run."""
 AT_REST = 0.05
-"""s; so long into such a standstill the run is over, if the standstill ends it: what comes later
-belongs to none, and the samples until then can be evaluated before the standstill is long."""
+"""s after the start of such a standstill at which the run ends: later samples belong to no run,
+and the evaluation can start before the standstill has lasted."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
