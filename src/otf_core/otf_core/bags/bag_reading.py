@@ -69,9 +69,6 @@ class Column(Generic[T]):
         return whole
 
 
-# Points and paths of one bag as they were recorded, as far as it holds them.
-
-
 @dataclass(frozen=True)
 class ReceivedPoints:
     """Points as they were received.

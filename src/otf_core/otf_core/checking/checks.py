@@ -211,8 +211,6 @@ def _calibrated(seen: CheckedRecording, machine: Machine, refused: _Refusals) ->
     return seen
 
 
-# Checks of a recording: can it be calibrated, and how well will the errors be known.
-
 ERROR = 'error'
 """A calibration would refuse the recording, or a quality gate of it would fail."""
 

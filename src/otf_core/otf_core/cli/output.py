@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-# What the command line prints, and its exit codes: results on stdout, messages on stderr.
-
 QUALITY_GATE_FAILED = 4
 LIMIT_NOT_PROVEN = 5
 

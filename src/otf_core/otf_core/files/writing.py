@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 
-# Files that are either whole or not there: written beside the final name, then renamed.
-
 FULL = (errno.ENOSPC, errno.EDQUOT)
 DISK_FULL = 'the disk is full'
 

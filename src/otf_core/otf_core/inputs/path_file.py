@@ -294,9 +294,6 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
     return points * LENGTHS[unit or 'm'], words
 
 
-# A path from a file: plan.json of otf plan, the NC program that was driven, or corner points.
-
-
 def read_path(name: str | Path) -> tuple[Array, str]:
     """Corner points of a path, shape (n, 3), m, and what the file was read as.
 

@@ -92,9 +92,6 @@ class PlanReport:
     after: tuple[Answer, ...] = ()
 
 
-# From options to a judged plan: which path, forecast, what it cannot show, where the tracker.
-
-
 @dataclass(frozen=True)
 class PlanRequest:
     """What is wanted.

@@ -166,8 +166,6 @@ def sections_to_text(sections: Iterable[Section]) -> str:
     return '\n'.join(line for s in sections for line in s.text).rstrip('\n')
 
 
-# Sections to one HTML page that needs nothing else: no network, no fonts, no files.
-
 TWO_COLUMN_LETTERS = 400
 """Letters of a section's words from which they stand in two columns."""
 LONG_FIGURE = 6

@@ -138,8 +138,6 @@ def format_reversal(reversal: Reversal) -> str:
     return '\n'.join(lines)
 
 
-# Errors of the axes: motions, squareness, forward and backward travel, all nodes.
-
 LIMIT_HEIGHT_RATIO = 4.0
 """Height of a limit, in that of what is drawn, up to which it is drawn."""
 ROLES = {True: 'positioning', False: 'straightness'}
