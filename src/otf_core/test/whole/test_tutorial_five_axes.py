@@ -84,7 +84,7 @@ def test_the_exported_file_leaves_little_of_the_errors(folder):
     truth = load_tables(folder / 'before/truth_tables.json').tables
     before, after = left_by_file(folder / 'errors.csv', truth)
     assert before > 15e-6
-    assert after < 0.08 * before
+    assert after < 0.05 * before
 
 
 def smooth_tables(machine, rng):
