@@ -29,6 +29,10 @@ WORTH_MOVING = 0.1
 BEHIND = np.radians(30.0)
 """rad about the line from a reflector to the spindle in which the spindle hides it."""
 MOST_FACINGS = 8
+ENOUGH = 0.9
+"""Share of the positions that facings are counted up to."""
+HAND_TURN = 20.0
+"""s for turning a reflector in its nest to the next facing."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,12 @@ def _range_about(at: Array, free: NDArray[np.bool_]) -> tuple[float, float]:
     longest = int(np.argmax(np.diff(marks)))
     first, last = marks[longest], marks[longest + 1] - 2
     return (float(at[first]), float(at[last])) if last >= first else (float(at[0]), float(at[0]))
+
+
+def facings_needed(sight: SightShare) -> int:
+    """Facings after which a reflector is seen in ``ENOUGH`` of the positions; else all tried."""
+    enough = (k for k, share in enumerate(sight.facings, 1) if share >= ENOUGH)
+    return next(enough, len(sight.facings))
 
 
 def sights(machine: Machine, place: Array) -> dict[str, SightShare]:

@@ -25,7 +25,12 @@ from otf_core.model.machine import Machine
 from otf_core.model.plan import AxisPlan
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.axis_programs import on_axis_increment
-from otf_core.planning.line_of_sight import default_tracker_place
+from otf_core.planning.line_of_sight import (
+    HAND_TURN,
+    default_tracker_place,
+    facings_needed,
+    sights,
+)
 from otf_core.planning.rotary_forecast import Judge, duration_of
 from otf_core.planning.rotary_paths import (
     HAND_MOVE,
@@ -66,8 +71,8 @@ def choose_parts(
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the frame of its link.
     time_budget : float, optional
-        s for all driving and all moves by hand; without it all lines, and ``ROTARY_TIME`` for the
-        rest.
+        s for all driving and all moves and turns by hand; without it all lines, and
+        ``ROTARY_TIME`` for the rest.
 
     Raises
     ------
@@ -107,6 +112,8 @@ class _Choice:
         piece = LONG_PIECES * CalibrationConfig.piece_length
         self.judge = Judge(_coarser(machine), each, place, config, judged, noise, piece)
         self.each = each
+        self.turning = {n: HAND_TURN * (facings_needed(s) - 1)
+                        for n, s in sights(machine, place).items()}  # fmt: skip
 
     @cached_property
     def equations(self) -> list[NormalEquations]:
@@ -193,14 +200,17 @@ class _Choice:
         parts = parts_of(self.machine, chains)
         took = [duration_of(self.machine, p, self.config) for p in parts]
         if self.whole:
-            return sum(took) + HAND_MOVE * hand_moves(parts)
+            turned = {c.target for c in chains if not c.is_lines}
+            by_hand = HAND_MOVE * hand_moves(parts) + sum(self.turning.get(t, 0) for t in turned)
+            return sum(took) + by_hand
         kinds = [kind for kind, _ in groupby(chains, key=lambda c: c.part)]
         return sum(t for t, kind in zip(took, kinds, strict=True) if not kind[1])
 
     def _hand(self, selected: Sequence[int], k: int) -> float:
         """Time by hand, s, that goes with a chain: of the only one of its target."""
         alone = sum(self.chains[i].target == self.chains[k].target for i in selected) == 1
-        return HAND_MOVE if alone and self.whole else 0.0
+        turns = 0.0 if self.chains[k].is_lines else self.turning.get(self.chains[k].target, 0.0)
+        return HAND_MOVE + turns if alone and self.whole else 0.0
 
     def _variances(self, normal: NormalEquations) -> Array:
         """Mean variance of every error over its nodes."""

@@ -28,16 +28,20 @@ from otf_core.planning.axis_programs import (
     verification_part,
     verification_program,
 )
-from otf_core.planning.line_of_sight import LEAST_OPEN, SightShare
+from otf_core.planning.line_of_sight import (
+    ENOUGH,
+    HAND_TURN,
+    LEAST_OPEN,
+    SightShare,
+    facings_needed,
+)
 from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.part_choice import hand_moves
 from otf_core.planning.rotary_forecast import RotaryForecast
 from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart
 
-ENOUGH = 0.9
-"""Share of the positions that facings are counted up to."""
-HAND_TURN = 20.0
-"""s for turning a reflector in its nest to the next facing."""
+UNKNOWN_VECTORS = 1e-4
+"""m; mean uncertainty of error vectors from which they are not determined."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +83,6 @@ class RotaryPlan:
     def by_hand(self) -> float:
         """Time for moves and turns of the reflector by hand, s."""
         return HAND_MOVE * hand_moves(self.parts) + HAND_TURN * self.turns
-
-
-def facings_needed(sight: SightShare) -> int:
-    """Facings after which a reflector is seen in ``ENOUGH`` of the positions; else all tried."""
-    enough = (k for k, share in enumerate(sight.facings, 1) if share >= ENOUGH)
-    return next(enough, len(sight.facings))
 
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,12 +155,7 @@ def plan_words(plan: RotaryPlan) -> str:
         if own.open < LEAST_OPEN:
             lines.append(f'  {name}: {_hidden_words(machine, name, own)}')
     lines += [f'  {sentence}' for sentence in plan.near]
-    lines += [
-        '',
-        f'Expected standard uncertainty (k = 1) of an error vector: {1e6 * forecast.grid_u:.2f} '
-        f'um on average over the ranges driven; of errors (um, urad; root mean square of the '
-        f'nodes):',
-    ]
+    lines += ['', _vector_words(forecast)]
     shown = [n for n in forecast.u if n not in forecast.hidden]
     groups = [list(machine.squareness), list(machine.location)]
     groups += [[str(m) for m in machine.motions if m.axis == a] for a in machine.axis_names]
@@ -172,8 +165,20 @@ def plan_words(plan: RotaryPlan) -> str:
             lines.append('  ' + ', '.join(stated))
     if forecast.hidden:
         lines += ['', 'Will not be seen:']
-        lines += [f'  {name}: {why}' for name, why in forecast.hidden.items()]
+        for why in dict.fromkeys(forecast.hidden.values()):
+            names = ', '.join(n for n, own in forecast.hidden.items() if own == why)
+            lines.append(f'  {names}: {why}')
     return '\n'.join(lines) + '\n'
+
+
+def _vector_words(forecast: RotaryForecast) -> str:
+    words = 'Expected standard uncertainty (k = 1)'
+    if forecast.grid_u < UNKNOWN_VECTORS:
+        words += (
+            f' of an error vector: {1e6 * forecast.grid_u:.2f} um on average over the ranges '
+            f'driven;'
+        )
+    return f'{words} of errors (um, urad; root mean square of the nodes):'
 
 
 def _hidden_words(machine: Machine, name: str, sight: SightShare) -> str:
