@@ -46,6 +46,8 @@ VIEW_WIDTH, VIEW_HEIGHT = 274.0, 228.0
 BANDS_PER_OCTAVE = 2
 LOWEST_FREQUENCY, HIGHEST_WAVE_NUMBER = 0.2, 80.0
 """Hz; waves per m."""
+SHORTEST_TURN, MOST_WAVES_PER_RAD = 0.5, 10.0
+"""rad and waves per rad: the same of rotary axes."""
 SHORTEST_AXIS = 0.05
 """m; shorter axes show no waves."""
 FREQUENCY_CAPTION = (
@@ -351,15 +353,18 @@ def travel_section(diagnosis: Diagnosis) -> Section:
 
 def _travel_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     views = diagnosis.shown.views
-    parts = (
+    senses = [by.by_sense(views, k) for k in range(len(views[0].axis_names))]
+    parts = [
         group_bars(diagnosis, [by.by_line(views), by.by_feed(views)], 'residual by line and feed'),
-        group_bars(diagnosis, [by.by_sense(views, k) for k in range(3)], 'residual by sense'),
-    )
+        group_bars(diagnosis, senses, 'residual by sense'),
+    ]
+    if any(view.part_names for view in views):
+        parts.append(group_bars(diagnosis, [by.by_part(views)], 'residual by part'))
     caption = (
         'Root mean square of the residual. Diagonals are named after the axes they move; forward '
         'is towards larger axis positions.'
     )
-    return [Picture(parts, caption, columns=2, key=state_key(diagnosis, stroke=True))]
+    return [Picture(tuple(parts), caption, columns=2, key=state_key(diagnosis, stroke=True))]
 
 
 def beam_section(diagnosis: Diagnosis) -> Section:
@@ -390,10 +395,12 @@ def _frequency_pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     views = diagnosis.shown.views
     steps = np.concatenate([np.diff(v.time[a:b]) for v in views for a, b in v.bounds if b - a > 1])
     bands = [_wave_bands(None, LOWEST_FREQUENCY, 0.5 / float(np.median(steps)))]
-    for k in range(3):
+    for k, name in enumerate(views[0].axis_names):
         length = max(float(np.ptp(v.q[:, k])) for v in views)
-        if length > SHORTEST_AXIS:
-            bands.append(_wave_bands(k, 1.0 / length, HIGHEST_WAVE_NUMBER))
+        turns = name in views[0].rotary
+        if length > (SHORTEST_TURN if turns else SHORTEST_AXIS):
+            highest = MOST_WAVES_PER_RAD if turns else HIGHEST_WAVE_NUMBER
+            bands.append(_wave_bands(k, 1.0 / length, highest))
     shown = residual_states(diagnosis)
     groups = zip(*band_groups(views, [s.residuals for s in shown], bands), strict=True)
     kinds = [state.kind for state in shown]
@@ -414,7 +421,8 @@ def _spectrum_panel(
 ) -> str:
     """Root mean square by band, per half octave, of every kind of state."""
     own = '' if bands.axis is None else view.axis_names[bands.axis]
-    name = f'wavelength along {own} (mm)' if own else 'frequency (Hz)'
+    scale, unit = (1e3, 'mm') if bands.axis is None else view.scale(bands.axis)
+    name = f'wavelength along {own} ({unit})' if own else 'frequency (Hz)'
     heading = f'along {own}' if own else 'in time'
     edges = bands.edges
     ratio = float(np.sqrt(edges[1] / edges[0]))
@@ -422,7 +430,7 @@ def _spectrum_panel(
     for kind, groups in groups_by_kind.items():
         inner = [g for g in groups if int(g.label) < len(edges)]
         middle = np.array([float(edges[int(g.label)]) / ratio for g in inner])
-        middle = 1e3 / middle if own else middle
+        middle = scale / middle if own else middle
         if not lines:
             lines.append((middle, np.array([1e6 * g.expected for g in inner]), 'noise'))
         lines.append((middle, np.array([1e6 * g.rms for g in inner]), kind))
