@@ -293,6 +293,18 @@ def _accepted(unknowns: Unknowns) -> tuple[str, ...]:
     return tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
 
 
+def _weights_of(
+    systems: Sequence[AxisSystem],
+    runs: Sequence[AxisRun],
+    noises: Sequence[tuple[NoiseModel, Misfit]],
+) -> list[Whitener]:
+    """Weights of the rows of every run, from its noise and misfit."""
+    return [
+        Whitener.of(cast(Any, s), cast(Any, run.pieces), *noise)
+        for s, run, noise in zip(systems, runs, noises, strict=True)
+    ]
+
+
 def solve_jointly(
     runs: Sequence[AxisRun],
     noises: Sequence[NoiseModel],
@@ -332,11 +344,7 @@ def solve_jointly(
     for iteration in range(1, config.max_iterations + 1):
         own = [run.placed(poses[run.station], places) for run in runs]
         systems = [build_rows(run, unknowns, tables) for run in own]
-        if whiteners is None:
-            whiteners = [
-                Whitener.of(cast(Any, s), cast(Any, run.pieces), *model)
-                for s, run, model in zip(systems, own, models, strict=True)
-            ]
+        whiteners = whiteners or _weights_of(systems, own, models)
         known = place_equations(machine, unknowns, places)
         first = iteration == 1 or (iteration == 2 and logs is None)
         if rough is None or solution is None or first or stuck:
