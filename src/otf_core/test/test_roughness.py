@@ -157,7 +157,7 @@ def test_nothing_is_said_of_a_motion_without_its_like():
 def covariance(some, logs):
     """Covariance of the solved-for unknowns before any data, written as one dense matrix."""
     search = some.search
-    found = 1e4 * np.eye(len(search.ridge))
+    found = 1e4 * np.eye(len(search.right))
     for place, own in zip(search.places, search.priors.at(logs)[0], strict=True):
         found[place, place] = own
     return found[np.ix_(search.rows, search.rows)] * LIMIT**2

@@ -266,15 +266,12 @@ class _Point:
         self.logs, self._search = logs, search
         self._covariance, self._parts = search.priors.at(logs)
         self.inverse, sizes = _invert(self._covariance)
-        filled = search.ridge.copy()
+        self.prior = search.ridge.copy()
         for place, inverse in zip(search.places, self.inverse, strict=True):
-            filled[place, place] = inverse
-        self.prior = filled[np.ix_(search.rows, search.rows)]
+            self.prior[place, place] = inverse
         self._factor = Positive(search.matrix + self.prior)
-        value = self._factor.solve(search.right)
-        self.square = search.square - float(search.right @ value)
-        self.value = np.zeros(len(filled))
-        self.value[search.rows] = value
+        self.value = self._factor.solve(search.right)
+        self.square = search.square - float(search.right @ self.value)
         size = self._factor.log_determinant + float(sizes.sum())
         self.likelihood = -0.5 * (self.square + size)
         self.pull = np.einsum('iajb,jb->ia', search.alike, logs - START)
@@ -282,10 +279,8 @@ class _Point:
 
     @cached_property
     def posterior(self) -> Array:
-        """V of everything solved for, filled up with ones along the diagonal."""
-        filled = np.eye(len(self.value))
-        filled[np.ix_(self._search.rows, self._search.rows)] = self._factor.inverse
-        return filled
+        """V of everything solved for."""
+        return self._factor.inverse
 
     @cached_property
     def of_motions(self) -> tuple[Array, Array]:
@@ -324,7 +319,7 @@ class Search:
     use : ndarray of int64, shape (k,)
         Places of what is solved for among the free unknowns: all others, then motion by motion.
     rows : ndarray of int64, shape (k,)
-        Their places where all motions are filled up to the size of the largest.
+        Their places in here, where all motions have the size of the largest.
     places : list of slice
         Those of the motions.
 
@@ -353,10 +348,13 @@ class Search:
         self.places = [slice(first + k * n, first + (k + 1) * n) for k in range(len(of))]
         own = [np.arange(p.start, p.start + m) for p, m in zip(self.places, sizes, strict=True)]
         self.rows = np.concatenate([np.arange(first), *own])
-        self.matrix = normal.matrix[np.ix_(self.use, self.use)] * limit**2
-        self.right = normal.right[self.use] * limit
+        size = first + n * len(of)
+        self.matrix, self.right = np.zeros((size, size)), np.zeros(size)
+        place = np.ix_(self.rows, self.rows)
+        self.matrix[place] = normal.matrix[np.ix_(self.use, self.use)] * limit**2
+        self.right[self.rows] = normal.right[self.use] * limit
         self.square, self.limit, self.free = normal.square, limit, unknowns.free
-        self.ridge = TRACE * np.eye(first + n * len(of))
+        self.ridge = TRACE * np.eye(size)
         units = np.array([unit_of(m) for m in self.motions])
         spread = np.eye(len(of)) + (units[:, None] == units)
         self.alike = np.einsum('ij,ab->iajb', np.linalg.inv(spread), np.diag(1.0 / SIGMA**2))
@@ -377,7 +375,7 @@ class Search:
         logs = [(start or {}).get(m, START) for m in self.motions]
         point = _Point(self, np.array(logs).reshape(-1, 3))
         if not self.places:
-            return self._answer(point, np.zeros((len(point.value), 0)))
+            return self._answer(point, np.zeros((len(self.right), 0)))
         point = self._climb(point)
         while everywhere and (other := self._elsewhere(point)) is not None:
             point = self._climb(other)
@@ -426,8 +424,7 @@ class Search:
             step = _uphill(logs, own.score - pull, own.hessian - alike)
             longest = np.abs(step).max(axis=-1, keepdims=True)
             square = np.sum(right * c, axis=(-2, -1)) - np.sum(pull * (logs - mean), axis=-1)
-            step *= MAX_STEP / np.maximum(longest, MAX_STEP)
-            return 0.5 * (square - whole - size), step
+            return 0.5 * (square - whole - size), step * np.minimum(1.0, MAX_STEP / longest)
 
         logs = _moved(mean, ELSEWHERE[:, None])
         best, step = at(logs)
@@ -449,7 +446,8 @@ class Search:
 
     def _answer(self, point: _Point, drawn: Array) -> Roughness:
         precision = np.zeros((self.free, self.free))
-        precision[np.ix_(self.use, self.use)] = point.prior / self.limit**2
+        prior = point.prior[np.ix_(self.rows, self.rows)]
+        precision[np.ix_(self.use, self.use)] = prior / self.limit**2
         moved = np.zeros((self.free, drawn.shape[1]))
         moved[self.use] = drawn[self.rows] * self.limit
         logs = dict(zip(self.motions, point.logs, strict=True))
