@@ -81,8 +81,7 @@ def solved(run, bases):
     start = Start(logarithms(), tuple(n for n in names if n not in RUN['not_identifiable']))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(roughness, 'MAX_STEPS', 0)
-        silent = lambda stage, fraction: None  # noqa: E731
-        return solve_jointly([run], layout(bases), CONFIG, silent, start, first=True)
+        return solve_jointly([run], layout(bases), CONFIG, lambda stage, fraction: None, start)
 
 
 def with_given_noise(run):

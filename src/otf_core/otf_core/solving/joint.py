@@ -445,8 +445,6 @@ def solve_jointly(
     config: CalibrationConfig,
     progress: Progress,
     start: Start | None = None,
-    *,
-    first: bool = False,
 ) -> JointSolution:
     """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
 
@@ -455,8 +453,6 @@ def solve_jointly(
     progress : callable(stage, fraction)
     start : Start, optional
         What an earlier solution of the same blocks found.
-    first : bool
-        Others follow: the roughness may be that of the top next to its start.
 
     Raises
     ------
@@ -469,8 +465,7 @@ def solve_jointly(
     whiteners = whiteners_of(runs, systems)
     accepted = start.accepted if start else find_identifiable_blocks(runs, unknowns, limit)
     normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
-    search = Search(normal, unknowns, accepted, limit)
-    rough = search.run(start.logs if start else None, everywhere=not first)
+    rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
     residuals = residuals_of(systems, solution)
     change, stuck = np.inf, False

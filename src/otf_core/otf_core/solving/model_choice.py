@@ -206,8 +206,8 @@ def _started(
     some = _thinned(runs)
     if sum(_leg_number(run)[-1] + 1 for run in some) >= MIN_FIRST_LEGS:
         with suppress(InputError):  # too few legs
-            first = solve_jointly(some, smooth, quick, progress, start, first=True)
-    first = first or solve_jointly(runs, smooth, config, progress, start, first=True)
+            first = solve_jointly(some, smooth, quick, progress, start)
+    first = first or solve_jointly(runs, smooth, config, progress, start)
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
@@ -356,7 +356,7 @@ class LinearSolution:
         logs : mapping of motion to ndarray
             Roughness to start from.
         """
-        rough = Search(normal, unknowns, accepted, limit).run(logs, everywhere=False)
+        rough = Search(normal, unknowns, accepted, limit).run(logs)
         return cls(
             unknowns, solve(normal, unknowns, limit, accepted, rough.precision), rough, normal
         )

@@ -14,7 +14,7 @@ from certified.measured_rows import HERE, moved, pieces_of, read_run, rows_of, t
 from certified.noise_matrix import noise_matrices
 
 TOGETHER = np.array([3.0, 1.0, 3.0])
-"""Standard deviation of the logarithms of the roughness about their mean, and of that mean."""
+"""Standard deviation of the logarithms of the roughness of a motion about their median."""
 PLACES = [[0.05, -0.05, -0.12], [0.13, 0.02, -0.03], [0.21, 0.11, -0.09], [0.18, 0.08, -0.075]]
 """m; where errors are predicted."""
 SMOOTH, FRACTION = 20, 2
@@ -73,12 +73,6 @@ def residual_check(found):
     return rank, np.sum(white**2) / (white.size - rank), factor
 
 
-def drawn_together(motions):
-    """Inverse covariance of the logarithms: about the mean of their unit, drawn itself alike."""
-    alike = [[(m[1] in 'XYZ') == (n[1] in 'XYZ') for n in motions] for m in motions]
-    return np.linalg.inv(np.kron(np.eye(len(motions)) + np.array(alike), np.diag(TOGETHER**2)))
-
-
 def roughness_information(first, model, roughness):
     """Information of the restricted likelihood of the logarithms of the roughness.
 
@@ -89,7 +83,7 @@ def roughness_information(first, model, roughness):
     whitened, design = weights @ first.design, first.design
     inner = design.T @ (weights - whitened @ first.covariance @ whitened.T) @ design
     changes = model.prior_changes(roughness)
-    information = drawn_together([m.name for m in model.motions])
+    information = np.diag(np.tile(TOGETHER**-2, len(model.motions)))
     for i, (a, one) in enumerate(changes):
         for j, (b, other) in enumerate(changes):
             information[i, j] += 0.5 * np.trace(inner[b, a] @ one @ inner[a, b] @ other)
