@@ -148,7 +148,5 @@ def test_simulated_cell_with_a_move_by_hand_is_driven_and_shown(graph, tmp_path)
         return [t for t in tracks if len(t.poses) == len(tracks[-1].poses) > 1200]
 
     graph.wait(lambda: len(of_all_parts()) >= 2, 'the track with the places that were found')
-    first, last = of_all_parts()[0], of_all_parts()[-1]
-    assert [p.pose.position for p in first.poses] != [p.pose.position for p in last.poses]
     graph.wait(lambda: scenes and any(m.ns == 'errors' for m in scenes[-1].markers), 'the picture')
     assert 'live view at' in page.last_lines()

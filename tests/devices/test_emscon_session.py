@@ -284,7 +284,7 @@ def test_connecting_is_given_up_when_the_process_is_asked_to_end(make):
     with emulator('initialize=60') as running:
         backend = make(running.port)
         backend.cancelled = lambda: backend.state.phase == INITIALISING
-        with pytest.raises(OtfError, match='given up'):
+        with pytest.raises(OtfError, match='connecting was stopped'):
             backend.connect()
 
 

@@ -284,7 +284,11 @@ def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):
         backend = make(described(tmp_path, source=source.url))
         backend.connect()
         backend.start()
-        until(lambda: 'time is not later than that before; check stamp' in backend.trouble)
+        until(
+            lambda: (
+                'time is not later than that of the point before; check stamp' in backend.trouble
+            )
+        )
         assert backend.health.left_out['time had been there'] > 60
 
 

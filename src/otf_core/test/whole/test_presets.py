@@ -161,7 +161,7 @@ def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_the
     typical, whole = calibrated.typical, with_declared(cell, typical_values())
     for name, table in whole.tables.motions.items():
         np.testing.assert_allclose(typical.motions[name], table.u, rtol=1e-6, atol=1e-15)
-    for name, (stated, with_them) in typical.squareness.items():
+    for name, (stated, with_them) in typical.scalars.items():
         assert stated == pytest.approx(calibrated.tables.squareness[name].u)
         assert with_them == pytest.approx(whole.tables.squareness[name].u)
     lines = [budget_lines(r.tables, r.budget)[-1].u for r in (calibrated, whole)]

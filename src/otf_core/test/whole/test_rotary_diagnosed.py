@@ -18,7 +18,7 @@ BAG = Path(__file__).parents[4] / 'bags' / 'trunnion'
 
 def run_with(tmp_path, effects, seed=31, **options):
     m = load_machine(BAG / 'machine.yaml')
-    config = SimulationConfig(seed=seed, rate=25.0)
+    config = SimulationConfig(seed=seed, rate=50.0)
     run = simulate_parts(
         m, usual_parts(m), config, dwell=0.5, feed=0.1, effects=effects, **options
     )

@@ -84,9 +84,7 @@ class Emscon(Backend):
             if time.monotonic() - began > (INITIALISED if initialising else PATIENCE):
                 break
             if self.cancelled():
-                raise TrackerError(
-                    f'tracker at {own.host}:{own.port}: no connection in time; gave up'
-                )
+                raise TrackerError(f'tracker at {own.host}:{own.port}: connecting was stopped')
             time.sleep(PAUSE)
         known = self._thread.state.tracker
         return f'{known or "tracker"} at {own.host}:{own.port}'
