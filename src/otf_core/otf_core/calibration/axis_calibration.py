@@ -52,7 +52,7 @@ from otf_core.rotary.axis_solution import (
 from otf_core.rotary.axis_unknowns import layout, linear_bases, place_block, smooth_bases
 from otf_core.rotary.curve_matching import MatchedRun, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
-from otf_core.rotary.part_steps import find_steps
+from otf_core.rotary.part_steps import LEAST, find_steps
 from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.tabulation import AxisTables, tabulate
@@ -291,7 +291,7 @@ class _Job:
         try:
             joint = solve(runs, fitted=unknown, unknowns=layouts[SMOOTH], tables=tables)
         except UnsettledError as error:
-            steps = find_steps(error.joint)
+            steps = find_steps(error.joint, LEAST)
             if not steps:
                 raise
             raise InputError(steps[0]) from None

@@ -33,6 +33,9 @@ SIGNIFICANT = 6.0
 """Standard uncertainties of a step that count."""
 LEAST = 4e-6
 """m; smaller steps do not matter beside the places of reflectors themselves."""
+LEAST_OF_TRACKER = 4e-5
+"""m; errors that no functions follow, and places of reflectors that count as exact, look like
+smaller ones between parts that other axes drive: 14 um where errors of 100 um have kinks."""
 LARGEST = 1e-3
 """m; larger ones are no small steps, but a solution that went astray."""
 VAGUE = 1e-4
@@ -62,6 +65,10 @@ class _Step:
         acts = np.any(self.columns != 0.0, axis=(0, 2))
         return float(np.sqrt(np.mean(np.sum(moved[:, acts] ** 2, axis=0))))
 
+    def matters(self, d: Array, least_of_tracker: float) -> bool:
+        """Tell whether the step is larger than what else looks like one."""
+        return self.size(d) > (LEAST if self.target else least_of_tracker)
+
     def words(self, d: Array) -> str:
         """What moved, how far, and what to do."""
         name = f'{Path(self.run.run.name).name}: ' if self.run.run.name else ''
@@ -80,13 +87,19 @@ class _Step:
         )
 
 
-def find_steps(joint: AxisSolution) -> list[str]:
-    """Words on what moved between parts of every run, the clearest of a run first."""
+def find_steps(joint: AxisSolution, least_of_tracker: float = LEAST_OF_TRACKER) -> list[str]:
+    """Words on what moved between parts of every run, the clearest of a run first.
+
+    Parameters
+    ----------
+    least_of_tracker : float, m
+        Smaller steps of the tracker are left out.
+    """
     messages = []
     for number, solved in enumerate(joint.runs):
         steps = list(_steps_of(solved))
         if steps:
-            messages += _found(joint, number, steps)
+            messages += _found(joint, number, steps, least_of_tracker)
     return messages
 
 
@@ -106,7 +119,9 @@ def _steps_of(solved: SolvedAxisRun) -> Iterator[_Step]:
         yield _Step(solved, k, '', pose * (part >= k)[None, :, None])
 
 
-def _found(joint: AxisSolution, number: int, steps: Sequence[_Step]) -> list[str]:
+def _found(
+    joint: AxisSolution, number: int, steps: Sequence[_Step], least_of_tracker: float
+) -> list[str]:
     """Words on the steps of one run, the clearest first."""
     solved = joint.runs[number]
     time = 2.0 * solved.run.pieces.time / max(float(solved.run.pieces.time.max()), 1e-9) - 1.0
@@ -126,7 +141,9 @@ def _found(joint: AxisSolution, number: int, steps: Sequence[_Step]) -> list[str
     for _ in range(MOST):
         fitted = [_fit(sums, own, beside) for own in places]
         clear = [
-            gain / ratio if gain / ratio > SIGNIFICANT**2 + len(d) and s.size(d) > LEAST else 0.0
+            gain / ratio
+            if gain / ratio > SIGNIFICANT**2 + len(d) and s.matters(d, least_of_tracker)
+            else 0.0
             for s, (d, gain) in zip(steps, fitted, strict=True)
         ]
         if not any(clear):
