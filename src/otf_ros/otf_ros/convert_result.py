@@ -137,7 +137,8 @@ def common_result(
     method: str,
 ) -> ResultMessage:
     """Return what the summaries of all machines have in common; see ``all_tables_to_message``."""
-    fit, machine, sizes = result.fit, result.tables.machine, motion_sizes(result.tables)
+    fit, machine, first = result.fit, result.tables.machine, result.headline
+    sizes = motion_sizes(result.tables)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -160,6 +161,14 @@ def common_result(
         path_mae_before=fit.path_mae_before,
         path_mae_after=fit.path_mae_after,
         residual_rms=fit.residual_rms,
+        volumetric_error_mean=first.error['mean'],
+        volumetric_error_largest=first.error['max'],
+        expected_mean=first.expanded['mean'],
+        expected_largest=first.expanded['max'],
+        observed_mean=first.observed['mean'],
+        observed_largest=first.observed['max'],
+        coverage_factor=first.k,
+        systematic=first.systematic,
         motions=list(sizes),
         motion_largest=[largest for largest, _ in sizes.values()],
         motion_u=[u for _, u in sizes.values()],
@@ -174,19 +183,11 @@ def common_result(
 
 def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
     """Return the summary; what only the node knows (lost samples, folder) is left empty."""
-    first, hidden = result.headline, result.not_identifiable
+    hidden = result.not_identifiable
     message = common_result(
         result, result.verdicts, result.T_machine_tracker, hidden, stamp, method
     )
     message.message = summary(result)
-    message.volumetric_error_mean = first.error['mean']
-    message.volumetric_error_largest = first.error['max']
-    message.expected_mean = first.expanded['mean']
-    message.expected_largest = first.expanded['max']
-    message.observed_mean = first.observed['mean']
-    message.observed_largest = first.observed['max']
-    message.coverage_factor = first.k
-    message.systematic = first.systematic
     return message
 
 

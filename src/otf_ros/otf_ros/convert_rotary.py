@@ -79,18 +79,10 @@ def _together(
 
 def _result(result: AxisCalibration, stamp: Time, method: str) -> ResultMessage:
     """Summary; what only the node knows (lost samples, folder) is left empty."""
-    first, hidden = result.headline, result.made.hidden
+    hidden = result.made.hidden
     location = {name: result.tables.location[name] for name in result.machine.location}
     message = common_result(result, verdicts_of(result), first_pose(result), hidden, stamp, method)
     message.message = summary(result)
-    message.volumetric_error_mean = first.error['mean']
-    message.volumetric_error_largest = first.error['max']
-    message.expected_mean = first.expanded['mean']
-    message.expected_largest = first.expanded['max']
-    message.observed_mean = first.observed['mean']
-    message.observed_largest = first.observed['max']
-    message.coverage_factor = first.k
-    message.systematic = first.systematic
     message.coverage = min(1.0, result.fit.coverage)
     message.location = list(location)
     message.location_value = [entry.value for entry in location.values()]

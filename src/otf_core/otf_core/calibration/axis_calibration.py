@@ -13,7 +13,7 @@ from otf_core.arrays import Array
 from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic, typical_warnings, with_typical
 from otf_core.calibration.axis_budget import budget_of_axes, observed_parts, typical_of_axes
-from otf_core.calibration.calibration_result import Headline, headline_of
+from otf_core.calibration.calibration_result import Headline, expanded_of, headline_of
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
@@ -31,7 +31,7 @@ from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.prediction.volumetric import AxesVolumetricError, table_places
+from otf_core.prediction.volumetric import AxesVolumetricError
 from otf_core.rotary.axis_reversal import (
     NONE,
     AxisLag,
@@ -163,13 +163,8 @@ class AxisCalibration:
 
         Zero where a value is not identifiable.
         """
-        u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
-        variances = self.budget_with_typical.variances()
-        values = {}
-        for name, place in table_places(self.tables).items():
-            k, _ = self.budget_with_typical.expansion(variances[:, place])
-            values[name] = k * u[place] * (name not in self.made.hidden)
-        return values
+        covariance, budget = self.covariance_with_typical, self.budget_with_typical
+        return expanded_of(self.tables, covariance, budget, self.made.hidden)
 
     @property
     def needs(self) -> list[str]:

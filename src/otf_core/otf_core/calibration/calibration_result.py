@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -169,6 +169,26 @@ class Headline(ExpectedRemainder):
             'U_of_largest': self.of_largest,
             **super().to_dict(),
         }
+
+
+def expanded_of(
+    tables: ErrorTables, covariance: Array, budget: Budget, hidden: Collection[str]
+) -> dict[str, Array]:
+    """Expanded uncertainty of scalars (1,) and nodes (k,), m and rad; zero of what is hidden.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (m, m)
+        Of scalars and nodes, typical contributions included.
+    budget : Budget
+        With typical contributions, for the coverage factors.
+    """
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    variances, values = budget.variances(), {}
+    for name, place in table_places(tables).items():
+        k, _ = budget.expansion(variances[:, place])
+        values[name] = k * u[place] * (name not in hidden)
+    return values
 
 
 def headline_of(
@@ -544,13 +564,8 @@ class CalibrationResult:
         That of the headline: with typical values where nothing is declared; zero where a value
         is not identifiable.
         """
-        u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
-        variances = self.budget_with_typical.variances()
-        values = {}
-        for name, place in table_places(self.tables).items():
-            k, _ = self.budget_with_typical.expansion(variances[:, place])
-            values[name] = k * u[place] * (name not in self.not_identifiable)
-        return values
+        covariance, budget = self.covariance_with_typical, self.budget_with_typical
+        return expanded_of(self.tables, covariance, budget, self.not_identifiable)
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

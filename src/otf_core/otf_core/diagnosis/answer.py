@@ -38,7 +38,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
     shrink_interval,
     shrink_percent,
 )
-from otf_core.diagnosis.place.groups import RunView, part_names
+from otf_core.diagnosis.place.groups import RunView, part_targets
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.weighing import EXPLAINED_SHARE, Explanation, Unnamed
 from otf_core.effects import State
@@ -114,9 +114,8 @@ def named_causes(
     named: list[NamedCause] = []
     for part, before, after in zip(fitted, gaps[:-1], gaps[1:], strict=True):
         cause = _named_cause(part, before, after, units)
-        sizes = sizes_of(part, states, cause.curves)
-        if known := part_names(states[0]):
-            sizes = tuple(_with_target(s, known) for s in sizes)
+        targets = part_targets(states[0])
+        sizes = tuple(_with_target(s, targets) for s in sizes_of(part, states, cause.curves))
         _add(named, replace(cause, direction=_direction(part, states), sizes=sizes))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
@@ -148,12 +147,11 @@ def _named_cause(
     )
 
 
-def _with_target(size: CauseSize, names: Sequence[str]) -> CauseSize:
+def _with_target(size: CauseSize, targets: Sequence[str]) -> CauseSize:
     """A size with the target of the part that its remark names: 'nest-1 along X'."""
-    for name in names:
-        part, _, target = name.partition(' ')[2].partition(' ')
-        if size.remark == f'in part {part}':
-            return replace(size, of=f'{target.strip("()")} {size.of}'.rstrip())
+    for number, target in enumerate(targets, start=1):
+        if size.remark == f'in part {number}':
+            return replace(size, of=f'{target} {size.of}'.rstrip())
     return size
 
 

@@ -260,8 +260,6 @@ def distance_from_lines(recording: Recording) -> float:
 AXES_WAY, VOLUME, PROGRAM = 'axes', 'volume', 'program'
 WAYS = (AXES_WAY, VOLUME, PROGRAM)
 FIT, CHECK, PROOF = 'fit.ngc', 'check.ngc', 'proof.ngc'
-SPARE, APPROACH = 3.0, 20.0
-"""A program counts as stuck after so many times the time it takes, and s for what lies before."""
 
 
 @dataclass(frozen=True)
@@ -390,7 +388,7 @@ def compensation(way: str, content: TablesFile) -> Compensation:
 
 def _program(name: str, plan: Plan, text: str, acceleration: float) -> Program:
     expected = drive_times(plan, acceleration).duration
-    return Program(name, text, SPARE * expected + APPROACH)
+    return Program.of(name, text, expected)
 
 
 def _nc(plan: Plan, what: str) -> str:
@@ -464,7 +462,7 @@ def go_round(
 
 def _seconds(jobs: list[Program]) -> float:
     """Time that programs are expected to take, s."""
-    return sum((job.seconds - APPROACH) / SPARE for job in jobs)
+    return sum(job.expected for job in jobs)
 
 
 def _proof(

@@ -233,6 +233,10 @@ class ControlMissing(ConfigError):
     """LinuxCNC is not installed."""
 
 
+SPARE, APPROACH = 3.0, 20.0
+"""A program counts as stuck after so many times the time it takes, and s for what lies before."""
+
+
 @dataclass(frozen=True)
 class Program:
     """A program to drive: file name, text, and the longest time it may take, s."""
@@ -240,6 +244,16 @@ class Program:
     name: str
     text: str
     seconds: float
+
+    @classmethod
+    def of(cls, name: str, text: str, expected: float) -> Program:
+        """A program that takes about ``expected`` s."""
+        return cls(name, text, SPARE * expected + APPROACH)
+
+    @property
+    def expected(self) -> float:
+        """Time that it is expected to take, s."""
+        return (self.seconds - APPROACH) / SPARE
 
 
 @dataclass(frozen=True)

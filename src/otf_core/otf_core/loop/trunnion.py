@@ -68,8 +68,6 @@ START, QUICK = 'F3.000', 'F30.000'
 """Inverse times of a move to the start of a part, and that of the simulated machine, 1/min."""
 WAIT = 2.0
 """s at the start and the end of a part, in place of the operator."""
-SPARE, APPROACH = 3.0, 20.0
-"""A program counts as stuck after so many times the time it takes, and s for what lies before."""
 PIVOT, JOINTS, POSES_FILE = 'pivot.txt', 'compensation.ini', 'poses.ngc'
 
 
@@ -326,14 +324,14 @@ def go_round_trunnion(
     cell = Cell.drawn(machine, config, centre_error)
     poses = Poses.drawn(machine, np.random.default_rng([config.seed, 4]))
     text, seconds = pose_program(machine, poses)
-    check = Program(POSES_FILE, text, SPARE * seconds + APPROACH)
+    check = Program.of(POSES_FILE, text, seconds)
     jobs = []
     for number, part in enumerate(parts, start=1):
         q = part.path.positions
         time = float(seconds_of_legs(machine, q, feed).sum()) + len(q) * (0.2 + part.dwell)
         program = _part_text(machine, part, number, feed)
-        jobs.append(Program(f'part_{number}.ngc', program, SPARE * time + APPROACH))
-    total = sum((job.seconds - APPROACH) / SPARE for job in (*jobs, check))
+        jobs.append(Program.of(f'part_{number}.ngc', program, time))
+    total = sum(job.expected for job in (*jobs, check))
     progress(f'LinuxCNC drives {len(jobs)} parts and the poses, {total:.0f} s')
     ini = ini_text(machine, config.acceleration, feed, f'{module} sparm=identityfirst')
     old = trunnion_pins(machine) or {}

@@ -104,10 +104,15 @@ def travel_per_unit(machine: Machine) -> Array:
     return np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
 
 
-def driven_length(machine: Machine, positions: Array) -> float:
-    """Travel of all axes from corner to corner, m, rotations on the radius ``LEVER``."""
+def travel_of_legs(machine: Machine, positions: Array) -> Array:
+    """Travel of all axes from corner to corner, shape (n - 1,), m; see ``travel_per_unit``."""
     legs = np.diff(positions, axis=0) * travel_per_unit(machine)
-    return float(np.linalg.norm(legs, axis=1).sum())
+    return np.asarray(np.linalg.norm(legs, axis=1))
+
+
+def driven_length(machine: Machine, positions: Array) -> float:
+    """Travel of all axes over all legs, m."""
+    return float(travel_of_legs(machine, positions).sum())
 
 
 def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:

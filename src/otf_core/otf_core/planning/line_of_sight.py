@@ -18,7 +18,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.joints import Sight
 from otf_core.model.machine import BED, SPINDLE, TABLE, Machine
 from otf_core.model.motions import AXES
-from otf_core.planning.rotary_paths import linear_middle, positions_of
+from otf_core.planning.rotary_paths import linear_middle, longest_run, positions_of
 
 SIGHT_STEPS, DIRECTIONS = 24, 600
 """Positions of every rotary axis, and directions of a reflector, among which sight is judged."""
@@ -127,10 +127,8 @@ def sight_share(
 
 def _range_about(at: Array, free: NDArray[np.bool_]) -> tuple[float, float]:
     """Ends of the longest run of positions that are free; equal where none is."""
-    marks = np.flatnonzero(np.concatenate([[True], ~free, [True]]))
-    longest = int(np.argmax(np.diff(marks)))
-    first, last = marks[longest], marks[longest + 1] - 2
-    return (float(at[first]), float(at[last])) if last >= first else (float(at[0]), float(at[0]))
+    run = at[longest_run(free)]
+    return (float(run[0]), float(run[-1])) if len(run) else (float(at[0]), float(at[0]))
 
 
 def facings_needed(sight: SightShare) -> int:

@@ -21,6 +21,7 @@ from otf_core.model.axis_path import (
     driven_through,
     position_at,
     seconds_of_legs,
+    travel_of_legs,
     travel_per_unit,
 )
 from otf_core.model.evaluation import PLACES, evenly_spread
@@ -89,7 +90,7 @@ class _Cut:
 def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: float) -> _Cut:
     """Cut a part into pieces of equal travel, with times at the speed of each leg."""
     q = part.path.positions
-    length = np.linalg.norm(np.diff(q, axis=0) * travel_per_unit(machine), axis=1)
+    length = travel_of_legs(machine, q)
     stretch = np.cumsum(np.append(True, ~driven_through(machine, q))) - 1
     seconds = np.append(0.0, seconds_of_legs(machine, q, config.feed).cumsum())
     reach, corner = np.append(0.0, length.cumsum()), np.arange(len(q), dtype=float)

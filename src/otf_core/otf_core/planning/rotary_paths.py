@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from itertools import combinations, groupby, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
@@ -169,6 +170,13 @@ def turn_together(
     return np.concatenate(chains)
 
 
+def longest_run(free: NDArray[np.bool_]) -> slice:
+    """The longest run of neighbours (n,) that are free."""
+    marks = np.flatnonzero(np.concatenate([[True], ~free, [True]]))
+    longest = int(np.argmax(np.diff(marks)))
+    return slice(int(marks[longest]), int(marks[longest + 1]) - 1)
+
+
 def creep(
     machine: Machine,
     turning: Mapping[str, Array],
@@ -206,17 +214,15 @@ def creep(
         off = (wanted - seen.position)[:, :, None]
         q[:, linear] += np.linalg.solve(seen.velocity[:, :, linear], off)[:, :, 0]
     beyond = np.maximum(machine.lower - q, q - machine.upper)[:, linear]
-    marks = np.flatnonzero(np.concatenate([[True], (beyond > 0.0).any(axis=1), [True]]))
-    longest = int(np.argmax(np.diff(marks)))
-    first, last = marks[longest], marks[longest + 1] - 1
-    if last - first < LEAST_REACHED * len(q):
+    reached = longest_run(np.all(beyond <= 0.0, axis=1))
+    if reached.stop - reached.start < LEAST_REACHED * len(q):
         worst = int(np.argmax(beyond.max(axis=0)))
         axes = ' with '.join(a for a in turning if np.ptp(turning[a]) > 0)
         raise ConfigError(
             f'creep of {axes}: {AXES[worst]} would leave its range by '
             f'{beyond[:, worst].max():.3g} m'
         )
-    return there_and_back(q[first:last])
+    return there_and_back(q[reached])
 
 
 def stops(machine: Machine, axis: str, **others: float) -> Array:

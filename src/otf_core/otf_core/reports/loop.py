@@ -20,8 +20,8 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.loop.circle import PROGRAM, VOLUME, Circle
-from otf_core.loop.trunnion import TrunnionCircle
+from otf_core.loop.circle import PROGRAM, VOLUME, Circle, Proof
+from otf_core.loop.trunnion import PoseProof, TrunnionCircle
 from otf_core.model.machine import Axis
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import provenance
@@ -217,12 +217,11 @@ def loop_page(
     )
 
 
-def loop_to_dict(circle: Circle) -> dict[str, Any]:
-    """Return a round as plain data: loop.json."""
-    proof, path = circle.proof, circle.recordings['check'].path
+def _proof_to_dict(way: str, proof: Proof | PoseProof) -> dict[str, Any]:
+    """What a proof on lines and one at poses state alike."""
     return {
         'schema': SCHEMA,
-        'compensate': circle.way,
+        'compensate': way,
         'before_um': 1e6 * proof.before,
         'after_um': 1e6 * proof.after,
         'forecast_um': 1e6 * proof.forecast,
@@ -232,6 +231,14 @@ def loop_to_dict(circle: Circle) -> dict[str, Any]:
             'of_export': 1e6 * proof.of_export,
             'of_control': 1e6 * proof.of_control,
         },
+    }
+
+
+def loop_to_dict(circle: Circle) -> dict[str, Any]:
+    """Return a round as plain data: loop.json."""
+    proof, path = circle.proof, circle.recordings['check'].path
+    return {
+        **_proof_to_dict(circle.way, proof),
         'seen_by_tracker': {
             'before_um': 1e6 * proof.seen_before,
             'after_um': 1e6 * proof.seen_after,
@@ -338,17 +345,7 @@ def trunnion_loop_to_dict(circle: TrunnionCircle) -> dict[str, Any]:
     proof, machine = circle.proof, circle.truth.machine
     angles = [name.lower() for name in machine.rotary_names]
     return {
-        'schema': SCHEMA,
-        'compensate': 'pivot',
-        'before_um': 1e6 * proof.before,
-        'after_um': 1e6 * proof.after,
-        'forecast_um': 1e6 * proof.forecast,
-        'fall_percent': 100 * (1 - proof.after / proof.before),
-        'left_um': {
-            'of_tables': 1e6 * proof.of_tables,
-            'of_export': 1e6 * proof.of_export,
-            'of_control': 1e6 * proof.of_control,
-        },
+        **_proof_to_dict('pivot', proof),
         'pins': {
             name: {'unit': 'mm', 'old': old, 'new': new}
             for name, (old, new) in circle.pins.items()

@@ -36,8 +36,6 @@ LEAST = 4e-6
 LEAST_OF_TRACKER = 4e-5
 """m; errors that no functions follow, and places of reflectors that count as exact, look like
 smaller ones between parts that other axes drive: 14 um where errors of 100 um have kinks."""
-LARGEST = 1e-3
-"""m; larger ones are no small steps, but a solution that went astray."""
 VAGUE = 1e-4
 """m and rad; combinations of a step that the data show no better are left out."""
 DRIFT = 2

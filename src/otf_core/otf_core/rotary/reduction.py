@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.model.axis_path import driven_through, position_at, travel_per_unit
+from otf_core.model.axis_path import driven_through, position_at, travel_of_legs
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -141,7 +141,7 @@ class _Reach:
 
     @classmethod
     def of(cls, machine: Machine, positions: Array) -> _Reach:
-        length = np.linalg.norm(np.diff(positions, axis=0) * travel_per_unit(machine), axis=1)
+        length = travel_of_legs(machine, positions)
         turned = ~driven_through(machine, positions)
         stretch = np.append(0, np.cumsum(turned)).astype(np.int64)
         corners = np.append(0.0, np.cumsum(length))

@@ -254,19 +254,24 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
         assert np.all(change < np.maximum(small, 3.0 * table.u)), motion
 
 
-@pytest.mark.parametrize(('part', 'size'), [(1, 6e-5), (3, 5e-5)])
-def test_tracker_that_moved_a_little_between_parts_is_named(part, size):
-    """The latter keeps the solution from converging."""
+def with_tracker_moved(part, size):
+    """The recorded run with the tracker moved before a part."""
     samples = recorded().samples
     first = split_parts(samples, machine(), recorded().axis_paths)[part].first
     xyz = samples.xyz.copy()
     xyz[first:] += size * (np.array([0.6, -0.3, 0.5]) + np.cross([0.7, -1.0, 0.3], xyz[first:]))
-    other = replace(recorded(), samples=replace(samples, xyz=xyz))
-    try:
-        (text,) = calibrate_axes([other], CalibrationConfig(), silent).failed_gates
-    except InputError as error:
-        text = str(error)
-    assert f'from part {part + 1} on' in text and 'the tracker has moved' in text
+    return replace(recorded(), samples=replace(samples, xyz=xyz))
+
+
+def test_tracker_that_moved_a_little_between_parts_is_named():
+    moved = with_tracker_moved(1, 6e-5)
+    (text,) = calibrate_axes([moved], CalibrationConfig(), silent).failed_gates
+    assert 'from part 2 on' in text and 'the tracker has moved' in text
+
+
+def test_step_of_the_tracker_that_keeps_a_solution_from_converging_is_named():
+    with pytest.raises(InputError, match=r'from part 4 on .* the tracker has moved'):
+        calibrate_axes([with_tracker_moved(3, 5e-5)], CalibrationConfig(), silent)
 
 
 def test_reflector_that_was_reseated_is_named():

@@ -147,15 +147,23 @@ class RunView:
         return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))
 
 
-def part_names(state: State) -> tuple[str, ...]:
-    """Parts of a run with their targets, as they are named in words."""
+def part_targets(state: State) -> tuple[str, ...]:
+    """Target of every part of a run; empty for those without points."""
     if state.turning is None:
         return ()
     targets, names = list(state.machine.targets), []
     for number in range(int(state.turning.part.max(initial=-1)) + 1):
         own = state.turning.target[state.turning.part == number]
-        names.append(f'part {number + 1}' + (f' ({targets[own[0]]})' if len(own) else ''))
+        names.append(targets[own[0]] if len(own) else '')
     return tuple(names)
+
+
+def part_names(state: State) -> tuple[str, ...]:
+    """Parts of a run with their targets, as they are named in words."""
+    return tuple(
+        f'part {number}' + (f' ({target})' if target else '')
+        for number, target in enumerate(part_targets(state), start=1)
+    )
 
 
 def noise_factor(views: Sequence[RunView], simulated: float) -> float:
