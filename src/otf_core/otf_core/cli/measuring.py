@@ -377,7 +377,10 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     states = examine()
     lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
     wrong = [s for s in states if s.severity != OK]
-    lines += ['', f'{len(wrong)} items need attention' if wrong else 'no problems found']
+    need = 'no problems found'
+    if wrong:
+        need = f'{len(wrong)} item{"s" * (len(wrong) > 1)} need{"s" * (len(wrong) == 1)} attention'
+    lines += ['', need]
     healthy = all(s.severity != ERROR for s in states)
     parts = [dataclasses.asdict(s) for s in states]
     answer(arguments, '\n'.join(lines), {'healthy': healthy, 'parts': parts})
