@@ -204,5 +204,6 @@ def test_check_says_what_a_recording_will_show(capsys):
     assert main(arguments) == 0
     report = json.loads(capsys.readouterr().out)
     assert report['usable'] and not report['gaps'] and report['coverage'] > 0.99
+    assert report['lost_share'] == 0.0  # while reflectors are moved by hand, no sample is lost
     assert report['forecast']['not_identifiable'] == ['ECX', 'ECZ']
     assert 0.0 < report['forecast']['mean_u']['ECC'] < 1e-5

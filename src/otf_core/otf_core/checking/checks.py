@@ -352,12 +352,13 @@ def _check_gaps(seen: CheckedRecording) -> CheckOutcome:
     lost, time = lost_samples(samples), samples.time
     at, between = _breaks(samples, len(seen.parts))
     length = time[at + 1] - time[at]
-    missing = lost.samples - round(float(np.sum(time[between + 1] - time[between])) / samples.step)
-    share = max(0, missing) / (lost.samples + len(samples))
+    by_hand = round(float(np.sum(time[between + 1] - time[between])) / samples.step)
+    missing = max(0, lost.samples - by_hand)
+    share = missing / (lost.samples + len(samples))
     longest = float(length.max()) if len(at) else 0.0
     facts = {'gaps': len(at), 'lost_share': share, 'longest_gap_s': longest}
     if not len(at):
-        few = f', {lost.samples} single samples lost' if lost.samples else ''
+        few = f', {missing} single samples lost' if missing else ''
         return CheckOutcome(f'none{few}', facts)
     words = f'{len(at)}, {100 * share:.1f} % of the samples lost, the longest {longest:.2f} s'
     first = np.argsort(-length)[:GAPS_LISTED]
