@@ -99,6 +99,11 @@ class Parameters:
             object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
 
 
+CREEPING = 0.5e-3
+"""m/s; where the linear axes follow a rotation the target creeps at some mm/s while the machine
+moves, and slower still when the move begins and ends: this is no noise of the tracker."""
+
+
 @dataclass(frozen=True)
 class CalibrationConfig(Parameters):
     """How samples become error tables.
@@ -148,6 +153,11 @@ class CalibrationConfig(Parameters):
         'motion, tables along the axis; auto: chosen on held-out legs',
         choices=('auto', 'none', 'constant', 'tables'),
     )  # fmt: skip
+
+    @property
+    def rest_speed(self) -> float:
+        """Speed below which a target that rotary axes may move counts as standing still, m/s."""
+        return min(self.standstill_speed, CREEPING)
 
 
 @dataclass(frozen=True)

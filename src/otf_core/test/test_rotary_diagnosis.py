@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from otf_core.diagnosis.rotary_rows import at_most
 from otf_core.diagnosis.weighing import input_words
 from otf_core.effects import EVERY, REGISTRY, ROTARY, catalogue
 from otf_core.effects.inputs import input_values
@@ -13,6 +14,7 @@ from otf_core.effects.state import probe_state, state_in_parts
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec, load_machine
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 
 BAG = Path(__file__).parents[3] / 'bags' / 'trunnion'
 
@@ -88,3 +90,13 @@ def test_effects_of_rotary_axes_are_for_machines_that_have_some():
             assert len(terms.names) == len(terms.units) == len(terms.axes)
             assert terms.columns.shape == (len(state), 3, len(terms.names))
             assert np.all(np.isfinite(terms.columns))
+
+
+def test_simulation_has_the_slow_noise_that_stops_are_too_short_to_show():
+    stops = NoiseModel(*(NoiseComponent(1e-6, 0.6e-6, 0.05) for _ in range(3)))
+    fitted = NoiseModel(*(NoiseComponent(1.5e-6, 0.5e-6, 0.4) for _ in range(3)))
+    for length, time in ((0.5, 0.4), (0.2, 0.2), (0.02, 0.05)):
+        for part in at_most(stops, fitted, length):
+            assert part.correlation_time == time
+            assert part.white == 0.5e-6
+            assert np.isclose(part.slow, 0.8e-6)

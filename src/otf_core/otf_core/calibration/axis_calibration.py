@@ -323,7 +323,7 @@ class _Job:
                 seen = standstill_noise(samples, at_stops(samples, self.config))
                 if seen is not None:
                     return seen.noise
-            return noise_model(samples, spec, self.config.standstill_speed)
+            return noise_model(samples, spec, self.config.rest_speed)
 
     def _moved(self, matched: Sequence[MatchedRun], joint: AxisSolution) -> list[MatchedRun]:
         pairs = zip(matched, self.stations, strict=True)
@@ -446,7 +446,7 @@ def _assembled(
     used = effective_unknowns(joint)
     ratio = float(sum(np.sum(w**2) for w in whitened) / max(rows - used, 1.0))
     nodes, runs = table_nodes(machine, *driven), observed_parts(recordings, joint)
-    budget = budget_of_axes(runs, joint, nodes, config.standstill_speed, used)
+    budget = budget_of_axes(runs, joint, nodes, config.rest_speed, used)
     covariance = budget.whole
     tabulated = tabulate(machine, joint, driven, config.unidentifiable_above, covariance)
     budget = replace(budget, rows=tabulated.rows, straight=tabulated.straight)

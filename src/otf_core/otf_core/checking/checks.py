@@ -534,7 +534,8 @@ FOLLOWING = Check('path', _check_path)
 def _check_standstills(seen: CheckedRecording) -> CheckOutcome:
     if seen.samples is None:
         return CheckOutcome()
-    runs = find_standstills(seen.samples, seen.config.standstill_speed)
+    speed = seen.config.rest_speed if seen.parts else seen.config.standstill_speed
+    runs = find_standstills(seen.samples, speed)
     total = float((runs[:, 1] - runs[:, 0]).sum()) * seen.samples.step
     facts: dict[str, object] = {'standstills': len(runs), 'standstill_s': total}
     words = f'{len(runs)}, {total:.1f} s in all'

@@ -53,7 +53,7 @@ from otf_core.diagnosis.engine.search import (
 from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import AxisEffects, Diagnosis, FigureData, Gap, NamedCause
-from otf_core.diagnosis.rotary_rows import CREEPING, rows_of_axes, simulated_um
+from otf_core.diagnosis.rotary_rows import rows_of_axes, simulated_um
 from otf_core.diagnosis.weighing import (
     Explanation,
     Unnamed,
@@ -173,7 +173,7 @@ def _diagnose_axes(
     progress('diagnosing', 0.5)
     searched = _Searched(rows, search, simulated_um(rows))
     explained = explain(rows, search.causes, searched.simulated_um)
-    standing = replace(config, standstill_speed=min(config.standstill_speed, CREEPING))
+    standing = replace(config, standstill_speed=config.rest_speed)
     weighed = _weigh(searched, explained, standing, exclude)
     progress('diagnosing', 1.0)
     conditions = {

@@ -20,7 +20,7 @@ from otf_core.diagnosis.engine.gap_sizes import replace_louder
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
-from otf_core.noise.standstill import noise_model
+from otf_core.noise.standstill import find_standstills, noise_model
 from otf_core.pieces.runs import Recording
 from otf_core.rotary.axis_solution import tables_of
 from otf_core.rotary.rows import AxisRows, piece_state
@@ -28,10 +28,6 @@ from otf_core.solving.joint import SolvedRun
 from otf_core.solving.residuals import fold_of, leg_numbers
 from otf_core.solving.solution import free_columns, identifiable_blocks
 from otf_core.solving.whitener import Whitener
-
-CREEPING = 0.5e-3
-"""m/s; a target that is slower stands. Where the linear axes follow a rotation it creeps at some
-mm/s while the machine moves, and slower still when the move begins and ends."""
 
 
 def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Rows:
@@ -45,13 +41,13 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
     """
     nodes = table_nodes(result.machine, *result.driven)
     joint, limit = result.solution, result.config.unidentifiable_above
-    speed = min(result.config.standstill_speed, CREEPING)
+    speed = result.config.rest_speed
     observed = [
         ObservedParts(
             recording,
             recording.machine,
             solved.run.pieces,
-            _at_most(_measured_noise(recording, speed), solved.noise),
+            _floor(recording, speed, solved.noise),
         )
         for recording, solved in zip(recordings, joint.runs, strict=True)
     ]
@@ -80,24 +76,31 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
     )
 
 
-def _measured_noise(recording: Recording, speed: float) -> NoiseModel:
-    """Noise of the standstills; as specified up to what passes as that."""
-    noise = noise_model(recording.samples, recording.machine.tracker, speed)
-    return replace_louder(noise, recording, speed)
+def _floor(recording: Recording, speed: float, fitted: NoiseModel) -> NoiseModel:
+    """Noise that the simulation of a recording has.
+
+    That of the standstills, as specified up to what passes as that, or less where the residuals
+    show less: stops of a second tell its slow part to some ten percent only.
+    """
+    samples, spec = recording.samples, recording.machine.tracker
+    runs = find_standstills(samples, speed)
+    mean = float(np.mean(runs[:, 1] - runs[:, 0])) * samples.step if len(runs) else 0.0
+    noise = replace_louder(noise_model(samples, spec, speed), recording, speed)
+    return at_most(noise, fitted, mean)
 
 
-def _at_most(noise: NoiseModel, seen: NoiseModel) -> NoiseModel:
-    """Noise of the standstills, where the residuals of a run do not show less.
+def at_most(noise: NoiseModel, fitted: NoiseModel, length: float) -> NoiseModel:
+    """Noise of standstills, with variances of fitted noise where that is quieter.
 
-    Stops of a second tell its slow part to some ten percent only.
+    A stop hides correlation over more than its length (s): up to that, the time is the fitted
+    one, which comes from pieces of lines that are longer than any stop.
     """
     components = []
-    for own, other in zip(noise, seen, strict=True):
+    for own, other in zip(noise, fitted, strict=True):
         white = min(own.white, other.white)
-        slow = min(own.level**2 - own.white**2, other.level**2 - other.white**2)
-        time = min(own.correlation_time, other.correlation_time)
-        level = float(np.sqrt(white**2 + max(slow, 0.0)))
-        components.append(NoiseComponent(level, white, time, own.dof))
+        slow = min(own.slow, other.slow)
+        time = min(other.correlation_time, max(own.correlation_time, length))
+        components.append(NoiseComponent(float(np.hypot(white, slow)), white, time, own.dof))
     return NoiseModel(*components)
 
 
