@@ -111,6 +111,17 @@ def test_axes_are_across_the_path():
     np.testing.assert_allclose(np.sum(system.axes[0] * system.axes[1], axis=1), 0, atol=1e-12)
 
 
+def test_all_pieces_of_a_line_have_the_same_axes_even_if_it_runs_towards_the_tracker():
+    machine = some_machine()
+    pieces, _, _ = system_of(machine, zero_tables(machine))
+    on_it = pieces.origin[0] - 0.5 * pieces.direction[0]
+    pose = replace(transform_pose(machine, 0), translation=on_it)
+    truth = random_tables(machine, 2e-5, np.random.default_rng(0))
+    pieces, _, system = system_of(machine, truth, pose)
+    for leg in np.unique(pieces.leg):
+        assert np.ptp(system.axes[:, pieces.leg == leg], axis=1).max() < 1e-12
+
+
 def test_positions_lie_on_their_legs_even_with_errors_along_them():
     machine = some_machine()
     truth = random_tables(machine, 1e-4, np.random.default_rng(2))

@@ -101,12 +101,22 @@ def nominal_positions(
     return q
 
 
+TOWARDS_TRACKER = 0.01
+"""m; a line that passes the tracker nearer than this runs along the beam: both directions across
+it are seen alike, and which side of it the tracker stands on is nothing to choose them by."""
+
+
 def row_directions(pieces: Pieces, pose: RigidTransform) -> Array:
-    """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them."""
-    beam, horizontal, vertical = (pose.rotate(d) for d in beam_frame(pieces.xyz)[1:])
-    if not pieces.standstill:
-        return np.stack(path_frame(pieces.direction, beam))
-    return np.stack([beam, horizontal, vertical])
+    """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them.
+
+    A line and the tracker lie in one plane, so all pieces of the line have the same directions.
+    """
+    if pieces.standstill:
+        return np.stack([pose.rotate(d) for d in beam_frame(pieces.xyz)[1:]])
+    seen = pieces.origin - pose.translation
+    across = seen - pieces.direction * np.sum(seen * pieces.direction, axis=1, keepdims=True)
+    towards = np.linalg.norm(across, axis=1, keepdims=True) < TOWARDS_TRACKER
+    return np.stack(path_frame(pieces.direction, np.where(towards, 0.0, across)))
 
 
 def deviations(pieces: Pieces, pose: RigidTransform) -> Array:
