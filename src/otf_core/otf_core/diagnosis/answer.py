@@ -38,6 +38,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
     shrink_interval,
     shrink_percent,
 )
+from otf_core.diagnosis.engine.search import MOST_ALIKE
 from otf_core.diagnosis.place.groups import RunView, part_targets
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.weighing import EXPLAINED_SHARE, Explanation, Unnamed
@@ -170,6 +171,7 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
     for k, other in enumerate(named):
         if other.effect == cause.effect:
             suffix = '_' + '_'.join(cause.axes)
+            alike = dict.fromkeys((*other.indistinguishable_from, *cause.indistinguishable_from))
             renamed = {n: n if n not in other.parameters else n + suffix for n in cause.parameters}
             named[k] = replace(
                 other,
@@ -182,6 +184,7 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
                 units={**other.units, **{renamed[n]: v for n, v in cause.units.items()}},
                 after_um=cause.after_um,
                 shrink_percent=shrink_percent(other.before_um, cause.after_um),
+                indistinguishable_from=tuple(alike)[:MOST_ALIKE],
                 sizes=(*other.sizes, *cause.sizes),
             )
             return

@@ -65,6 +65,8 @@ LIKELIEST_MOTIONS = 6
 """Motions whose combinations are looked at where there are many alike."""
 LEAST_WEIGHT = 0.1
 """Weight beside the first from which another effect is named as indistinguishable from it."""
+MOST_ALIKE = 4
+"""Effects that are named as indistinguishable from a cause at most."""
 MAX_CAUSES = 4
 MAX_CHANGES = 3
 """Causes that are left out or exchanged at most."""
@@ -111,8 +113,9 @@ def remove_option(option: Option, residual: Array) -> Array:
     return residual - option.white @ fit.value
 
 
-Ranking = list[tuple[float, ShapeProducts, Index]]
-"""Score of every effect, and its best option: the shape and its terms."""
+RankedOption = tuple[float, ShapeProducts, Index]
+"""Score of an effect, and its best option: the shape and its terms."""
+Ranking = list[RankedOption]
 
 
 def _pairs(
@@ -173,7 +176,7 @@ def _simpler_first(ranking: Ranking) -> Ranking:
     return ranking
 
 
-def _worth(entry: tuple[float, ShapeProducts, Index]) -> float:
+def _worth(entry: RankedOption) -> float:
     """Score of an entry of a ranking, less the doubt in a free form."""
     return entry[0] - FREE_DOUBT * is_doubtful(entry[1])
 
@@ -237,29 +240,126 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
         The ranking of the last round.
     """
     pool = Pool.of(rows, tried)
-    causes, considered = _settled(pool, [])
+    causes, considered, joined = _settled(pool, [])
+    readings = [_Reading(tuple(causes), considered)]
     other = _other_start(pool, causes)
-    if other is None:
-        return causes, considered
-    others, ranked = _settled(pool.joined(other.option), [other])
-    if _is_likelier(others, causes, rows):
-        return others, ranked or considered
-    return causes, considered
+    if other is not None:
+        others, ranked, _ = _settled(pool.joined(other.option), [other])
+        if _is_likelier(others, causes, rows):
+            readings.insert(0, _Reading(tuple(others), ranked or considered))
+    readings += _of_rigid_motion(joined, readings[0])
+    return _weigh_readings(readings, rows)
 
 
-def _settled(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause], list[tuple[str, float]]]:
+@dataclass(frozen=True)
+class _Reading:
+    """Causes that together explain rows."""
+
+    causes: tuple[Cause, ...]
+    considered: list[tuple[str, float]]
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the causes."""
+        return {c.option.effect.name for c in self.causes}
+
+
+def _of_rigid_motion(pool: Pool, reading: _Reading) -> list[_Reading]:
+    """The other reading where a coupling may imitate a rigid motion beside it, or be imitated.
+
+    A table that tilts beside a coupling along one direction leaves what a coupling along several
+    follows as well. Either is sought beside the other causes.
+    """
+    causes = reading.causes
+    couplings = [c for c in causes if c.option.effect.couples]
+    rigid = [c for c in causes if c.option.effect.rigid]
+    if not couplings or (not rigid and len(couplings[0].option.axes) < 2):
+        return []
+    others = [c for c in causes if c not in (*couplings, *rigid)]
+    beside = _candidates_beside(pool, others, 1.0)
+    rest = pool.beside([c.option for c in causes]).residual
+    variance = noise_variance(pool.rows, rest)
+    ranking = _ranking(beside.candidates, variance)
+
+    def first(entry: RankedOption) -> Cause:
+        return _cause([entry, *(e for e in ranking if e is not entry)], beside, variance)
+
+    if rigid:
+        entry = next((e for e in ranking if e[1].effect.couples), None)
+        return [] if entry is None else [_Reading((*others, first(entry)), reading.considered)]
+    entry = next((e for e in ranking if e[1].effect.rigid and e[0] >= NEEDED_EVIDENCE), None)
+    if entry is None:
+        return []
+    start = first(entry)
+    named, ranked, _ = _settled(pool.joined(start.option), [*others, start])
+    return [_Reading(tuple(named), ranked or reading.considered)]
+
+
+def _weigh_readings(
+    readings: Sequence[_Reading], rows: Rows
+) -> tuple[list[Cause], list[tuple[str, float]]]:
+    """The reading to state, its causes no surer than all readings that hold them are together.
+
+    A reading with a rigid motion is stated before one without where it explains little less.
+    """
+    evidence = _joint([r.causes for r in readings], rows)
+    scale = max(1.0, CLOSE_SHARE * evidence.max())
+    weights = np.exp((evidence - evidence.max()) / scale)
+    rigid = [any(c.option.effect.rigid for c in r.causes) for r in readings]
+    likely = weights > LEAST_WEIGHT
+    if any(rigid) and not rigid[0] and likely[rigid].any():
+        stated = int(np.argmax(np.where(rigid, weights, 0.0)))
+    else:
+        stated = 0
+    reading = readings[stated]
+    causes = []
+    for cause in reading.causes:
+        name = cause.option.effect.name
+        held = [name in r.names for r in readings]
+        without = [r for r, weight, own in zip(readings, weights, held, strict=True)
+                   if not own and weight > LEAST_WEIGHT * weights[stated]]  # fmt: skip
+        instead = {n for r in without for n in r.names if n not in DECOY_NAMES}
+        close = dict.fromkeys([*cause.indistinguishable, *sorted(instead - {name})])
+        share = float(weights[held].sum() / weights.sum())
+        causes.append(
+            replace(
+                cause,
+                confidence=min(cause.confidence, share),
+                indistinguishable=tuple(close)[:MOST_ALIKE],
+            )
+        )
+    return causes, reading.considered
+
+
+def _joint(readings: Sequence[Sequence[Cause]], rows: Rows) -> Array:
+    """Evidence of sets of causes for the same noise, that which the best of them leaves."""
+    options = [[c.option for c in causes] for causes in readings]
+    residuals = [
+        rows.residual
+        - np.concatenate([o.own for o in part], axis=1) @ fit_jointly(causes, rows).value
+        for part, causes in zip(options, readings, strict=True)
+        if causes
+    ]
+    variance = min((noise_variance(rows, part) for part in residuals), default=1.0)
+    return np.array([joint_evidence(part, rows.residual, variance) for part in options])
+
+
+def _settled(
+    pool: Pool, causes: Sequence[Cause]
+) -> tuple[list[Cause], list[tuple[str, float]], Pool]:
     """Find effects beside causes, and ask each again until all stay."""
     named, considered, pool = _search_in_turn(pool, causes)
     for _ in range(MAX_CHANGES):
-        changed = _changed(pool, named)
+        changed, given = _changed(pool, named)
         if changed is None:
+            named = given
             break
         for cause in changed:
             if all(cause is not known for known in named):
                 pool = pool.joined(cause.option)
         named, ranked, pool = _search_in_turn(pool, changed)
         named, considered = _in_order(named), ranked or considered
-    return named, considered
+    return named, considered, pool
 
 
 def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
@@ -281,13 +381,8 @@ def _other_start(pool: Pool, causes: Sequence[Cause]) -> Cause | None:
 
 def _is_likelier(one: Sequence[Cause], other: Sequence[Cause], rows: Rows) -> bool:
     """Return whether causes explain rows clearly better than others, for the same noise."""
-    options = [[c.option for c in causes] for causes in (one, other)]
-    residuals = [rows.residual - np.concatenate([o.own for o in part], axis=1)
-            @ fit_jointly(causes, rows).value
-            for part, causes in zip(options, (one, other), strict=True)]  # fmt: skip
-    variance = min(noise_variance(rows, part) for part in residuals)
-    first, second = (joint_evidence(part, rows.residual, variance) for part in options)
-    return first - second > max(CLEARLY_BETTER, CLOSE_SHARE * second)
+    first, second = _joint([one, other], rows)
+    return bool(first - second > max(CLEARLY_BETTER, CLOSE_SHARE * second))
 
 
 def search_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list[Cause]:
@@ -337,29 +432,67 @@ def _candidates_beside(pool: Pool, causes: Sequence[Cause], variance: float) -> 
     return add_switching(add_lags(beside, variance), variance)
 
 
-def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
+def _changed(
+    pool: Pool, causes: Sequence[Cause]
+) -> tuple[list[Cause] | None, list[Cause]]:
     """The causes with the one that is worst placed left out or exchanged; None if all stay.
 
     Causes that are next to nothing beside the others are not named, whatever they are: they stay.
+
+    Returns
+    -------
+    changed : list of Cause, optional
+    given : list of Cause
+        As they are, each as sure as it is given the others.
     """
     if len(causes) < 2:
-        return None
+        return None, list(causes)
     traces = [pool.rows.residual - remove_option(c.option, pool.rows.residual) for c in causes]
     power = np.array([float(trace @ trace) for trace in traces])
     questioned = power >= LEAST_POWER * power.sum()
     rest = pool.beside([c.option for c in causes]).residual
     variance = noise_variance(pool.rows, rest)
-    worst, better = 0.0, None
-    for cause in (c for c, large in zip(causes, questioned, strict=True) if large):
+    worst, better, given = 0.0, None, list(causes)
+    for k in np.flatnonzero(questioned):
+        cause = causes[k]
         others = [c for c in causes if c is not cause]
         beside = _candidates_beside(pool, others, variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
+        given[k] = _given_others(cause, own, ranking, others)
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
             worst, better = own[0] - NEEDED_EVIDENCE, others
         elif (lost := _worth(own) - _worth(ranking[0])) < min(worst, -CLEARLY_BETTER):
             worst, better = lost, [*others, _cause(ranking, beside, variance)]
-    return better
+    return better, given
+
+
+def _given_others(
+    cause: Cause, own: RankedOption, ranking: Ranking, others: Sequence[Cause]
+) -> Cause:
+    """A cause with what it is not told from, and how sure it is, beside the others."""
+    first = [own, *(e for e in ranking if e is not own)]
+    weights = _weights(first)
+    known = {c.option.effect.name for c in others}
+    close = [
+        e[1].effect.name for e, weight in zip(first[1:], weights[1:], strict=True)
+        if weight > LEAST_WEIGHT or e[0] > own[0] - CLOSE_EVIDENCE
+    ]  # fmt: skip
+    close += [n for n in cause.indistinguishable if n not in known]
+    alike = [n for n in dict.fromkeys(close) if n not in DECOY_NAMES]
+    return replace(
+        cause,
+        confidence=_share_of_first(first, weights),
+        indistinguishable=tuple(alike)[:MOST_ALIKE],
+    )
+
+
+def _share_of_first(ranking: Ranking, weights: Array) -> float:
+    """Probability of the first of a ranking among all effects and none.
+
+    What is put first for its fewer functions is as likely as what it is put before.
+    """
+    return 1.0 / float(np.minimum(weights, 1.0).sum() + np.exp(-_worth(ranking[0])))
 
 
 def _cause(ranking: Ranking, beside: ProductsBeside, variance: float) -> Cause:
@@ -394,10 +527,9 @@ def _cause(ranking: Ranking, beside: ProductsBeside, variance: float) -> Cause:
             or (s > NEEDED_EVIDENCE and not is_doubtful(t) and same(t, own))
         )
     ]
-    # what is put first for its fewer functions is as likely as what it is put before
-    confidence = 1.0 / float(np.minimum(weights, 1.0).sum() + np.exp(-_worth(ranking[0])))
+    confidence = _share_of_first(ranking, weights)
     as_well = _time_as_well(candidates[tried.effect.name], tried, take, variance)
-    return Cause(option, score, confidence, tuple(close[:4]), as_well)
+    return Cause(option, score, confidence, tuple(close[:MOST_ALIKE]), as_well)
 
 
 def _weights(ranking: Ranking) -> Array:
