@@ -39,6 +39,12 @@ def give_back() -> None:
         trim(0)
 
 
+def collect() -> None:
+    """Free cycles and give back what is free: between steps after which much is of no more use."""
+    gc.collect()
+    give_back()
+
+
 @contextmanager
 def giving_back() -> Iterator[None]:
     """Give back what is free at the end of this context, however it ends."""

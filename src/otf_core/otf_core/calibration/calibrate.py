@@ -154,6 +154,10 @@ class SolvedRecordings(ExaminedRecordings):
     solution: ReversalSolution[Run]
     outliers: tuple[OutlierPlaces, ...]
 
+    def without_solution(self) -> ExaminedRecordings:
+        """What a solution starts from, without the memory of the one that is known."""
+        return ExaminedRecordings(self.runs, self.nodes, self.findings)
+
 
 def solve_recordings(
     recordings: Sequence[Recording],

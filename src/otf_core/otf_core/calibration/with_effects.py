@@ -272,7 +272,9 @@ def solve_with_effects(
         Of the corrected runs.
     """
     now, whole = tuple(effects), list(runs)
-    solved = solve_with_reversal(correct_runs(whole, now, nodes, None), nodes, config, progress)
+    solved = solve_with_reversal(
+        correct_runs(whole, now, nodes, None), nodes, config, progress
+    ).without_plain()
     for _ in range(MAX_ROUNDS):
         fitted, step, size = estimates(solved.runs, solved.joint, now)
         now, largest = fitted.effects, float(np.max(np.abs(step) * size, initial=0.0))
@@ -284,12 +286,14 @@ def solve_with_effects(
             for r, s, k in zip(runs, solved.joint.runs, solved.runs, strict=True)
         ]
         clean = correct_runs(whole, now, solved.joint.unknowns.knots, tables)
-        if largest > MAX_CHANGE_FOR_SAME_MODEL:
-            solved = solve_with_reversal(clean, nodes, config, progress)
-            continue
         start = Start.after(clean[0].machine, solved.joint)
-        again = solve_robustly(clean, solved.joint.unknowns, config, progress, start)
-        solved = ReversalSolution(*again, solved.choice, solved.plain)
+        unknowns, choice = solved.joint.unknowns, solved.choice
+        del solved  # as large as the next
+        if largest > MAX_CHANGE_FOR_SAME_MODEL:
+            solved = solve_with_reversal(clean, nodes, config, progress).without_plain()
+            continue
+        again = solve_robustly(clean, unknowns, config, progress, start)
+        solved = ReversalSolution(*again, choice, again)
     return solved, fitted
 
 

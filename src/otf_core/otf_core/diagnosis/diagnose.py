@@ -65,6 +65,7 @@ from otf_core.diagnosis.weighing import (
 from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
+from otf_core.memory import collect, give_back
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding, incomplete_path
@@ -132,6 +133,7 @@ def diagnose(
         without_reversal = _without_reversal(recordings, solved, config, length)
         pieced = replace(config, piece_length=length)
         searched = _search(without_reversal, twin, exclude, pieced, progress, own)
+        collect()
         progress('diagnosing', 0.65)
         explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
         progress('diagnosing', 0.7)
@@ -140,9 +142,12 @@ def diagnose(
         plain = ahead(assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
     causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
-    corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
+    examined, found = solved.without_solution(), searched.found
+    del ahead, solved, without_reversal, searched, explained  # as large as what comes
+    collect()
+    corrected = calibrate_without_causes(examined, causes, config) if weighed.fitted else None
     return _answer(
-        recordings, solved, searched, weighed,
+        recordings, examined, found, weighed,
         lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
     )  # fmt: skip
 
@@ -183,7 +188,7 @@ def _diagnose_axes(
         'path pieces': ', '.join(str(len(s.run.pieces)) for s in plain.solution.runs),
         'tracker noise, as measured in standstills': str(rows.observed[0].noise),
     }
-    return _stated(recordings, searched, weighed, AxisEffects(plain), (), conditions=conditions)
+    return _stated(recordings, search, weighed, AxisEffects(plain), (), conditions=conditions)
 
 
 @dataclass(frozen=True)
@@ -276,12 +281,14 @@ def _search(
     nodes, solution = observed.nodes, observed.solution
     progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
+    collect()
     straight = partial(straight_rows, joint=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
     progress('diagnosing', 0.2)
     with Ahead() as ahead:
         ahead.begin(simulated_residual_um, rows, nodes, config, twin)
         lines = spectral_lines(rows)
+        give_back()
         result = search_catalogue(rows, exclude, own, lines)
         progress('diagnosing', 0.5)
         for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
@@ -294,7 +301,13 @@ def _search(
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Causes after what else could be, and where the gap lies."""
+    """Causes after what else could be, and where the gap lies.
+
+    Attributes
+    ----------
+    shown : tuple of RunView
+        For figures, one for every run.
+    """
 
     judged: WeighedExplanation
     fitted: tuple[FittedCause, ...]
@@ -302,6 +315,7 @@ class _Weighed:
     causes: tuple[NamedCause, ...]
     where: Where
     shape: str
+    shown: tuple[RunView, ...]
 
 
 def _weigh(
@@ -315,14 +329,17 @@ def _weigh(
     every = fitted_causes([*explained.causes, *(s.cause for s in besides), *explained.small], rows)
     fitted, gap = every[: len(explained.causes)], gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
+    collect()
+    views = run_views(rows, explained)
     where, shape = where_and_shape(
-        run_views(rows, explained),
+        views,
         project=rows.project,
         known=known_words(causes, nameless.said if nameless else None),
         certain=nameless is None,
         simulated=1e-6 * gap.simulated_um,
     )
-    return _Weighed(judged, tuple(fitted), gap, causes, where, shape)
+    shown = _shown_views(views, explained)
+    return _Weighed(judged, tuple(fitted), gap, causes, where, shape, shown)
 
 
 def _causes_to_take_off(
@@ -352,7 +369,7 @@ def _name_words(part: FittedCause) -> str:
 def _answer(
     recordings: Sequence[Recording],
     examined: ExaminedRecordings,
-    searched: _Searched,
+    found: SearchResult,
     weighed: _Weighed,
     beside: Callable[[str], EffectsCalibration],
 ) -> Diagnosis:
@@ -360,7 +377,7 @@ def _answer(
     calibration = beside(_sentence(weighed))
     return _stated(
         recordings,
-        searched,
+        found,
         weighed,
         calibration,
         qualify_moves(examined.findings, _said(weighed)),
@@ -382,7 +399,7 @@ def _sentence(weighed: _Weighed) -> str:
 
 def _stated(
     recordings: Sequence[Recording],
-    searched: _Searched,
+    found: SearchResult,
     weighed: _Weighed,
     calibration: EffectsCalibration | AxisEffects,
     contradictions: tuple[Finding, ...] = (),
@@ -390,10 +407,10 @@ def _stated(
     conditions: Mapping[str, str] = MappingProxyType({}),
 ) -> Diagnosis:
     """Put everything into words."""
-    rows, visible, judged = searched.rows, searched.found.visible, weighed.judged
+    visible, judged = found.visible, weighed.judged
     explained, nameless, causes = judged.explained, judged.nameless, weighed.causes
     applied = tuple(
-        tuple(part.applied(k) for part in weighed.fitted) for k in range(len(rows.states))
+        tuple(part.applied(k) for part in weighed.fitted) for k in range(len(weighed.shown))
     )
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
@@ -405,7 +422,7 @@ def _stated(
         unexplained_where=judged.left if explained.causes else weighed.shape,
         not_visible=_not_visible(visible, causes),
         where=weighed.where,
-        considered=searched.found.considered,
+        considered=found.considered,
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
@@ -417,15 +434,14 @@ def _stated(
         ),
         calibration=calibration,
         origin=calibration.plain.origin,
-        shown=FigureData(_shown_views(rows, explained), conditions),
+        shown=FigureData(weighed.shown, conditions),
     )
 
 
-def _shown_views(rows: Rows, explained: Explanation) -> tuple[RunView, ...]:
-    """Views for figures: their noise leaves what the simulation leaves."""
-    views = run_views(rows, explained)
+def _shown_views(views: Sequence[RunView], explained: Explanation) -> tuple[RunView, ...]:
+    """Views for figures, without correlations: their noise leaves what the simulation leaves."""
     noise = noise_factor(views, 1e-6 * explained.simulated_um)
-    return tuple(view.with_noise(noise) for view in views)
+    return tuple(replace(view.with_noise(noise), factors=()) for view in views)
 
 
 def _not_visible(

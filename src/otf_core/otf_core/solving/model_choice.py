@@ -431,6 +431,10 @@ class ReversalSolution(Generic[AnyRun]):
     choice: Choice
     plain: tuple[list[AnyRun], JointSolution]
 
+    def without_plain(self) -> ReversalSolution[AnyRun]:
+        """The same without the memory of that without reversal."""
+        return replace(self, plain=(self.runs, self.joint))
+
 
 def solve_with_reversal(
     runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress

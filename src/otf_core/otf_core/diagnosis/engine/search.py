@@ -432,9 +432,7 @@ def _candidates_beside(pool: Pool, causes: Sequence[Cause], variance: float) -> 
     return add_switching(add_lags(beside, variance), variance)
 
 
-def _changed(
-    pool: Pool, causes: Sequence[Cause]
-) -> tuple[list[Cause] | None, list[Cause]]:
+def _changed(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause] | None, list[Cause]]:
     """The causes with the one that is worst placed left out or exchanged; None if all stay.
 
     Causes that are next to nothing beside the others are not named, whatever they are: they stay.
