@@ -30,7 +30,9 @@ from otf_core.diagnosis.engine.search import (
 from otf_core.diagnosis.engine.time_courses import Jump, SlowWave
 from otf_core.effects import REGISTRY
 
-BACKLASH, LAG, COUPLING = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'cross_coupling'))
+BACKLASH, LAG, COUPLING, TILT = (
+    REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'cross_coupling', 'table_tilt')
+)
 JUMP, WAVE = Jump(), SlowWave()
 
 
@@ -286,6 +288,30 @@ def test_what_stood_for_two_others_is_not_named_beside_them(size, stray, left):
     assert first == 'thermal_structure_drift'
     causes, _ = found_in(rows, options)
     assert set(named(causes)) == left
+
+
+@pytest.mark.parametrize(('size', 'beside'), [(0.7, True), (0.0, False)])
+def test_a_coupling_along_all_directions_does_not_swallow_a_tilt_beside_one_along_z(size, beside):
+    """Its columns hold those of the tilt: by evidence alone, both readings are as good."""
+    every, tilts = options_of(COUPLING), options_of(TILT)
+    rows = solved_rows()
+    columns = rows.project(np.random.default_rng(19).standard_normal((len(rows.deviation), 30)))
+    own = 80.0 * np.linalg.qr(columns)[0]
+
+    def um(option, effect, columns):
+        return replace(stand_in(option, effect, columns), size=np.full(columns.shape[1], 1e-6))
+
+    options = {
+        COUPLING.name: [um(o, COUPLING, own[:, o.take]) for o in every],
+        TILT.name: [um(tilts[0], TILT, own[:, : tilts[0].take.size])],
+    }
+    causes, _ = found_in(holding(coloured(rows, size * own[:, 1] + own[:, 25])), options)
+    assert set(named(causes)) == {COUPLING.name, *([TILT.name] if beside else [])}
+    sure = {c.option.effect.name: (c.confidence, c.indistinguishable) for c in causes}
+    assert sure[COUPLING.name] == (pytest.approx(1.0, abs=1e-3), ())
+    if beside:
+        assert 0.3 < sure[TILT.name][0] < 0.99
+        assert sure[TILT.name][1] == (COUPLING.name,)
 
 
 @pytest.mark.parametrize(('share', 'same'), [(0.028, True), (0.032, False)])

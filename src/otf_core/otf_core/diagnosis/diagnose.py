@@ -439,9 +439,9 @@ def _stated(
 
 
 def _shown_views(views: Sequence[RunView], explained: Explanation) -> tuple[RunView, ...]:
-    """Views for figures, without correlations: their noise leaves what the simulation leaves."""
+    """Views for figures: their noise leaves what the simulation leaves."""
     noise = noise_factor(views, 1e-6 * explained.simulated_um)
-    return tuple(replace(view.with_noise(noise), factors=()) for view in views)
+    return tuple(view.with_noise(noise) for view in views)
 
 
 def _not_visible(

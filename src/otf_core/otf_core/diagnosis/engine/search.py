@@ -451,7 +451,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause] | None, l
     rest = pool.beside([c.option for c in causes]).residual
     variance = noise_variance(pool.rows, rest)
     worst, better, given = 0.0, None, list(causes)
-    for k in np.flatnonzero(questioned):
+    for k in np.flatnonzero(questioned).tolist():
         cause = causes[k]
         others = [c for c in causes if c is not cause]
         beside = _candidates_beside(pool, others, variance)
