@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from otf_core.diagnosis.rotary_rows import at_most
+from otf_core.diagnosis.rotary_rows import at_most, with_slow_part
 from otf_core.diagnosis.weighing import input_words
 from otf_core.effects import EVERY, REGISTRY, ROTARY, catalogue
 from otf_core.effects.inputs import input_values
@@ -96,7 +96,9 @@ def test_simulation_has_the_slow_noise_that_stops_are_too_short_to_show():
     stops = NoiseModel(*(NoiseComponent(1e-6, 0.6e-6, 0.05) for _ in range(3)))
     fitted = NoiseModel(*(NoiseComponent(1.5e-6, 0.5e-6, 0.4) for _ in range(3)))
     for length, time in ((0.5, 0.4), (0.2, 0.2), (0.02, 0.05)):
-        for part in at_most(stops, fitted, length):
+        for part in with_slow_part(stops, fitted, length):
             assert part.correlation_time == time
-            assert part.white == 0.5e-6
-            assert np.isclose(part.slow, 0.8e-6)
+            assert (part.level, part.white) == (1e-6, 0.6e-6)
+    for part in at_most(stops, fitted):
+        assert part.white == 0.5e-6
+        assert np.isclose(part.slow, 0.8e-6)

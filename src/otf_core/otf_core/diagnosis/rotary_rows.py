@@ -8,6 +8,7 @@ places of the tracker and of the targets, location errors and motions are projec
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -19,10 +20,10 @@ from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.diagnosis.engine.gap_sizes import replace_louder
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.model.nodes import table_nodes
-from otf_core.noise.noise_model import NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import find_standstills, noise_model
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.axis_solution import tables_of
+from otf_core.rotary.axis_solution import SolvedAxisRun, tables_of
 from otf_core.rotary.rows import AxisRows, piece_state
 from otf_core.solving.joint import SolvedRun
 from otf_core.solving.residuals import fold_of, leg_numbers
@@ -47,7 +48,7 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
             recording,
             recording.machine,
             solved.run.pieces,
-            _floor(recording, speed, solved.noise),
+            _floor(recording, speed, solved),
         )
         for recording, solved in zip(recordings, joint.runs, strict=True)
     ]
@@ -76,31 +77,40 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
     )
 
 
-def _floor(recording: Recording, speed: float, fitted: NoiseModel) -> NoiseModel:
+def _floor(recording: Recording, speed: float, solved: SolvedAxisRun) -> NoiseModel:
     """Noise that the simulation of a recording has.
 
-    That of the standstills, as specified up to what passes as that, or less where the residuals
-    show less: stops of a second tell its slow part to some ten percent only.
+    That of the standstills, as specified up to what passes as that; or less where all that the
+    residuals hold is less: stops of a second tell the slow part to some ten percent only.
     """
     samples, spec = recording.samples, recording.machine.tracker
     runs = find_standstills(samples, speed)
     mean = float(np.mean(runs[:, 1] - runs[:, 0])) * samples.step if len(runs) else 0.0
     noise = replace_louder(noise_model(samples, spec, speed), recording, speed)
-    return at_most(noise, fitted, mean)
+    noise = with_slow_part(noise, solved.noise, mean)
+    expected = Whitener.of(cast(Any, solved.system), cast(Any, solved.run.pieces), noise).expected
+    less = np.sum(solved.whitener.expected**2) < np.sum(expected**2)
+    return at_most(noise, solved.noise) if less else noise
 
 
-def at_most(noise: NoiseModel, fitted: NoiseModel, length: float) -> NoiseModel:
-    """Noise of standstills, with variances of fitted noise where that is quieter.
+def with_slow_part(noise: NoiseModel, fitted: NoiseModel, length: float) -> NoiseModel:
+    """Noise of standstills with the correlation time that they are too short to show.
 
     A stop hides correlation over more than its length (s): up to that, the time is the fitted
     one, which comes from pieces of lines that are longer than any stop.
     """
+    pairs = zip(noise, fitted, strict=True)
+    times = [(own, min(f.correlation_time, max(own.correlation_time, length))) for own, f in pairs]
+    return NoiseModel(*(replace(own, correlation_time=time) for own, time in times))
+
+
+def at_most(noise: NoiseModel, fitted: NoiseModel) -> NoiseModel:
+    """Noise of standstills, with variances of fitted noise where these are smaller."""
     components = []
     for own, other in zip(noise, fitted, strict=True):
         white = min(own.white, other.white)
-        slow = min(own.slow, other.slow)
-        time = min(other.correlation_time, max(own.correlation_time, length))
-        components.append(NoiseComponent(float(np.hypot(white, slow)), white, time, own.dof))
+        level = float(np.hypot(white, min(own.slow, other.slow)))
+        components.append(replace(own, level=level, white=white))
     return NoiseModel(*components)
 
 
