@@ -23,7 +23,9 @@ from otf_core.prediction.predict import predict
 from otf_core.rotary.curve_matching import match, split_parts
 from otf_core.rotary.mismatch import check_matched
 from otf_core.rotary.periodic import over_turn
+from otf_core.rotary.reduction import LEAST_CHORD, Reach, chord_shares
 from otf_core.rotary.tabulation import field_rows, gauge_matrix
+from otf_core.rotary.track import Curve
 from otf_core.sim.axis_cell import JointDrive
 from otf_core.solving.tabulate import projection
 
@@ -157,6 +159,17 @@ def test_drive_passes_all_corners_and_keeps_to_the_legs():
     assert np.allclose(at[0], q[0]) and np.allclose(at[-1], q[-1])
     assert np.abs(at[:, 3] - 0.5 * at[:, 4]).max() < 1e-12
     assert np.abs(np.diff(at[:, 4])).max() < TURN_RATE * drive.duration / 2000 * 1.01
+
+
+def test_a_curve_that_turns_back_has_a_short_chord():
+    corners = np.zeros((2, 5))
+    along = np.linspace(0.0, 1.0, 201)
+    there = 0.02 * np.abs(along - 0.5)
+    curve = Curve(corners, along, np.stack([there, 1e-5 * along, 0.0 * along], axis=1))
+    reach = Reach.of(machine(), np.array([[0, 0, 0, 0, 0.0], [0.1, 0, 0, 0, 0.0]]))
+    places = np.array([0.1, 0.5, 0.9])
+    share = chord_shares(curve, places, np.zeros(3, dtype=np.int64), reach)
+    assert np.all(share[[0, 2]] > LEAST_CHORD) and share[1] < 0.1
 
 
 def test_parts_are_told_apart_by_the_broken_beam():

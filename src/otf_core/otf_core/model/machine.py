@@ -53,8 +53,9 @@ FURTHEST_CENTRE = 10.0
 LARGEST_ANGLE = 100.0
 """rad; ends of the range of a rotary axis, turned several times, stay below."""
 FULL_TURN = 2.0 * math.pi
-USUAL_U = 1e-3
-"""m; standard uncertainty of the place of a target on the table where none is stated."""
+USUAL_U = {TABLE: 1e-3, SPINDLE: 1e-5}
+"""m; standard uncertainty of the place of a target where none is stated, by link; of ``tool`` 0. A
+second length in a spindle that leans by 100 urad is 10 um aside."""
 
 Vector = tuple[float, float, float]
 
@@ -419,7 +420,7 @@ def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
             own.fail('place', f'{place} m lies outside any machine; unit is m, not mm')
         if name == TOOL and (link != SPINDLE or not np.allclose(place, offset, atol=1e-9)):
             own.fail('place', "the target 'tool' is at target_offset on the tool side")
-        usual = USUAL_U if link == TABLE else 0.0
+        usual = 0.0 if name == TOOL else USUAL_U[link]
         u = own.number('u', low=0.0, high=0.05, unit='m', closed=True) if own.has('u') else usual
         own.done(known=('link', 'place', 'u'))
         targets[name] = Target(link, (place[0], place[1], place[2]), u)

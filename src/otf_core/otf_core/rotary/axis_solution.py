@@ -52,6 +52,8 @@ NOISE_SETTLED = 0.1
 DAMPED = 1e-4
 """m and rad; what the data do not show, poses and places follow in steps of little more than this,
 or of a tenth where the steps do not become smaller."""
+DIVERGED = 100.0
+"""Ratio of a change to the least one from which it is given up."""
 FINE = 8
 """Parts of an interval between knots in tables for use inside."""
 
@@ -100,7 +102,7 @@ class AxisSolution:
 
 
 class UnsettledError(InputError):
-    """A solution that does not converge; ``joint`` is the last one."""
+    """A solution that does not converge; ``joint`` is the one that changed least."""
 
     def __init__(self, message: str, joint: AxisSolution) -> None:
         super().__init__(message)
@@ -340,7 +342,7 @@ def solve_jointly(
     rough: Roughness | None = None
     solution: Solution | None = None
     residuals: list[Array] = []
-    change, stuck, damping = np.inf, False, DAMPED
+    change, least, stuck, damping = np.inf, np.inf, False, DAMPED
     for iteration in range(1, config.max_iterations + 1):
         own = [run.placed(poses[run.station], places) for run in runs]
         systems = [build_rows(run, unknowns, tables) for run in own]
@@ -370,20 +372,25 @@ def solve_jointly(
         change = _change(residuals, before)
         stuck = change > MAX_RATIO_OF_CHANGES * last
         settled = change < config.alignment_stop or (iteration > 6 and change < 1e-8)
-        if settled or iteration == config.max_iterations:
-            columns: list[Any] = [own, systems, whiteners, residuals, *zip(*models, strict=True)]
-            solved = tuple(SolvedAxisRun(*row) for row in zip(*columns, strict=True))
-            undamped = solve(normal, unknowns, limit, accepted, rough.precision)
-            joint = AxisSolution(
-                machine, unknowns, replace(undamped, value=value), rough, normal, solved,
-                tuple(poses[k] for k in sorted(poses)), places, iteration,
-            )  # fmt: skip
-            if settled:
-                return joint
+        if settled or change <= least:
+            least = change
+            reached = own, systems, residuals, value, dict(poses), dict(places), iteration
+        if settled or iteration == config.max_iterations or change > DIVERGED * least:
             break
         _move(poses, places, unknowns, value)
         solution = replace(solution, value=_without_steps(value, unknowns, poses, places))
         progress('solving', 0.5 * iteration / (iteration + 1))
+    own, systems, residuals, value, poses, places, iteration = reached
+    columns: list[Any] = [own, systems, whiteners, residuals, *zip(*models, strict=True)]
+    solved = tuple(SolvedAxisRun(*row) for row in zip(*columns, strict=True))
+    assert rough is not None
+    undamped = solve(normal, unknowns, limit, accepted, rough.precision)
+    joint = AxisSolution(
+        machine, unknowns, replace(undamped, value=value), rough, normal, solved,
+        tuple(poses[k] for k in sorted(poses)), places, iteration,
+    )  # fmt: skip
+    if settled:
+        return joint
     names = ', '.join(run.name for run in runs if run.name)
     raise UnsettledError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '

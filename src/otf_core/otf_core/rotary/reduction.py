@@ -18,22 +18,22 @@ from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.axis_path import driven_through, position_at, travel_of_legs
-from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.standstill import find_standstills
 from otf_core.pieces.pieces import outlying
-from otf_core.rotary.curve_matching import MatchedRun, closest
+from otf_core.rotary.curve_matching import HALF_CHORD, MatchedRun, closest
 from otf_core.rotary.track import Curve
 
 TOGETHER = 60
 """Pieces that share slow noise at most."""
 FEW = 2
 """Samples of a piece at least."""
-SHORTEST = 1e-3
-"""m of the reflector per m of the axes: on a slower curve no direction is left out safely."""
+LEAST_CHORD = 0.9
+"""Length of a chord over its arc of 4 mm; where a curve turns back more sharply, as that of a
+reflector which almost stands while the axes turn, the closest place is ambiguous."""
 AT_STOP = 1.5e-3
 """m; stops are this near their corners."""
 LATE_NS = 0.5e9
@@ -122,7 +122,7 @@ class AxisPieces:
 
 
 @dataclass(frozen=True)
-class _Reach:
+class Reach:
     """Lengths along a path by the travel of its axes, see ``axis_path.travel_per_unit``.
 
     Attributes
@@ -140,7 +140,8 @@ class _Reach:
     ends: Array
 
     @classmethod
-    def of(cls, machine: Machine, positions: Array) -> _Reach:
+    def of(cls, machine: Machine, positions: Array) -> Reach:
+        """Lengths along corners (n, k)."""
         length = travel_of_legs(machine, positions)
         turned = ~driven_through(machine, positions)
         stretch = np.append(0, np.cumsum(turned)).astype(np.int64)
@@ -209,7 +210,7 @@ def _of_part(
 ) -> AxisPieces | None:
     machine, part = matched.machine, matched.parts[number]
     positions, sight = part.path.positions, matched.sight(part.path.target)
-    reach = _Reach.of(machine, positions)
+    reach = Reach.of(machine, positions)
     own = _away_from_corners(np.arange(part.first, part.last), matched.place, reach, config)
     if len(own) < 10:
         return None
@@ -227,7 +228,9 @@ def _of_part(
         leg_bounds(stretch),
         config.outlier_limit,
     )
-    keep = np.flatnonzero(~far)
+    keep = np.flatnonzero(~far & (chord_shares(curve, place, stretch, reach) > LEAST_CHORD))
+    if len(keep) < 10:
+        return None
     line = _Line(own[keep], place[keep], seen.position[keep], tangent[keep])
     return replace(
         _averaged(samples, matched, number, line, reach, nodes, config), outliers=int(far.sum())
@@ -257,9 +260,18 @@ def _leg_of(place: Array, positions: Array) -> Index:
     return np.clip(place.astype(np.int64), 0, len(positions) - 2)
 
 
-def _away_from_corners(
-    own: Index, place: Array, reach: _Reach, config: CalibrationConfig
-) -> Index:
+def chord_shares(curve: Curve, place: Array, stretch: Index, reach: Reach) -> Array:
+    """Lengths (n,) of symmetric chords about places over those of their arcs on the stretch."""
+    along = curve.reach_at(place)
+    first = curve.reach_at(np.searchsorted(reach.stretch, stretch).astype(float))
+    last = curve.reach_at(np.searchsorted(reach.stretch, stretch, side='right').astype(float))
+    half = np.minimum(HALF_CHORD, np.minimum(along - first, last - along))
+    half = np.maximum(half, 1e-5)
+    chord = curve.at(along + half) - curve.at(along - half)
+    return np.asarray(np.linalg.norm(chord, axis=1) / (2.0 * half))
+
+
+def _away_from_corners(own: Index, place: Array, reach: Reach, config: CalibrationConfig) -> Index:
     """Samples that are not near the ends of their stretch."""
     corners = np.arange(len(reach.corners))
     along = np.interp(place[own], corners, reach.corners)
@@ -274,7 +286,7 @@ def _averaged(
     matched: MatchedRun,
     number: int,
     line: _Line,
-    reach: _Reach,
+    reach: Reach,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
 ) -> AxisPieces:
@@ -333,7 +345,7 @@ def _pieces_of(
     line: _Line,
     q: Array,
     stretch: Index,
-    reach: _Reach,
+    reach: Reach,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
 ) -> Index:
@@ -433,8 +445,3 @@ def _stops_of_part(
         used=int(count.sum()),
         standstill=True,
     )
-
-
-def points_in_link(pieces: AxisPieces, pose: RigidTransform) -> Array:
-    """Measured points of pieces in the frame of the tracker's link, shape (p, 3), m."""
-    return pose.apply(pieces.xyz)
