@@ -461,10 +461,10 @@ def _lines(result: AxisCalibration) -> Section:
     exact = [n for n in result.targets if targets[n].link == SPINDLE and targets[n].u == 0.0]
     if exact:
         words.append(
-            f'The place of {join_names(exact)} in the spindle counts as exact (targets: u is 0 or '
-            f'not stated): U of location errors contains nothing for it. With two lengths a '
-            f'spindle that leans makes a rotation of the axis that carries it look wrong near '
-            f'its zero position; state u of all reflectors in the spindle.'
+            f'The place of {join_names(exact)} in the spindle counts as exact (targets: u is 0, '
+            f'that of tool also where it is not stated): U of location errors contains nothing '
+            f'for it. With two lengths a spindle that leans makes a rotation of the axis that '
+            f'carries it look wrong near its zero position; state u of all reflectors in the spindle.'
         )
     data = {
         n: {'value': value, 'u': u, 'identifiable': seen}
