@@ -464,7 +464,8 @@ def _lines(result: AxisCalibration) -> Section:
             f'The place of {join_names(exact)} in the spindle counts as exact (targets: u is 0, '
             f'that of tool also where it is not stated): U of location errors contains nothing '
             f'for it. With two lengths a spindle that leans makes a rotation of the axis that '
-            f'carries it look wrong near its zero position; state u of all reflectors in the spindle.'
+            f'carries it look wrong near its zero position; state u of all reflectors in the '
+            f'spindle.'
         )
     data = {
         n: {'value': value, 'u': u, 'identifiable': seen}
