@@ -312,14 +312,17 @@ def _weigh_readings(
     else:
         stated = 0
     reading = readings[stated]
+    stays = {_part(c) for c in reading.causes}
     causes = []
     for cause in reading.causes:
         name = cause.option.effect.name
         held = [name in r.names for r in readings]
         without = [r for r, weight, own in zip(readings, weights, held, strict=True)
                    if not own and weight > LEAST_WEIGHT * weights[stated]]  # fmt: skip
-        instead = {n for r in without for n in r.names if n not in DECOY_NAMES}
-        close = dict.fromkeys([*cause.indistinguishable, *sorted(instead - {name})])
+        instead = {
+            c.option.effect.name for r in without for c in r.causes if _part(c) not in stays
+        }
+        close = dict.fromkeys([*cause.indistinguishable, *sorted(instead - DECOY_NAMES)])
         share = float(weights[held].sum() / weights.sum())
         causes.append(
             replace(
@@ -329,6 +332,11 @@ def _weigh_readings(
             )
         )
     return causes, reading.considered
+
+
+def _part(cause: Cause) -> tuple[str, tuple[str, ...]]:
+    """Name and axes of a cause: with others, it may be the same or stand for more."""
+    return cause.option.effect.name, cause.option.axes
 
 
 def _joint(readings: Sequence[Sequence[Cause]], rows: Rows) -> Array:
