@@ -31,8 +31,10 @@ from otf_core.rotary.axis_unknowns import place_block
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
 from otf_core.solving.joint import (
     MAX_RATIO_OF_CHANGES,
+    MIN_PIECE_OUTLIER,
     FittedNoise,
     fit_noise,
+    is_same_noise,
     newton_step,
     residuals_of,
 )
@@ -43,12 +45,9 @@ from otf_core.solving.solution import Solution, solve
 from otf_core.solving.unknowns import Unknowns, free_values, pose_block
 from otf_core.solving.whitener import Whitener
 
-LEAST = 2e-6
-"""m; pieces that are off by less are never left out."""
 MOST_BEYOND = 0.05
 """Share of the pieces that may be left out for their distance alone."""
 REPETITIONS = 4
-NOISE_SETTLED = 0.1
 DAMPED = 1e-4
 """m and rad; what the data do not show, poses and places follow in steps of little more than this,
 or of a tenth where the steps do not become smaller."""
@@ -212,7 +211,7 @@ def solve_robustly(
             drop = _far(solved, config.outlier_limit)
             noise = _noise(solved, noises[k], joint.solution.covariance, known[k])
             before = known[k]
-            if drop.any() or before is None or not _alike(noise, before):
+            if drop.any() or before is None or not is_same_noise(noise, before):
                 same = False
             known[k] = noise.logs
             runs.append(replace(solved.run, pieces=solved.run.pieces.without(drop)))
@@ -224,10 +223,6 @@ def solve_robustly(
             runs, noises, known, joint.unknowns, config, progress, tables, joint.roughness.logs
         )
     return joint, known
-
-
-def _alike(fitted: FittedNoise, before: Array) -> bool:
-    return bool(np.all(np.abs(fitted.logs - before) < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 
 
 def _noise(
@@ -245,7 +240,7 @@ def _far(solved: SolvedAxisRun, limit: float) -> NDArray[np.bool_]:
             own[:, low:high] -= np.median(solved.residual[:, low:high], axis=1, keepdims=True)
     near, whole = (np.linalg.norm(v, axis=0) for v in (own, solved.residual))
     sigma, wide = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (near, whole))
-    far = near > max(limit * sigma, LEAST)
+    far = near > max(limit * sigma, MIN_PIECE_OUTLIER)
     beyond = whole > max(limit * wide, MIN_OUTLIER)
     # what holds for a part of the run is no outlier
     return np.asarray(far | beyond if np.mean(beyond) < MOST_BEYOND else far)

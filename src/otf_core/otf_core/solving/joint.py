@@ -390,7 +390,7 @@ def improve_runs(
     drop = [far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
     fitted = [fit_run_noise(r, s, joint) for r, s in pairs]
     same = not any(d.any() for d in drop) and all(
-        r.fitted is not None and _same_noise(f, r.fitted)
+        r.fitted is not None and is_same_noise(f, r.fitted)
         for f, r in zip(fitted, runs, strict=True)
     )
     better = [
@@ -400,7 +400,7 @@ def improve_runs(
     return better, same
 
 
-def _same_noise(fitted: FittedNoise, before: Array) -> bool:
+def is_same_noise(fitted: FittedNoise, before: Array) -> bool:
     """Return whether noise has settled: it changed by little, or by less than is known of it."""
     change = np.abs(fitted.logs - before)
     return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
