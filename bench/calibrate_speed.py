@@ -104,13 +104,13 @@ def growth(folder: Path, millions: tuple[float, ...]) -> None:
               flush=True)  # fmt: skip
 
 
-def recorded(machine: Path, bag: Path) -> Path:
-    """Simulate a run of about ``SAMPLES`` samples."""
+def recorded(machine: Path, bag: Path, samples: int = SAMPLES) -> Path:
+    """Simulate a run of about so many samples, and return its bag."""
     words = ['-m', 'otf_core.cli', 'simulate', '--machine', machine, '--seed', str(SEED), '--out']
     measured([*words, f'{bag}-slow', '--rate', str(SLOW)])
     slow = json.loads(Path(f'{bag}-slow/simulation.json').read_text(encoding='utf-8'))
     count = slow['provenance']['runs'][0]['samples']
-    measured([*words, bag, '--rate', f'{SLOW * SAMPLES / count:.1f}'])
+    measured([*words, bag, '--rate', f'{SLOW * samples / count:.1f}'])
     return bag
 
 

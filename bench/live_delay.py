@@ -5,8 +5,8 @@ Planner, simulated tracker and calibrator as processes over DDS; laps of the dem
 samples per second, as fast as they would be driven. Measured in a listener: time from the last
 sample that moved (by a millimetre since the one before that did) to the arrival of the result;
 that the machine stands is known after ``path_watch.SOON``. Beside it how long ``otf calibrate``
-takes for the bag that the calibrator has saved. A larger time scale drives faster than the machine
-would: four laps take 19 minutes otherwise.
+takes for the bag that the calibrator has saved, and by how much its tables differ, in parts of u.
+A larger time scale drives faster than the machine would: four laps take 19 minutes otherwise.
 
 Usage: eval "$(./otf env)"; python bench/live_delay.py [--laps 1] [--time-scale 1]
 """
@@ -22,9 +22,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from geometry_msgs.msg import PointStamped
+from markdown import heading, row
 
 from otf_bringup.domain import free_domain
+from otf_core.model.tables import load_tables
 from otf_msgs.msg import CalibrationResult
 from otf_ros import qos
 
@@ -73,6 +76,14 @@ def live(laps: int, scale: float, folder: Path) -> tuple[int, float, Path]:
     return result.samples, heard[0] - motion.last, bag
 
 
+def difference(first: Path, second: Path) -> float:
+    """Largest difference of two error_tables.json at a node, over u."""
+    files = (folder / 'error_tables.json' for folder in (first, second))
+    one, other = (load_tables(file).tables.motions for file in files)
+    pairs = [(own, other[name]) for name, own in one.items() if own.identifiable]
+    return max(float(np.max(np.abs(a.value - b.value) / np.maximum(a.u, 1e-12))) for a, b in pairs)
+
+
 def offline(bag: Path, folder: Path) -> float:
     """Wall time of the command, s."""
     words = ['calibrate', str(bag), '--machine', str(MACHINE), '--out', str(folder / 'offline')]
@@ -92,13 +103,15 @@ def main() -> None:
     sys.path.insert(0, str(ROOT / 'tests'))
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     print(f'{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}')
-    print('| laps | time scale | samples | last motion to result s | otf calibrate s |')
-    print('|---:|---:|---:|---:|---:|', flush=True)
+    titles = ('laps', 'time scale', 'samples', 'last motion to result s', 'otf calibrate s',
+              'difference / u')  # fmt: skip
+    print(heading(titles), flush=True)
     with tempfile.TemporaryDirectory() as scratch:
         samples, delay, bag = live(given.laps, given.time_scale, Path(scratch))
         command = offline(bag, Path(scratch))
-        row = (given.laps, f'{given.time_scale:g}', samples, f'{delay:.2f}', f'{command:.2f}')
-        print(f'| {" | ".join(map(str, row))} |')
+        apart = difference(bag.parent, Path(scratch) / 'offline')
+        print(row((given.laps, f'{given.time_scale:g}', samples, f'{delay:.2f}',
+                   f'{command:.2f}', f'{apart:.2g}')))  # fmt: skip
 
 
 if __name__ == '__main__':
