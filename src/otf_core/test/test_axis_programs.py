@@ -9,6 +9,7 @@ import pytest
 from test_nc import numbers, rs274  # noqa: F401  (the fixture)
 from test_rotary_paths import FEED, trunnion
 
+from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import driven_through, seconds_of_legs
 from otf_core.model.joints import Sight
@@ -76,7 +77,7 @@ def test_a_program_drives_the_part_that_is_published(name, link):
     machine, parts = planned(link)
     scale = programs.program_units(machine)
     number, part = next((k, p) for k, p in enumerate(parts) if p.words != 'lines')
-    text = programs.part_program(DIALECTS[name], machine, part, number, FEED.feed, ['head'])
+    text = programs.part_program(DIALECTS[name], machine, part, number, FEED, ['head'])
     found = driven(name, text, machine.axis_names)
     np.testing.assert_allclose(found.q, part.path.positions * scale, atol=2e-6)
     wanted = seconds_of_legs(machine, part.path.positions, FEED.feed)
@@ -115,13 +116,15 @@ def test_the_verification_holds_the_reflector_at_one_place_with_tcp_on(name):
 def test_a_block_that_no_control_takes_is_refused():
     machine, parts = planned()
     with pytest.raises(ConfigError, match='controls take'):
-        programs.part_program(DIALECTS['fanuc'], machine, parts[0], 1, 1e-5, [])
+        programs.part_program(
+            DIALECTS['fanuc'], machine, parts[0], 1, PlannerConfig(feed=1e-4), []
+        )
 
 
 def test_linuxcnc_interpreter_drives_a_part_in_its_times(rs274):  # noqa: F811
     machine, parts = planned()
     part = next(p for p in parts if p.path.target == 'a')
-    text = programs.part_program(DIALECTS['linuxcnc'], machine, part, 3, FEED.feed, ['(x)'])
+    text = programs.part_program(DIALECTS['linuxcnc'], machine, part, 3, FEED, ['(x)'])
     done = rs274(text)
     assert done.code == 0, done.error
     stop = [name for name, _ in done.moves].index('PROGRAM_STOP')

@@ -11,6 +11,7 @@ from rotary_cells import BAG, machine, recorded, truth
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.cdr import decode_axes, encode_axes
 from otf_core.cli import main
+from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.recordings import ReadingOptions, read_recording
@@ -19,6 +20,8 @@ from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import ErrorMotion
+from otf_core.planning.rotary_forecast import duration_of
+from otf_core.planning.rotary_paths import PlannedPart
 from otf_core.prediction.predict import predict
 from otf_core.rotary.curve_matching import match, split_parts
 from otf_core.rotary.mismatch import check_matched
@@ -159,6 +162,12 @@ def test_drive_passes_all_corners_and_keeps_to_the_legs():
     assert np.allclose(at[0], q[0]) and np.allclose(at[-1], q[-1])
     assert np.abs(at[:, 3] - 0.5 * at[:, 4]).max() < 1e-12
     assert np.abs(np.diff(at[:, 4])).max() < TURN_RATE * drive.duration / 2000 * 1.01
+    own = PlannerConfig(feed=0.05, corner_dwell=0.5)
+    part = PlannedPart(AxisPath(tuple('XYZAC'), q), 0.0, '')
+    assert duration_of(machine(), part, own) == drive.duration
+    ends = np.array([own.end_dwell, drive.duration - own.end_dwell])
+    assert np.array_equal(drive.at(ends), q[[0, -1]])
+    assert np.abs(drive.at(ends + np.array([0.1, -0.1])) - q[[0, -1]]).max(axis=1).min() > 1e-3
 
 
 def test_a_curve_that_turns_back_has_a_short_chord():

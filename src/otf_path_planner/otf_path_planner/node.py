@@ -17,7 +17,7 @@ from otf_core.errors import OtfError
 from otf_core.model.machine import Machine
 from otf_msgs.msg import Plan
 from otf_path_planner.params import PlannerFiles
-from otf_path_planner.planning import make_axis_plan, make_plan, read_machine
+from otf_path_planner.planning import check_files, make_axis_plan, make_plan, read_machine
 from otf_ros import app, convert, qos, services
 from otf_ros.params import NodeParameters
 
@@ -35,6 +35,7 @@ class PathPlanner(Node):
     def __init__(self) -> None:
         super().__init__('path_planner')
         self._settings = NodeParameters(self, PlannerFiles, PlannerConfig)
+        self._settings.check_also(PlannerFiles, check_files)
         self._settings.tell_when(_when)
         self._path_publisher = self.create_publisher(Path, 'planner/path', qos.PATH)
         self._axes_publisher = self.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from pathlib import Path
+
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_axis_paths, read_path
@@ -21,6 +24,20 @@ def read_machine(files: PlannerFiles) -> Machine:
     if not files.machine_file:
         raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
     return load_machine(files.machine_file)
+
+
+def check_files(files: PlannerFiles, changed: Collection[str]) -> None:
+    """Refuse files that cannot be read, of those parameters that are changed.
+
+    Raises
+    ------
+    ConfigError
+        Names the parameter or the file that is wrong.
+    """
+    if 'machine_file' in changed:
+        read_machine(files)
+    if 'path_file' in changed and files.path_file and not Path(files.path_file).is_file():
+        raise ConfigError(f'parameter path_file: {files.path_file}: no such file')
 
 
 def make_plan(machine: Machine, files: PlannerFiles, config: PlannerConfig) -> tuple[Plan, int]:

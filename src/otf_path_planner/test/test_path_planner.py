@@ -39,6 +39,8 @@ def test_path_fits_the_machine_and_another_feed_takes_effect_at_replan(machine_f
         assert bench.call(Trigger, 'planner/replan').success
         bench.wait(lambda: len(paths) == 2, 'the new path')
         assert len(paths[1].poses) > len(paths[0].poses)
+        said = bench.node.set_parameters_atomically([Parameter('machine_file', value='/none')])
+        assert not said.successful and '/none' in said.reason
 
 
 def test_parts_of_a_machine_with_rotary_axes_are_published_one_by_one_with_one_stamp(tmp_path):

@@ -17,6 +17,7 @@ from otf_ros.diagnostics import Diagnostics
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.params import NodeParameters
 from otf_tracker_driver.backends import BACKENDS, Backend, CommonConfig
+from otf_tracker_driver.backends.base import check_common
 from otf_tracker_driver.diagnostics import tasks
 from otf_tracker_driver.operations import offer_operations
 from otf_tracker_driver.params import DriverConfig, when_they_count
@@ -45,6 +46,7 @@ class TrackerDriver(SteadyLifecycleNode):
         self._settings = NodeParameters(
             self, *groups, named=own, read_only=['auto_start', 'longest_retry']
         )
+        self._settings.check_also(CommonConfig, check_common)
         self._settings.tell_when(lambda names: when_they_count(names, self.lifecycle_state))
         self._streamer: Streamer | None = None
         self._plan: Plan | None = None

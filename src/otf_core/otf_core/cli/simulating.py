@@ -161,6 +161,8 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
         options = {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
         if arguments.corner_dwell is not None:
             options['dwell'] = arguments.corner_dwell
+        if arguments.end_dwell is not None:
+            options['end_dwell'] = arguments.end_dwell
         try:
             run = simulate_parts(machine, parts, config, tables, effects=effects, **options)
         except InputError as error:
@@ -238,7 +240,7 @@ def _plan_rotary(
     from otf_core.planning.nc import DIALECTS
     from otf_core.planning.part_choice import planned_parts
     from otf_core.planning.plan_report import read_place
-    from otf_core.planning.rotary_forecast import duration_of, forecast_parts
+    from otf_core.planning.rotary_forecast import forecast_parts
     from otf_core.reports.rotary_plan import RotaryPlan, plan_words, write_plan
 
     for option in ('path', 'after', 'wanted_uncertainty'):
@@ -255,13 +257,12 @@ def _plan_rotary(
         parts = planned_parts(machine, config, place, judged, noise, arguments.time_budget)
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
-        durations = [duration_of(machine, part, config) for part in parts]
         seen, near = sights(machine, place), near_misses(machine, parts, place)
-        plan = RotaryPlan(machine, parts, durations, place, forecast, seen, near)
+        plan = RotaryPlan(machine, parts, config, place, forecast, seen, near)
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
-            files = write_plan(plan, folder, about, dialect, config.feed)
+            files = write_plan(plan, folder, about, dialect)
     answer_from(arguments, plan_words(plan), files, 'plan.json')
     return 0
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.calibration.axis_calibration import AxisCalibration, calibrate_axes
-from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.exports import export_format
 from otf_core.exports.format import Request
@@ -216,7 +216,8 @@ def _start_row(driven: DrivenProgram, q: Array) -> int:
 
 def _part_text(machine: Machine, part: PlannedPart, number: int, feed: float) -> str:
     """Program of a part for a machine without an operator."""
-    text = part_program(DIALECTS['linuxcnc'], machine, part, number, feed, [])
+    config = PlannerConfig(feed=feed, corner_dwell=0.0, end_dwell=0.0)
+    text = part_program(DIALECTS['linuxcnc'], machine, part, number, config, [])
     approach, stop, path = text.partition('\nM0\n')
     return f'{approach.replace(START, QUICK)}{stop}{path}'.replace('\nM0\n', f'\nG4 P{WAIT}\n')
 

@@ -130,6 +130,47 @@ def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
     return np.asarray(np.maximum(travel / feed, angle / TURN_RATE))
 
 
+@dataclass(frozen=True)
+class Stretches:
+    """Smooth stretches of a part, driven with trapezoidal speed from standstill to standstill.
+
+    Attributes
+    ----------
+    reach : ndarray, shape (n,), m
+        Way to every corner: its time at full speed times the feed.
+    low, size : ndarray, shape (s,), m
+        Way to the start of every stretch, and its own.
+    peak : ndarray, shape (s,), m/s
+        Highest speed.
+    moving : ndarray, shape (s,), s
+        Duration.
+    """
+
+    reach: Array
+    low: Array
+    size: Array
+    peak: Array
+    moving: Array
+
+    @classmethod
+    def of(
+        cls, machine: Machine, q: Array, feed: float, acceleration: float, *, stops: bool
+    ) -> Stretches:
+        """Stretches between corners (n, k) that are not driven through; with ``stops`` all legs.
+
+        Parameters
+        ----------
+        feed, acceleration : float
+            m/s and m/s^2, of the linear axes.
+        """
+        reach = np.append(0.0, feed * np.cumsum(seconds_of_legs(machine, q, feed)))
+        halted = np.full(len(q) - 2, stops) | ~driven_through(machine, q)
+        ends = reach[np.concatenate([[True], halted, [True]])]
+        size = np.diff(ends)
+        peak = np.minimum(feed, np.sqrt(size * acceleration))
+        return cls(reach, ends[:-1], size, peak, size / peak + peak / acceleration)
+
+
 def driven_through(machine: Machine, positions: Array) -> NDArray[np.bool_]:
     """Which of the corners (n - 2,) between the ends are smooth."""
     legs = np.diff(positions, axis=0) * travel_per_unit(machine)

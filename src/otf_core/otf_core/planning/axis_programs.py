@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import AxisPath, driven_through, seconds_of_legs
 from otf_core.model.joints import Sight
@@ -33,6 +34,8 @@ INCREMENT = 1e-3
 """mm and degrees; resolution of the positions in a program."""
 MOST_PER_MINUTE, LEAST_PER_MINUTE = 9999.0, 0.01
 """1/min; inverse times that all controls take."""
+LEAST_DWELL = 1e-3
+"""s; controls take no shorter ones."""
 APPROACH = 20.0
 """s for a move to the start of a part."""
 
@@ -93,10 +96,12 @@ def part_program(
     machine: Machine,
     part: PlannedPart,
     number: int,
-    feed: float,
+    config: PlannerConfig,
     header: Sequence[str],
 ) -> str:
     """Program of one part, TCP off: approach, stop for the reflector and the recording, path.
+
+    It stands at both ends, so that the recording shows the noise of the tracker.
 
     Parameters
     ----------
@@ -112,7 +117,7 @@ def part_program(
     ConfigError
         If a block takes longer or less than controls take.
     """
-    moves = axis_moves(machine, part, feed)
+    moves = axis_moves(machine, part, config.feed)
     _check(dialect, moves)
     notes = [
         *header,
@@ -125,13 +130,22 @@ def part_program(
     lines += dialect.say(
         f'part {number}: put the reflector at {part.path.target}, lock the beam, record'
     )
-    lines += dialect.wait()
-    for move in moves:
+    lines += [*dialect.wait(), *_stand(dialect, config.end_dwell)]
+    for k, move in enumerate(moves, start=1):
         lines += dialect.move_axes(move, False)
-        if move.stop and part.dwell > 0.0:
-            lines += dialect.dwell(part.dwell)
+        if move.stop:
+            at_end = k == len(moves)
+            lines += _stand(dialect, config.end_dwell if at_end else part.halt(config))
     lines += dialect.say(f'part {number} is done: stop recording, break the beam')
     return '\n'.join(dialect.finished([*lines, *dialect.wait(), *dialect.end_axes(False)])) + '\n'
+
+
+def _stand(dialect: Dialect, seconds: float) -> list[str]:
+    if seconds > dialect.longest_dwell:
+        raise ConfigError(
+            f'{dialect.name}: a dwell of {seconds:g} s; the longest is {dialect.longest_dwell:g} s'
+        )
+    return dialect.dwell(seconds) if seconds >= LEAST_DWELL else []
 
 
 def _comments(notes: Sequence[str]) -> list[str]:

@@ -285,7 +285,7 @@ def axis_plan(machine: Machine, parts: Sequence[PlannedPart], config: PlannerCon
     return AxisPlan(
         tuple(part.path for part in parts),
         tuple(config.feed for _ in parts),
-        tuple(part.dwell or config.corner_dwell for part in parts),
+        tuple(part.halt(config) for part in parts),
         tuple(part.dwell > 0.0 for part in parts),
         sum(duration_of(machine, part, config) for part in parts),
     )

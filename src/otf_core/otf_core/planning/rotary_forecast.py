@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
+from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import (
+    Stretches,
     driven_through,
     position_at,
     seconds_of_legs,
@@ -49,8 +50,6 @@ from otf_core.solving.whitener import Whitener
 
 STILL = 1e-4
 """Travel of the reflector per travel of the axes below which nothing is stated across it."""
-ACCELERATION_TIME = 0.4
-"""s lost at every corner that is not driven through."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,7 @@ def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: floa
     seconds = np.append(0.0, seconds_of_legs(machine, q, config.feed).cumsum())
     reach, corner = np.append(0.0, length.cumsum()), np.arange(len(q), dtype=float)
     rows, halts = [], 0.0
+    lost = config.feed / SimulationConfig.acceleration + part.halt(config)
     for k in range(stretch[-1] + 1):
         own = np.flatnonzero(stretch == k)
         low, high = reach[own[0]], reach[own[-1] + 1]
@@ -103,7 +103,7 @@ def _cut(machine: Machine, part: PlannedPart, config: PlannerConfig, piece: floa
         clock = halts + np.interp(at, corner, seconds)
         took = np.diff(clock)
         rows.append((at[:-1], at[1:], clock[:-1] + 0.5 * took, took, np.full(count, k)))
-        halts += ACCELERATION_TIME + part.dwell
+        halts += lost
     first, last, time, took, number = (np.concatenate(own) for own in zip(*rows, strict=True))
     return _Cut(first, last, time, took, number.astype(np.int64))
 
@@ -153,11 +153,16 @@ def _pieces(
 
 def duration_of(machine: Machine, part: PlannedPart, config: PlannerConfig) -> float:
     """Driving time of a part, s, dwells included."""
-    q = part.path.positions
-    stops = part.dwell >= STOP_TIME
-    halts = len(q) - 1 if stops else 1 + int(np.sum(~driven_through(machine, q)))
-    driving = float(seconds_of_legs(machine, q, config.feed).sum())
-    return driving + halts * (ACCELERATION_TIME + part.dwell)
+    moving = _stretches(machine, part, config).moving
+    at_corners = (len(moving) - 1) * part.halt(config)
+    return float(moving.sum()) + at_corners + 2.0 * config.end_dwell
+
+
+def _stretches(machine: Machine, part: PlannedPart, config: PlannerConfig) -> Stretches:
+    return Stretches.of(
+        machine, part.path.positions, config.feed, SimulationConfig.acceleration,
+        stops=part.dwell >= STOP_TIME,
+    )  # fmt: skip
 
 
 class Judge:

@@ -72,6 +72,10 @@ class PlannedPart:
     dwell: float
     words: str
 
+    def halt(self, config: PlannerConfig) -> float:
+        """Standstill at every corner that is not driven through, s."""
+        return self.dwell or config.corner_dwell
+
 
 @dataclass(frozen=True)
 class Chain:

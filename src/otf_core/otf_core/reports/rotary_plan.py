@@ -19,6 +19,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.bags.bag import write_axis_paths
+from otf_core.config import PlannerConfig
 from otf_core.files.writing import write_text
 from otf_core.inputs.path_file import ROTARY_SCHEMA
 from otf_core.model.machine import BED, TABLE, Machine
@@ -37,7 +38,7 @@ from otf_core.planning.line_of_sight import (
 )
 from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.part_choice import hand_moves
-from otf_core.planning.rotary_forecast import RotaryForecast
+from otf_core.planning.rotary_forecast import RotaryForecast, duration_of
 from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart
 
 UNKNOWN_VECTORS = 1e-4
@@ -50,8 +51,8 @@ class RotaryPlan:
 
     Attributes
     ----------
-    durations : sequence of float
-        s, of every part.
+    config : PlannerConfig
+        Feed and standstills of the parts.
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the frame of its link.
     sight : mapping of target to SightShare
@@ -62,7 +63,7 @@ class RotaryPlan:
 
     machine: Machine
     parts: Sequence[PlannedPart]
-    durations: Sequence[float]
+    config: PlannerConfig
     place: Array
     forecast: RotaryForecast
     sight: Mapping[str, SightShare]
@@ -78,6 +79,11 @@ class RotaryPlan:
             if np.ptp(part.path.positions[:, turning], axis=0).any()
         }
         return sum(facings_needed(s) - 1 for name, s in self.sight.items() if name in driven)
+
+    @property
+    def durations(self) -> list[float]:
+        """Driving time of every part, s."""
+        return [duration_of(self.machine, part, self.config) for part in self.parts]
 
     @property
     def by_hand(self) -> float:
@@ -97,7 +103,10 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
             {
                 'target': part.path.target,
                 'words': part.words,
-                'dwell': part.dwell,
+                'feed': plan.config.feed,
+                'dwell': part.halt(plan.config),
+                'end_dwell': plan.config.end_dwell,
+                'stops': part.dwell > 0.0,
                 'duration': duration,
                 'positions': part.path.positions.tolist(),
             }
@@ -204,7 +213,7 @@ def path_csv(machine: Machine, parts: Sequence[PlannedPart]) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def programs_of(plan: RotaryPlan, dialect: Dialect, feed: float) -> dict[str, str]:
+def programs_of(plan: RotaryPlan, dialect: Dialect) -> dict[str, str]:
     """Files of the NC programs of a plan: one per part, TCP off, and the verification, TCP on.
 
     Raises
@@ -214,7 +223,7 @@ def programs_of(plan: RotaryPlan, dialect: Dialect, feed: float) -> dict[str, st
     """
     machine, header = plan.machine, [f'otf plan: machine {plan.machine.name}']
     programs = {
-        dialect.file_of(k): part_program(dialect, machine, part, k, feed, header)
+        dialect.file_of(k): part_program(dialect, machine, part, k, plan.config, header)
         for k, part in enumerate(plan.parts, start=1)
     }
     last = verification_part(machine)
@@ -230,16 +239,9 @@ def write_plan(
     folder: Path,
     about: Mapping[str, Any],
     dialect: Dialect | None = None,
-    feed: float = 0.25,
 ) -> list[Path]:
-    """Write plan.json, path.csv, path.mcap, forecast.txt and programs; return their paths.
-
-    Parameters
-    ----------
-    feed : float
-        m/s, of the linear axes in the programs.
-    """
-    texts = {} if dialect is None else programs_of(plan, dialect, feed)
+    """Write plan.json, path.csv, path.mcap, forecast.txt and programs; return their paths."""
+    texts = {} if dialect is None else programs_of(plan, dialect)
     texts |= {
         'plan.json': json.dumps(plan_to_dict(plan, about), indent=1) + '\n',
         'path.csv': path_csv(plan.machine, plan.parts),

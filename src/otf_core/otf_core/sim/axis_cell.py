@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.config import SimulationConfig
+from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.state import state_in_parts
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import AxisPath, position_at, seconds_of_legs, travel_per_unit
+from otf_core.model.axis_path import AxisPath, Stretches, position_at
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight, exact_position
 from otf_core.model.machine import Machine
@@ -33,8 +33,6 @@ BROKEN_BEAM = 4.0
 """s; for which the beam is broken between two parts."""
 STANDS = 1e-6
 """m/s and rad/s; a slower axis stands."""
-SMOOTH = 0.2
-"""Change of the unit direction in the axes below which a corner is driven through."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +64,11 @@ class JointDrive:
     feed, acceleration : float
         m/s and m/s^2, of the linear axes; rotary ones turn no faster than ``axis_path.TURN_RATE``.
     dwell : float
-        s, at the ends of every stretch.
+        s, between two stretches.
     stops : bool
         Every leg is a stretch: the drive stops at smooth corners, too.
+    end_dwell : float
+        s, before the first stretch and after the last.
     """
 
     def __init__(
@@ -79,21 +79,13 @@ class JointDrive:
         acceleration: float,
         dwell: float,
         stops: bool = False,
+        end_dwell: float = PlannerConfig.end_dwell,
     ) -> None:
-        legs = np.diff(positions, axis=0) * travel_per_unit(machine)
-        unit = legs / np.linalg.norm(legs, axis=1)[:, None]
-        length = feed * seconds_of_legs(machine, positions, feed)
-        turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
-        turned |= stops
-        self._positions = positions
-        self._reach = np.append(0.0, np.cumsum(length))
-        ends = self._reach[np.concatenate([[0], np.flatnonzero(turned) + 1, [len(legs)]])]
-        self._low, self._size = ends[:-1], np.diff(ends)
-        self._acceleration = acceleration
-        self._peak = np.minimum(feed, np.sqrt(self._size * acceleration))
-        self._moving = self._size / self._peak + self._peak / acceleration
-        self._start = dwell + np.append(0.0, np.cumsum(self._moving + dwell)[:-1])
-        self.duration = float(self._start[-1] + self._moving[-1] + dwell)
+        self._positions, self._acceleration = positions, acceleration
+        self._own = Stretches.of(machine, positions, feed, acceleration, stops=stops)
+        moving = self._own.moving
+        self._start = end_dwell + np.append(0.0, np.cumsum(moving + dwell)[:-1])
+        self.duration = float(self._start[-1] + moving[-1] + end_dwell)
 
     def stretch_at(self, time: Array) -> Index:
         """Number of the smooth stretch at times (n,), s."""
@@ -101,22 +93,20 @@ class JointDrive:
 
     def at(self, time: Array) -> Array:
         """Programmed positions (n, k) at times (n,), s."""
-        k = self.stretch_at(time)
-        elapsed = np.clip(time - self._start[k], 0.0, self._moving[k])
-        peak, remaining = self._peak[k], self._moving[k] - elapsed
+        k, own = self.stretch_at(time), self._own
+        elapsed = np.clip(time - self._start[k], 0.0, own.moving[k])
+        peak, remaining = own.peak[k], own.moving[k] - elapsed
         ramp = peak / self._acceleration
         travelled = np.select(
             [elapsed < ramp, remaining < ramp],
             [
                 0.5 * self._acceleration * elapsed**2,
-                self._size[k] - 0.5 * self._acceleration * remaining**2,
+                own.size[k] - 0.5 * self._acceleration * remaining**2,
             ],
             peak * (elapsed - 0.5 * ramp),
         )
-        corners = np.arange(len(self._reach), dtype=float)
-        return position_at(
-            self._positions, np.interp(self._low[k] + travelled, self._reach, corners)
-        )
+        corners = np.arange(len(own.reach), dtype=float)
+        return position_at(self._positions, np.interp(own.low[k] + travelled, own.reach, corners))
 
 
 def simulate_parts(
@@ -128,6 +118,7 @@ def simulate_parts(
     feed: float | Sequence[float] = 0.05,
     dwell: float | Sequence[float] = 0.5,
     stops: bool | Sequence[bool] = False,
+    end_dwell: float = PlannerConfig.end_dwell,
     lag: Mapping[str, float] | None = None,
     tracker_place: Array | None = None,
     effects: Sequence[AppliedEffect] = (),
@@ -144,6 +135,8 @@ def simulate_parts(
         At every corner that is not driven through; the same.
     stops : bool
         Whether smooth corners are stopped at; the same.
+    end_dwell : float, s
+        At start and end of every part.
     lag : mapping of axis to float, s, optional
         By which an axis is late.
     tracker_place : ndarray, shape (3,), m, optional
@@ -172,7 +165,7 @@ def simulate_parts(
     own = [part.of(machine) for part in parts]
     every = [np.broadcast_to(given, len(own)).tolist() for given in (feed, dwell, stops)]
     drives = [
-        JointDrive(machine, p.positions, f, config.acceleration, max(d, 1e-3), s)
+        JointDrive(machine, p.positions, f, config.acceleration, max(d, 1e-3), s, end_dwell)
         for p, f, d, s in zip(own, *every, strict=True)
     ]
     if sum(d.duration for d in drives) * config.rate >= MOST_SAMPLES:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import ClassVar
@@ -22,6 +22,7 @@ import numpy as np
 from otf_core.config import Parameters, parameter
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath
+from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import AxisPlan, Plan
@@ -54,6 +55,18 @@ class CommonConfig(Parameters):
         5000.0, 'largest number of samples published per second; limits time_scale so that '
         'subscribers keep up', 'Hz', 10.0, 50000.0,
     )  # fmt: skip
+
+
+def check_common(common: CommonConfig, changed: Collection[str]) -> None:
+    """Refuse a machine description that cannot be read.
+
+    Raises
+    ------
+    ConfigError
+        Names what is wrong in the file.
+    """
+    if 'machine_file' in changed and common.machine_file:
+        load_machine(common.machine_file)
 
 
 class Backend(ABC):
