@@ -564,6 +564,8 @@ def _score(option: Option, residual: Array, variance: float) -> float:
 
 def _free_of(basis: Array, option: Option) -> Option:
     """Leave out of an option what the causes found so far, spanned by ``basis``, can follow."""
+    if not basis.shape[1]:  # the first cause: the same, without a copy
+        return replace(option, white=option.own)
     return replace(option, white=option.own - basis @ (basis.T @ option.own))
 
 
