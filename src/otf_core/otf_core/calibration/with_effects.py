@@ -66,6 +66,8 @@ from otf_core.solving.system import nominal_positions
 from otf_core.threads import limit_to_one_thread
 
 MAX_ROUNDS = 6
+MAX_CHOICES = 3
+"""Rounds that choose functions and reversal anew; two models may follow each other for ever."""
 MAX_FINAL_CHANGE = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
 MAX_CHANGE_FOR_SAME_MODEL = 1e-6
@@ -275,21 +277,21 @@ def solve_with_effects(
     solved = solve_with_reversal(
         correct_runs(whole, now, nodes, None), nodes, config, progress
     ).without_plain()
-    for _ in range(MAX_ROUNDS):
+    for k in range(MAX_ROUNDS):
         fitted, step, size = estimates(solved.runs, solved.joint, now)
         now, largest = fitted.effects, float(np.max(np.abs(step) * size, initial=0.0))
         if largest < MAX_FINAL_CHANGE:
             break
         tables = tables_of(runs[0].machine, solved.joint.unknowns, solved.joint.solution)
         whole = [
-            replace(r, pose=s.pose, fitted=k.fitted)
-            for r, s, k in zip(runs, solved.joint.runs, solved.runs, strict=True)
+            replace(r, pose=s.pose, fitted=c.fitted)
+            for r, s, c in zip(runs, solved.joint.runs, solved.runs, strict=True)
         ]
         clean = correct_runs(whole, now, solved.joint.unknowns.knots, tables)
         start = Start.after(clean[0].machine, solved.joint)
         unknowns, choice = solved.joint.unknowns, solved.choice
         del solved  # as large as the next
-        if largest > MAX_CHANGE_FOR_SAME_MODEL:
+        if k < MAX_CHOICES and largest > MAX_CHANGE_FOR_SAME_MODEL:
             solved = solve_with_reversal(clean, nodes, config, progress).without_plain()
             continue
         again = solve_robustly(clean, unknowns, config, progress, start)
