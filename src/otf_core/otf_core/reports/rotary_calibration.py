@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,16 @@ from otf_core.reports.calibration_sections.uncertainty_budget import (
     section_of_correlations,
 )
 from otf_core.reports.certificate import certificate_of_axes
-from otf_core.reports.drawing.panel import Panel, Scale, polyline, scale_around, svg
+from otf_core.reports.drawing.panel import (
+    Panel,
+    Scale,
+    heat_classes,
+    heat_key,
+    heat_step,
+    polyline,
+    scale_around,
+    svg,
+)
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import (
     Heading,
@@ -531,7 +541,34 @@ def _volume(result: AxisCalibration) -> Section:
         f'Mean length of the error vector of the target (um) over {", ".join(names)}, the linear '
         f'axes anywhere in their driven ranges; the best rigid motion of the table is taken out.',
     )
-    return Section('volume', 'Volumetric error over the rotary axes', words, tables=(table,))
+    title = 'Volumetric error over the rotary axes'
+    return Section('volume', title, words, tables=(table,), draw=partial(_map, names, ends, sizes))
+
+
+def _map(names: Sequence[str], ends: Sequence[Array], sizes: Array) -> Sequence[Picture]:
+    """Mean errors (um) at the ends of both rotary axes, by colour; none for a single axis."""
+    if len(names) == 1:
+        return ()
+    y, x = (_edges(DEGREES * own) for own in ends)
+    step = heat_step(sizes)
+    classes = heat_classes(sizes, step).reshape(len(y) - 1, len(x) - 1)
+    across, up = (
+        Scale(float(own[0]), float(own[-1]), f'{name} (deg)')
+        for name, own in zip(names[::-1], (x, y), strict=True)
+    )
+    panel = Panel(across, up)
+    marks = [
+        panel.band(x[k : k + 2], [y[i]] * 2, [y[i + 1]] * 2, f'heat h{classes[i, k]}')
+        for i, k in np.ndindex(classes.shape)
+    ]
+    drawn = panel.draw(marks, f'mean error over {names[0]} and {names[1]}')
+    key = heat_key(step, float(sizes.max()), 'µm')
+    return (Picture((drawn,), 'The same by colour.', key=key),)
+
+
+def _edges(values: Array) -> Array:
+    """Edges (n + 1,) of cells about values (n,)."""
+    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
 
 
 def _with(q: Array, columns: list[int], values: Array) -> Array:

@@ -228,6 +228,7 @@ def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
     assert main(['predict', *words, '--out', str(errors), '--overwrite']) == 2
     assert 'expected x,y,z,a,c' in capsys.readouterr().err
     page = (out / 'report.html').read_text()
+    assert 'mean error over A and C' in page
     assert 'average line of C' in page and 'Radial motion of C' in page
 
 
