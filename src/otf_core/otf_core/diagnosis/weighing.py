@@ -120,11 +120,11 @@ def matters(gap_um: float, simulated_um: float) -> bool:
 
 def verdict_of(case: Case) -> str:
     """Return 'none', 'explained', 'partly_explained' or 'unknown'."""
+    if not case.named:
+        least = NO_GAP_SHARE if case.structured or case.decoyed else PLAIN_GAP_SHARE
+        return 'none' if case.before_um < least * case.simulated_um else 'unknown'
     if case.decoyed:
         return 'unknown'
-    if not case.named:
-        least = NO_GAP_SHARE if case.structured else PLAIN_GAP_SHARE
-        return 'none' if case.before_um < least * case.simulated_um else 'unknown'
     explained, known = EXPLAINED_SHARE, KNOWN_SHARE
     if case.left_has_place:
         explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE

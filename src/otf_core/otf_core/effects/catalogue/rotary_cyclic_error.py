@@ -9,6 +9,7 @@ stand for a stretch of the path have the mean over it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -19,8 +20,10 @@ from otf_core.effects.drawing import Axes, Number, OneOf, Trial
 from otf_core.effects.terms import rotary_columns
 
 PER_TURN = 'per_turn'
-LOWEST, HIGHEST = 2, 180
-"""Waves per turn that are tried: a single one is eccentricity, which the tables hold."""
+HIGHEST = 180
+"""Waves per turn that are tried at most."""
+NODES_PER_WAVE = 4
+"""Longer waves are errors at the nodes of a table, which leaves next to nothing of them."""
 
 
 class RotaryCyclicError(Effect):
@@ -51,8 +54,11 @@ class RotaryCyclicError(Effect):
     ))  # fmt: skip
 
     def shapes(self, state: State) -> Sequence[Shape]:
-        """Every whole number of waves per turn."""
-        return tuple({PER_TURN: float(n)} for n in range(LOWEST, HIGHEST + 1))
+        """Every whole number of waves per turn that tables cannot follow."""
+        axes = state.machine.axes
+        pitch = max((axes[n].table_pitch for n in state.machine.rotary_names), default=np.pi)
+        lowest = max(2, math.ceil(2.0 * np.pi / (NODES_PER_WAVE * pitch)))
+        return tuple({PER_TURN: float(n)} for n in range(lowest, HIGHEST + 1))
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Amplitude of every axis that takes part."""
