@@ -56,7 +56,7 @@ class RotaryCyclicError(Effect):
     def shapes(self, state: State) -> Sequence[Shape]:
         """Every whole number of waves per turn that tables cannot follow."""
         axes = state.machine.axes
-        pitch = max((axes[n].table_pitch for n in state.machine.rotary_names), default=np.pi)
+        pitch = min((axes[n].table_pitch for n in state.machine.rotary_names), default=np.pi)
         lowest = max(2, math.ceil(2.0 * np.pi / (NODES_PER_WAVE * pitch)))
         return tuple({PER_TURN: float(n)} for n in range(lowest, HIGHEST + 1))
 
