@@ -75,6 +75,12 @@ def test_estimate_is_dense_least_squares():
     np.testing.assert_allclose(found.covariance, inverse, rtol=1e-8, atol=1e-12)
 
 
+def test_a_term_that_moves_nothing_is_zero_beside_others():
+    columns = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 0.0]])
+    found = estimate(columns, np.array([1.0, 0.0]), 3.0 * columns[:, 0])
+    assert found.value == pytest.approx([3.0, 0.0])
+
+
 def test_covariance_is_the_scatter_of_estimates():
     rng, columns, sizes = drawn(2, terms=3)
     found = [estimate(columns, sizes, y).value for y in rng.standard_normal((2000, len(columns)))]

@@ -199,7 +199,7 @@ def estimate(white: Array, size: Array, residual: Array, width: Array | None = N
 
 def estimate_of(normal: Array, right: Array, size: Array, width: Array | None = None) -> Estimate:
     """``estimate`` by the products E'E, shape (k, k), and E'y, shape (k,), alone."""
-    scale = np.maximum(size, 1e-300)
+    scale = np.maximum(size, 1e-150)  # what does not move at all; its square must not vanish
     scaled, pull = normal / np.outer(scale, scale), right / scale
     known = np.zeros(len(scale)) if width is None else width**-2.0
     values, vectors = linalg.eigh(scaled + np.diag(known))
