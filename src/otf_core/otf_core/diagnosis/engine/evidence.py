@@ -166,7 +166,7 @@ def likeliest_width(
 
 def _per_unit(width: Array, size: Array) -> Array:
     """Widths in units of the coefficients; 0 of those that displace nothing anywhere."""
-    return np.where(size > 1e-300, width / np.maximum(size, 1e-150), 0.0)
+    return np.where(size > 1e-300, width / np.maximum(size, 1e-300), 0.0)
 
 
 def _evidence(normal: Array, right: Array, width: Array, variance: float) -> float:
