@@ -386,8 +386,13 @@ def solve_jointly(
     )  # fmt: skip
     if settled:
         return joint
-    names = ', '.join(run.name for run in runs if run.name)
-    raise UnsettledError(
+    raise _unsettled(joint, config, change)
+
+
+def _unsettled(joint: AxisSolution, config: CalibrationConfig, change: float) -> UnsettledError:
+    """Say that a solution does not converge; ``change`` is the last one, m."""
+    names = ', '.join(r.run.name for r in joint.runs if r.run.name)
+    return UnsettledError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors',
         joint,

@@ -166,8 +166,8 @@ def rows_of(machine, pieces, pose, error=None):
         way = points - (error(q) if k else 0.0) - pieces.origin
         along = np.einsum('ij,ij->i', way, pieces.direction)
         q = pieces.origin + along[:, None] * pieces.direction
-    beam = pieces.xyz @ pose[0].T
-    first = beam - np.sum(beam * pieces.direction, axis=1)[:, None] * pieces.direction
+    seen = pieces.origin - pose[1]  # a line and the tracker lie in one plane
+    first = seen - np.sum(seen * pieces.direction, axis=1)[:, None] * pieces.direction
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
     axes = np.concatenate([first, np.cross(pieces.direction, first)])
     piece = np.tile(np.arange(len(q)), 2)
