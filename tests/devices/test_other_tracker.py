@@ -118,7 +118,8 @@ def test_silence_is_one_state_whose_restarts_grow_apart_and_are_counted(connecte
 
         until(restarted)
         until(lambda: backend.hindrance.restarts == len(SILENCES))
-        assert kinds == {Flow.STARTING, Flow.BEAM_BROKEN, Flow.SILENT}
+        # STARTING lasts for a moment, in which a busy computer may not look
+        assert kinds - {Flow.STARTING} == {Flow.BEAM_BROKEN, Flow.SILENT}
         assert 'sends nothing' in backend.trouble
         assert np.all(np.diff(tracker.starts) > SILENCES)
         assert backend.health.interruptions == 0 and not backend.health.gaps
