@@ -252,7 +252,7 @@ class OpenQuestion:
     effect : str
         A cause, or an effect that was not visible.
     rival : str
-        Effect that the cause was not told from; empty for an effect that was not visible.
+        Effect that the cause was indistinguishable from; empty for an effect that was not visible.
     cause : AppliedEffect, optional
         The cause with its parameters.
     """

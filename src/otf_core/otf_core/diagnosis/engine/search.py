@@ -476,7 +476,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> tuple[list[Cause] | None, l
 def _given_others(
     cause: Cause, own: RankedOption, ranking: Ranking, others: Sequence[Cause]
 ) -> Cause:
-    """A cause with what it is not told from, and how sure it is, beside the others."""
+    """A cause with what it is indistinguishable from, and its confidence, beside the others."""
     first = [own, *(e for e in ranking if e is not own)]
     weights = _weights(first)
     known = {c.option.effect.name for c in others}
@@ -502,7 +502,7 @@ def _share_of_first(ranking: Ranking, weights: Array) -> float:
 
 
 def _cause(ranking: Ranking, beside: ProductsBeside, variance: float) -> Cause:
-    """The first of a ranking as a cause, with what is not told from it."""
+    """The first of a ranking as a cause, with what is indistinguishable from it."""
     rows, candidates = beside.rows, beside.candidates
     basis, residual = beside.basis, beside.residual
     score, tried, take = ranking[0]
