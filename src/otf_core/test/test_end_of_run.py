@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import record, small_plan, some_machine
+from rotary_cells import machine as rotary_machine
 
 from otf_core.config import CalibrationConfig
+from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.observation import Samples
+from otf_core.rotary import run_progress, track
 from otf_core.tracking.alignment import align, follow_track
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -111,3 +114,30 @@ def test_samples_out_of_order_are_looked_at_by_stamp_and_no_travel_to_and_fro():
         watcher.add(int(samples.stamp_ns[i]), *samples.xyz[i].tolist())
     assert watcher.look(Samples(samples.stamp_ns[order], samples.xyz[order])).to_the_end
     assert 0.97 < watcher.travelled / RECORDING.path.length < 1.03
+
+
+def test_work_of_looking_at_parts_is_that_of_the_new_samples(monkeypatch):
+    machine, rng = rotary_machine(), np.random.default_rng(12)
+    q = np.zeros((30, len(machine.axis_names)))
+    for k, name in enumerate('XYZ'):
+        q[:, k] = rng.uniform(machine.axes[name].min, machine.axes[name].max, len(q))
+    path = nominal_track(machine, [AxisPath(machine.axis_names, q)])
+    way = np.append(0.0, np.cumsum(path.leg_lengths))
+    reach = np.linspace(0.0, way[-1], 300_000)
+    xyz = np.stack([np.interp(reach, way, own) for own in path.points.T], axis=1)
+    noisy = xyz + 2e-6 * rng.normal(size=xyz.shape)
+    samples = Samples(np.arange(len(xyz)) * 2_000_000, noisy)
+
+    watcher, visited, compared = run_progress.PartsWatcher(path, CONFIG), [], []
+    moved, match = track._moved, run_progress.match
+    monkeypatch.setattr(track, '_moved', lambda p, last: visited.append(len(p)) or moved(p, last))
+    monkeypatch.setattr(
+        run_progress, 'match', lambda *a, **k: compared.append(len(a[0])) or match(*a, **k)
+    )
+    ends = [watcher.look(samples.part(0, k)) for k in range(250, len(xyz) + 1, 250)]
+    at_the_end = [k for k, seen in enumerate(ends) if seen.to_the_end]
+    assert at_the_end[-1] == len(ends) - 1 and at_the_end[0] > 0.98 * len(ends)
+    assert (
+        len(compared) <= 2
+    )  # each visits all samples twice: to split and to follow
+    assert sum(visited) <= (1 + 2 * len(compared)) * len(xyz) / 10

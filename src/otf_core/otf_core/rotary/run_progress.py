@@ -7,13 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.axis_path import PartsTrack
+from otf_core.model.frames import RigidTransform
+from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.curve_matching import BREAK, apply_location_errors, match, sight_at
-from otf_core.rotary.track import Curve, Track
+from otf_core.rotary.curve_matching import (
+    BREAK,
+    SAME_LENGTH,
+    apply_location_errors,
+    match,
+    sight_at,
+)
+from otf_core.rotary.track import Curve, GrowingLength
 from otf_core.threads import limit_to_one_thread
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -22,6 +31,8 @@ PART_DRIVEN = 0.9
 """Share of a part after which a broken beam is taken for the move to the next one."""
 LAST_DRIVEN = 0.985
 """Share of the length of the last part that has to be driven at the end of a run."""
+FURTHER = 0.01
+"""Share of the last part after which samples that did not follow the path are compared again."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +42,35 @@ class PartsDriven:
     to_the_end: bool
 
 
+@dataclass(frozen=True)
+class _LastPart:
+    """The last part as samples follow it.
+
+    Attributes
+    ----------
+    end : ndarray, shape (3,), m
+        Its end point, in the frame of the tracker's link.
+    driven, length : float
+        m; what was driven when the samples were compared with the path, and its whole curve.
+    """
+
+    pose: RigidTransform
+    end: Array
+    driven: float
+    length: float
+
+    @property
+    def nearly_whole(self) -> bool:
+        """Whether it was driven so far that pose and length stay as they are."""
+        return self.driven >= PART_DRIVEN * self.length
+
+
 class PartsWatcher(PathWatcher):
     """Follows a run of several parts; the beam is broken between them.
+
+    A comparison of all samples with the path takes as long as they are many, and where the linear
+    axes follow a rotation the target nearly stands all the time. So samples are compared before
+    the last part is over and once more near its end; else only new samples are looked at.
 
     Attributes
     ----------
@@ -51,6 +89,10 @@ class PartsWatcher(PathWatcher):
         self._at_break = False
         self.part = 1
         self.starts: list[int] = []
+        self._driven: GrowingLength | None = None
+        self._looked = 0
+        self._worth_comparing = 0.0
+        self._last_part: _LastPart | None = None
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
@@ -81,21 +123,57 @@ class PartsWatcher(PathWatcher):
     def look(self, samples: Samples) -> PartsDriven | None:  # type: ignore[override]
         """Tell whether the samples follow all parts to the end of the last; None if they do not.
 
-        They may be in the order of their arrival.
+        Parameters
+        ----------
+        samples : Samples
+            All of the run up to a moment, no earlier one than at the last call. They may be in the
+            order of their arrival.
         """
-        samples, track = samples.in_order(), self._track
+        samples = samples.in_order()
+        new = samples.stamp_ns[max(0, self._looked - 1) :]
+        self._looked = len(samples)
+        if self._driven is None or (np.diff(new) >= BREAK_NS).any():
+            self._driven = self._begin(samples)
+        driven = self._driven.up_to(samples)
+        if driven < self._worth_comparing:
+            return PartsDriven(False)
+        known = self._last_part
+        if known is None or not known.nearly_whole:
+            known = self._last_part = self._compare(samples)
+            if known is None:
+                self._worth_comparing = (1.0 + FURTHER) * driven
+                return None
+            driven = known.driven
+            if not known.nearly_whole:
+                self._worth_comparing = PART_DRIVEN * known.length
+        off = float(np.linalg.norm(known.pose.apply(samples.xyz[-1:])[0] - known.end))
+        return PartsDriven(off < self._tolerance and driven >= LAST_DRIVEN * known.length)
+
+    def _begin(self, samples: Samples) -> GrowingLength:
+        """Take the samples since the last break for the last part, if all others are driven."""
+        track, self._last_part, self._worth_comparing = self._track, None, 0.0
+        if self.part < len(track.parts):
+            return GrowingLength(0, samples.step)
+        last = track.parts[-1]
+        nominal = Curve.of(Sight.of_target(track.machine, last.target), last.positions).length
+        self._worth_comparing = PART_DRIVEN * (1.0 - SAME_LENGTH) * nominal
+        return GrowingLength(self.starts[-1] if self.starts else 0, samples.step)
+
+    def _compare(self, samples: Samples) -> _LastPart | None:
+        """Compare all samples with the path; None if they do not follow it."""
+        track = self._track
         try:
             matched = match(samples, track.machine, track.parts, quick=True)
         except InputError:
             return None
         last = matched.parts[-1]
+        if self._driven is None or self._driven.first != last.first:  # broken on its way, too
+            self._driven = GrowingLength(last.first, samples.step)
         actual = apply_location_errors(track.machine, matched.location)
         sight = sight_at(actual, last.path.target, matched.places)
         curve = Curve.of(sight, last.path.positions)
-        driven = Track.of(samples, last.first, last.last).length
-        off = matched.pose.apply(samples.xyz[last.last - 1 : last.last])[0] - curve.points[-1]
-        near = float(np.linalg.norm(off)) < self._tolerance
-        return PartsDriven(near and driven >= LAST_DRIVEN * curve.length)
+        driven = self._driven.up_to(samples)
+        return _LastPart(matched.pose, curve.points[-1], driven, curve.length)
 
 
 def watcher_of(path: NominalPath, config: CalibrationConfig) -> PathWatcher:

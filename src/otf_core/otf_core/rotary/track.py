@@ -59,7 +59,7 @@ class Track:
         count = (last - first) // every
         xyz = samples.xyz[first : first + count * every].reshape(count, every, 3).mean(axis=1)
         time = samples.time[first : first + count * every].reshape(count, every).mean(axis=1)
-        selected = _moved(xyz)
+        selected = np.append(0, _moved(xyz, xyz[0]))
         reach = np.linalg.norm(np.diff(xyz[selected], axis=0), axis=1).cumsum()
         return cls(xyz[selected], time[selected], np.append(0.0, reach))
 
@@ -75,15 +75,52 @@ class Track:
         return Track(xyz, np.interp(reach, self.reach, self.time), reach)
 
 
-def _moved(xyz: Array) -> Index:
-    """Points (k,) that are ``LEAST_MOVE`` away from the one before among them."""
-    selected, last = [0], xyz[0]
+def _moved(xyz: Array, last: Array) -> Index:
+    """Points (k,) that are ``LEAST_MOVE`` away from the one before among them, first ``last``."""
+    selected = []
     for k, point in enumerate(xyz):
         away = point - last
         if away @ away > LEAST_MOVE**2:
             selected.append(k)
             last = point
-    return np.array(selected)
+    return np.array(selected, dtype=np.int64)
+
+
+class GrowingLength:
+    """Arc length of a track that gets longer; only new samples are looked at.
+
+    Attributes
+    ----------
+    first : int
+        Sample at which the track begins.
+    counted : int
+        Samples up to the last that is in the length.
+    """
+
+    def __init__(self, first: int, step: float) -> None:
+        self.first = self.counted = first
+        self._every = max(1, round(PERIOD / max(step, 1e-6)))
+        self._last: Array | None = None
+        self._length = 0.0
+
+    def up_to(self, samples: Samples) -> float:
+        """Arc length up to the last sample, as ``Track.of`` has it, m.
+
+        Parameters
+        ----------
+        samples : Samples
+            All from the beginning of the recording; those before ``counted`` as before.
+        """
+        count = max(0, len(samples) - self.counted) // self._every
+        if count:
+            new = samples.xyz[self.counted : self.counted + count * self._every]
+            xyz = new.reshape(count, self._every, 3).mean(axis=1)
+            last = xyz[0] if self._last is None else self._last
+            points = np.concatenate([last[None], xyz[_moved(xyz, last)]])
+            self._length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            self._last = points[-1]
+            self.counted += count * self._every
+        return self._length
 
 
 @dataclass(frozen=True)
