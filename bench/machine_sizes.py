@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time and memory by size: large machines, long recordings, five axes, many machines.
 
-Two sizes each, so that a row shows whether its costs grow in proportion. Every command is a
-process of its own, start of Python included:
+Two or three sizes each, so that a row shows whether its costs grow in proportion. Every command is
+a process of its own, start of Python included:
 
 - ``nodes``: a gantry of 3 m and of 6 m in X, 2 m x 1 m, nodes 50 mm apart; its path, driven once,
   is simulated at 500 samples per second and calibrated (number of samples);
 - ``samples``: 5 and 10 million samples of the demo machine, see ``calibrate_speed.py --growth``;
 - ``axes``: a trunnion with 150 000 and 300 000 samples;
-- ``machines``: ``otf history`` with the page of a store of 100 and 200 machines, calibrated four
-  times each.
+- ``machines``: ``otf history`` with the page of a store of 10, 100 and 200 machines, calibrated
+  four times each.
 
 Usage: python bench/machine_sizes.py [--only nodes,samples,axes,machines] [--folder SCRATCH]
 """
@@ -78,11 +78,11 @@ def stores(folder: Path) -> Iterator[Line]:
     measured([*CLI, 'simulate', '--machine', MACHINE, '--out', bag, '--rate', '50', '--seed', '1'])
     measured(command(bag, folder / 'tables'))
     found = json.loads((folder / 'tables/error_tables.json').read_text(encoding='utf-8'))
-    for machines in (100, 200):
+    for machines in (10, 100, 200):
         store = folder / f'store-{machines}'
         measured([__file__, '--fill', store, '--from', write(found, folder), str(machines)])
         out = ['--out', folder / f'page-{machines}', '--quiet']
-        yield 'machines of a history', machines, measured([*CLI, 'history', store, *out])
+        yield 'page of a history', machines, measured([*CLI, 'history', store, *out])
 
 
 def write(data: dict, folder: Path) -> Path:

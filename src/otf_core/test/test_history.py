@@ -34,7 +34,12 @@ from otf_core.model.tables import (
 )
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.history_report import format_history, history_page, history_to_dict
+from otf_core.reports.history_report import (
+    format_history,
+    history_page,
+    history_to_dict,
+    report_machine,
+)
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 
@@ -212,7 +217,7 @@ def head_of(*histories):
     """Badge, its class and sentence of a page."""
     found = re.search(
         r'class="badge (\w+)">(.*?)</span>.*?class="verdict">(.*?)</p>',
-        history_page(histories), re.S,
+        history_page([report_machine(h) for h in histories]), re.S,
     )  # fmt: skip
     return found.groups()
 
@@ -228,7 +233,7 @@ def test_a_machine_of_which_one_run_follows_an_event_is_not_called_steady(found,
     assert (mood, badge) == ('open', 'changed')
     assert 'EXX by' in sentence and 'after X scale replaced (2029-06-01)' in sentence
     assert 'cannot be assessed yet' in sentence
-    assert not re.search('steady', history_page([h]), re.I)
+    assert not re.search('steady', history_page([report_machine(h)]), re.I)
 
 
 def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(found, tmp_path):
@@ -250,7 +255,7 @@ def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 0.0], 22)
     wide = found.data['headline']['expected_after_compensation']['U']['mean']
     share = f'up to about {micro_significant(2**0.5 * wide)} in the volume'
-    page = history_page([h]).replace('\u00a0', ' ').replace('µ', 'u')
+    page = history_page([report_machine(h)]).replace('\u00a0', ' ').replace('µ', 'u')
     assert share in format_history(h) and share in page
     assert f'U = {micro_significant(wide)}' in page
     assert 'valid only at the target offset (20, -30, -150) mm: ' in format_history(h)
@@ -296,7 +301,7 @@ def test_charts_have_dates_events_and_the_reference_and_no_line_across_an_event(
         add_run(tmp_path / 'store', file)
     add_event(tmp_path / 'store', 'moved', '2027-06-01')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    pictures = re.findall(r'<svg.*?</svg>', history_page([h]), re.S)
+    pictures = re.findall(r'<svg.*?</svg>', history_page([report_machine(h)]), re.S)
     for picture in pictures:
         texts = re.findall(r'<text[^>]*>(.*?)</text>', picture)
         assert {'2027', '2028'} <= set(texts) and 'days' not in texts

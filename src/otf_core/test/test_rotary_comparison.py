@@ -120,8 +120,8 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     }
     written(folder, 'error_tables', tables, **extra)
     outcomes = {'one': JobResult(0, '', 'x')}
-    _, (row,), _ = fleet_rows('calibrate', tmp_path, outcomes)
+    columns, (row,), shared = fleet_rows('calibrate', tmp_path, outcomes)
     assert 'X0C 12.5 +/- 2.0 um' in row[-1]
     assert 'A0C not known' in row[-1]
     assert row[3].words == 'broken'
-    assert 'X0C' in fleet_page('calibrate', tmp_path, outcomes)
+    assert 'X0C' in fleet_page('calibrate', outcomes, columns, [row], shared)

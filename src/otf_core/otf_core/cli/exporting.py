@@ -195,7 +195,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.control_chart import history_of
     from otf_core.history.store import read_store
-    from otf_core.reports.history_report import format_history, store_to_dict, write_history
+    from otf_core.reports.history_report import report_machine, store_to_dict, write_history
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')
@@ -210,23 +210,26 @@ def run_history(arguments: argparse.Namespace) -> int:
             f'--name: no {arguments.name} in the store; it contains: {", ".join(store.machines)}'
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
-    histories: list[History] = [history_of(store, m, limit) for m in machines]
-    words = '\n\n'.join(map(format_history, histories))
-    if out is not None:
-        with out.filled('history') as folder:
-            names = [f.name for f in write_history(histories, folder)]
-            if len(histories) == 1 and not _machine_of(histories[0]).rotary_names:
-                names.append(_interim_path(histories[0], folder))
-        words += report_files([out.path / n for n in names], arguments.out)
-    data = store_to_dict(histories)
-    if arguments.interim is None:
-        answer(arguments, words, data)
-        return 0
-    if len(histories) > 1:
+    if arguments.interim is not None and len(machines) > 1:
         raise ConfigError(
             f'--interim: the store contains several machines; give --name {"|".join(machines)}'
         )
-    check = _interim_check(histories[0], arguments.interim)
+    reports, alone = [], len(machines) == 1
+    for machine in machines:  # one at a time: its tables take megabytes
+        history = history_of(store, machine, limit)
+        reports.append(report_machine(history, alone=alone, drawn=out is not None))
+    words = '\n\n'.join(report.words for report in reports)
+    if out is not None:
+        with out.filled('history') as folder:
+            names = [f.name for f in write_history(reports, folder)]
+            if alone and not _machine_of(history).rotary_names:
+                names.append(_interim_path(history, folder))
+        words += report_files([out.path / n for n in names], arguments.out)
+    data = store_to_dict(reports)
+    if arguments.interim is None:
+        answer(arguments, words, data)
+        return 0
+    check = _interim_check(history, arguments.interim)
     data['interim'] = {**asdict(check), 'ratio': check.ratio, 'holds': check.holds}
     answer(arguments, f'{words}\n\n{check.words}', data)
     return 0 if check.holds else QUALITY_GATE_FAILED

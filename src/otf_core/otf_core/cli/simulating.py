@@ -520,15 +520,14 @@ def run_fleet_verb(arguments: argparse.Namespace) -> int:
 def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     """Calibrate or diagnose recordings."""
     from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
-    from otf_core.reports.fleet_report import format_fleet, offset_warnings, write_fleet
+    from otf_core.reports.fleet_report import format_fleet, write_fleet
 
     verb = arguments.what
     runs = read_list(arguments.list)
     folder = take_folder(Path(arguments.out), verb)
     jobs = listed_jobs(verb, runs, folder)
     outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
-    files = write_fleet(verb, folder, outcomes)
-    warnings = offset_warnings(verb, folder, outcomes)
+    files, warnings = write_fleet(verb, folder, outcomes)
     words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
         files, arguments.out
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
@@ -50,7 +50,7 @@ HASH_DIGITS = 12
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A calibration of the store.
+    """A calibration of the store; its tables are read on first use.
 
     Attributes
     ----------
@@ -58,16 +58,20 @@ class StoredRun:
         First digits of its hash.
     at : datetime
         When it was measured, UTC.
+    machine : str
+    path : Path
+        File of the store.
     """
 
     name: str
     at: datetime
-    content: TablesFile
+    machine: str
+    path: Path
 
-    @property
-    def machine(self) -> str:
-        """Name of the machine."""
-        return self.content.tables.machine.name
+    @cached_property
+    def content(self) -> TablesFile:
+        """Tables with their covariances: some megabytes."""
+        return _tables_of(_read_entry(self.path), self.path)
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,9 @@ class Store:
         return list(dict.fromkeys(run.machine for run in reversed(self.runs)))
 
     def of(self, machine: str) -> Store:
-        """What belongs to one machine."""
+        """What belongs to one machine; the tables that are read of it are not kept here."""
         return Store(
-            tuple(r for r in self.runs if r.machine == machine),
+            tuple(replace(r) for r in self.runs if r.machine == machine),
             tuple(e for e in self.events if e.machine in ('', machine)),
         )
 
@@ -175,7 +179,7 @@ def _add(folder: Path, entry: dict[str, Any]) -> tuple[str, bool]:
 
 
 def read_store(folder: str | Path) -> Store:
-    """Read all of a store.
+    """Read a store: all of it is checked, of the runs only what identifies them is kept.
 
     Raises
     ------
@@ -197,11 +201,15 @@ def read_store(folder: str | Path) -> Store:
         if entry['kind'] == EVENT:
             events.append(StoredEvent(at, str(entry['machine']), str(entry['words'])))
         else:
-            content = tables_from_dict(entry['tables'], str(path))
-            runs.append(StoredRun(path.stem[:HASH_DIGITS], at, content))
+            machine = _tables_of(entry, path).tables.machine.name
+            runs.append(StoredRun(path.stem[:HASH_DIGITS], at, machine, path))
     if not runs:
         raise ConfigError(f'{folder}: holds no runs; otf history {folder} --add RESULTS adds one')
     return Store(_in_time(runs), tuple(sorted(events, key=lambda e: (e.at, e.words))))
+
+
+def _tables_of(entry: Mapping[str, Any], path: Path) -> TablesFile:
+    return tables_from_dict(entry['tables'], str(path))
 
 
 def _in_time(runs: Sequence[StoredRun]) -> tuple[StoredRun, ...]:

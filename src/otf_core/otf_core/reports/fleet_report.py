@@ -99,13 +99,13 @@ def _squareness(data: Mapping[str, Any], name: str) -> str:
     return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
 
 
-def offset_remarks(results: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """What is to be minded where values hold at the target offset of their own run only."""
-    bound = {
-        name: data['target_offset_bound']
-        for name, data in results
-        if 'target_offset_bound' in data
-    }
+def offset_remarks(bound: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What is to be minded where values hold at the target offset of their own run only.
+
+    Parameters
+    ----------
+    bound : mapping of run to its ``target_offset_bound``
+    """
     contains = [
         n for n in (*SQUARENESS, *MOTIONS) if any(n in b['contains'] for b in bound.values())
     ]
@@ -155,14 +155,20 @@ def fleet_rows(
         'calibrate' or 'diagnose'.
     outcomes : mapping of run to JobResult
     """
-    finished = list(listed_results(verb, folder, outcomes))
+    rows: list[Row] = []
+    bound, counts = {}, Counter[str]()
+    for name, data in listed_results(verb, folder, outcomes):
+        if verb == 'calibrate':
+            rows.append(_calibrated(name, data, outcomes[name].message))
+            if 'target_offset_bound' in data:
+                bound[name] = data['target_offset_bound']
+        else:
+            rows.append(_diagnosed(name, data, outcomes[name].message))
+            counts.update(set(cause_names(data)))
     if verb == 'calibrate':
-        rows = [_calibrated(name, data, outcomes[name].message) for name, data in finished]
-        return TABLE_COLUMNS, rows, offset_remarks(finished)
-    rows = [_diagnosed(name, data, outcomes[name].message) for name, data in finished]
-    counts = Counter(cause for _, data in finished for cause in set(cause_names(data)))
+        return TABLE_COLUMNS, rows, offset_remarks(bound)
     shared = [
-        f'{cause}: {count} of {len(finished)} runs'
+        f'{cause}: {count} of {len(rows)} runs'
         for cause, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
         if count > 1
     ]
@@ -181,9 +187,14 @@ def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = 
     return '\n'.join(lines)
 
 
-def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> str:
-    """Return the page of machines side by side: self-contained HTML."""
-    columns, rows, shared = fleet_rows(verb, folder, outcomes)
+def fleet_page(
+    verb: str,
+    outcomes: Mapping[str, JobResult],
+    columns: Sequence[str],
+    rows: Sequence[Row],
+    shared: Sequence[str],
+) -> str:
+    """Return the page of machines side by side: self-contained HTML of ``fleet_rows``."""
     numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
     failed = tuple((n, str(o.exit), o.message) for n, o in outcomes.items() if not o.done)
     counts = [f'{len(rows)} of {len(outcomes)} runs done', f'{len(failed)} failed']
@@ -197,7 +208,7 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
         Section(
             'runs',
             'Side by side',
-            tables=(Table(columns, tuple(map(tuple, rows)), numbers, stacked=True),),
+            tables=(Table(tuple(columns), tuple(map(tuple, rows)), numbers, stacked=True),),
         ),
     ]
     if failed:
@@ -211,19 +222,23 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
     return page_html(heading, sections)
 
 
-def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[Path]:
-    """Write fleet.json and fleet.html into the folder of a fleet."""
-    write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
-    file = write_outcomes(verb, folder, outcomes, offset_warnings(verb, folder, outcomes))
+def write_fleet(
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
+) -> tuple[list[Path], list[str]]:
+    """Write fleet.json and fleet.html into the folder of a fleet.
+
+    Returns
+    -------
+    files : list of Path
+    warnings : list of str
+        What is to be minded where calibrations with differing target offsets lie side by side.
+    """
+    columns, rows, shared = fleet_rows(verb, folder, outcomes)
+    write_text(folder / PAGE, fleet_page(verb, outcomes, columns, rows, shared))
+    warnings = shared if verb == 'calibrate' else []
+    file = write_outcomes(verb, folder, outcomes, warnings)
     list_results(verb, folder)
-    return [file, folder / PAGE]
-
-
-def offset_warnings(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[str]:
-    """What is to be minded where calibrations with differing target offsets lie side by side."""
-    if verb != 'calibrate':
-        return []
-    return offset_remarks(list(listed_results(verb, folder, outcomes)))
+    return [file, folder / PAGE], warnings
 
 
 def list_results(verb: str, folder: Path) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -145,9 +146,9 @@ def _date(history: History, days: float) -> str:
     return 'a day beyond 100 years' if moment is None else moment[:10]
 
 
-def store_to_dict(histories: Sequence[History]) -> dict[str, Any]:
+def store_to_dict(reports: Sequence[MachineReport]) -> dict[str, Any]:
     """Return all machines as plain data: history.json."""
-    return {'schema': SCHEMA, 'machines': [history_to_dict(h) for h in histories]}
+    return {'schema': SCHEMA, 'machines': [report.data for report in reports]}
 
 
 def _sized(name: str, change: Change, times: float = 1.0) -> str:
@@ -370,6 +371,33 @@ def _marks_words(history: History) -> str:
     )
 
 
+def _pictures(history: History) -> list[Picture]:
+    """Control charts of the volume and of every motion."""
+    error = (
+        'Mean length of the error vectors in the volume by every run, best rigid motion '
+        'removed, with its uncertainty by what is declared (area, 95 %). '
+    )
+    change = (
+        'Change since the first run, root mean square over the axis (line), and twice the '
+        'value expected from the uncertainties of both runs without a change (area)'
+        '. Rings: significant ('
+        '0.27 % for all motions of a run together). A change that is undone returns to '
+        'zero; this says nothing about the size of the errors. '
+    )
+    marks = _marks_words(history)
+    volume = (
+        _error_chart(history),
+        _change_chart(history, 'change in the volume', history.volume),
+    )
+    motions = tuple(
+        _change_chart(history, n, [c[n] for c in history.chart]) for n in history.series.parts
+    )
+    return [
+        Picture(volume, error + marks, columns=2, title='Volume: error, and change'),
+        Picture(motions, change + marks, columns=3, title='Change of every motion'),
+    ]
+
+
 def _sections(history: History, *, alone: bool) -> list[Section]:
     state = () if alone else (state_words(history),)  # the headline says it of one machine
     words = (
@@ -395,36 +423,12 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
         for s in history.steps
     ]
 
-    def pictures() -> Sequence[Picture]:
-        error = (
-            'Mean length of the error vectors in the volume by every run, best rigid motion '
-            'removed, with its uncertainty by what is declared (area, 95 %). '
-        )
-        change = (
-            'Change since the first run, root mean square over the axis (line), and twice the '
-            'value expected from the uncertainties of both runs without a change (area)'
-            '. Rings: significant ('
-            '0.27 % for all motions of a run together). A change that is undone returns to '
-            'zero; this says nothing about the size of the errors. '
-        )
-        marks = _marks_words(history)
-        volume = (
-            _error_chart(history),
-            _change_chart(history, 'change in the volume', history.volume),
-        )
-        motions = tuple(
-            _change_chart(history, n, [c[n] for c in history.chart]) for n in history.series.parts
-        )
-        return [
-            Picture(volume, error + marks, columns=2, title='Volume: error, and change'),
-            Picture(motions, change + marks, columns=3, title='Change of every motion'),
-        ]
-
+    pictures = _pictures(history)
     anchor = ''.join(c if c.isalnum() else '-' for c in history.machine)
     return [
         Section(f'{anchor}-drift', history.machine, words),
         Section(f'{anchor}-runs', 'From run to run', tables=(Table(head, tuple(rows), (1, 2)),)),
-        Section(f'{anchor}-chart', 'Control charts', draw=pictures),
+        Section(f'{anchor}-chart', 'Control charts', draw=lambda: pictures),
     ]
 
 
@@ -479,34 +483,77 @@ def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:
     return tuple(tiles)
 
 
-def _heading(histories: Sequence[History]) -> Heading:
+def _badge(state: MachineStatus) -> tuple[State]:
+    return (State(state.value, BADGE.get(state, 'open')),)
+
+
+@dataclass(frozen=True)
+class MachineReport:
+    """What is stated of one machine, without the tables and covariances that it rests on.
+
+    Attributes
+    ----------
+    words : str
+        For a terminal.
+    data : mapping
+        Plain data, SI units.
+    heading : Heading
+        Of the page, if there is no other machine on it.
+    sections : sequence of Section
+        Of the page, drawn; empty if no page is wanted.
+    """
+
+    machine: str
+    standing: MachineStatus
+    words: str
+    data: Mapping[str, Any]
+    heading: Heading
+    sections: Sequence[Section]
+
+
+def report_machine(history: History, *, alone: bool = True, drawn: bool = True) -> MachineReport:
+    """Describe and draw one machine.
+
+    Parameters
+    ----------
+    alone : bool
+        Whether it is the only one of its page.
+    drawn : bool
+        Whether a page is wanted.
+    """
+    return MachineReport(
+        history.machine,
+        history.standing,
+        format_history(history),
+        history_to_dict(history),
+        Heading(
+            f'History of {history.machine}',
+            state_words(history),
+            _badge(history.standing),
+            _tiles(history),
+        ),
+        _sections(history, alone=alone) if drawn else (),
+    )
+
+
+def _heading(reports: Sequence[MachineReport]) -> Heading:
     """The state of one machine in its words; of several how many are in which."""
-    tiles: tuple[tuple[str, str, str], ...] = ()
-    if len(histories) == 1:
-        tiles = _tiles(histories[0])
-        state, sentence = histories[0].standing, state_words(histories[0])
-        title = f'History of {histories[0].machine}'
-    else:
-        named = {s: [h.machine for h in histories if h.standing is s] for s in MachineStatus}
-        state = max((s for s in MachineStatus if named[s]), key=list(MachineStatus).index)
-        sentence = '; '.join(f'{s.value}: {", ".join(m)}' for s, m in named.items() if m) + '.'
-        title = f'History of {len(histories)} machines'
-    badge = State(state.value, BADGE.get(state, 'open'))
-    return Heading(title, sentence, (badge,), tiles)
+    if len(reports) == 1:
+        return reports[0].heading
+    named = {s: [r.machine for r in reports if r.standing is s] for s in MachineStatus}
+    state = max((s for s in MachineStatus if named[s]), key=list(MachineStatus).index)
+    sentence = '; '.join(f'{s.value}: {", ".join(m)}' for s, m in named.items() if m) + '.'
+    return Heading(f'History of {len(reports)} machines', sentence, _badge(state))
 
 
-def history_page(histories: Sequence[History]) -> str:
+def history_page(reports: Sequence[MachineReport]) -> str:
     """Return the page: self-contained HTML."""
-    sections = [
-        Section('top', ''),
-        *(s for h in histories for s in _sections(h, alone=len(histories) == 1)),
-    ]
-    return page_html(_heading(histories), sections)
+    sections = [Section('top', ''), *(s for r in reports for s in r.sections)]
+    return page_html(_heading(reports), sections)
 
 
-def write_history(histories: Sequence[History], folder: Path) -> list[Path]:
+def write_history(reports: Sequence[MachineReport], folder: Path) -> list[Path]:
     """Write history.json and history.html; the folder exists."""
-    data: Mapping[str, Any] = store_to_dict(histories)
-    write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
-    write_text(folder / PAGE, history_page(histories))
+    write_text(folder / FILE, json.dumps(store_to_dict(reports), indent=1) + '\n')
+    write_text(folder / PAGE, history_page(reports))
     return [folder / FILE, folder / PAGE]
