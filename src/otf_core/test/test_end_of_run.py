@@ -137,7 +137,5 @@ def test_work_of_looking_at_parts_is_that_of_the_new_samples(monkeypatch):
     ends = [watcher.look(samples.part(0, k)) for k in range(250, len(xyz) + 1, 250)]
     at_the_end = [k for k, seen in enumerate(ends) if seen.to_the_end]
     assert at_the_end[-1] == len(ends) - 1 and at_the_end[0] > 0.98 * len(ends)
-    assert (
-        len(compared) <= 2
-    )  # each visits all samples twice: to split and to follow
+    assert len(compared) <= 2  # each visits all samples twice: to split and to follow
     assert sum(visited) <= (1 + 2 * len(compared)) * len(xyz) / 10
