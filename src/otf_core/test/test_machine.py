@@ -281,6 +281,11 @@ def test_five_axes_are_read_and_written_back(read):
         ('tool: {u', 'tool: {link: w, u', "targets: tool: place: the target 'tool'"),
         ('w-C-A-b', 'w-C-A-B-b', 'rotary axes C, A, B; each'),
         ('u: 1.0e-3}', 'u: 1.0e-3, height: 1}', 'targets: nest-1: height: unknown key'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, facings: 2.5}', 'facings: expected a whole number, got 2.5'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, facings: 90}', 'facings: 90 is out of range'),
+        ('u: 1.0e-3}', 'u: 0.0, facings: 3}', 'nest-1: facings: goes with u above 0'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, u_facing: 1.0e-6}', 'u_facing: goes with facings'),
+        ('u: 5.0e-6}', 'u: 5.0e-6, facings: 3}', 'tool: facings: of a reflector on the table'),
     ],
 )  # fmt: skip
 def test_mistakes_in_rotary_axes_and_targets_name_the_key(read, old, new, words):

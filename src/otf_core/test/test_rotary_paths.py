@@ -21,7 +21,8 @@ from otf_core.planning import line_of_sight as sight
 from otf_core.planning import rotary_forecast as forecast
 from otf_core.planning import rotary_paths as paths
 from otf_core.planning.clearance import near_misses
-from otf_core.planning.part_choice import choose_parts, hand_moves
+from otf_core.planning.facings import facing_chains
+from otf_core.planning.part_choice import choose_parts, work_by_hand
 
 FEED = PlannerConfig(feed=0.1, levels=2)
 PLACES = {'a': [0.2, 0.03, 0.1], 'b': [-0.09, 0.16, 0.06], 'c': [-0.07, -0.17, 0.13]}
@@ -188,11 +189,48 @@ def test_a_budget_is_kept_and_spent_on_all_errors_that_can_be_seen():
     parts = choose_parts(machine, place, FEED, judge, time_budget=1800.0)
     driving = sum(forecast.duration_of(machine, p, FEED) for p in parts)
     turns = sum(sight.facings_needed(s) - 1 for s in sight.sights(machine, place).values())
-    assert driving + paths.HAND_MOVE * hand_moves(parts) + sight.HAND_TURN * turns <= 1800.0
+    assert (
+        driving + paths.HAND_MOVE * work_by_hand(machine, parts)[0] + sight.HAND_TURN * turns
+        <= 1800.0
+    )
     found = forecast.forecast_parts(machine, parts, place, FEED, judge)
     assert set(found.hidden) <= {'ECX', 'ECZ', 'EAZ', 'EBZ', 'EXZ', 'EYZ', 'A0Z', 'B0Z'}
     with pytest.raises(ConfigError, match='the shortest chain alone takes'):
         choose_parts(machine, place, FEED, judge, time_budget=5.0)
+
+
+def with_facings(machine, count):
+    """The same machine with reflectors on the table that are turned by hand."""
+    data = machine.to_dict()
+    for own in data['targets'].values():
+        own |= {'facings': count} if own['link'] == 'w' else {}
+    return machine_from_dict(data)
+
+
+def test_a_reflector_that_is_turned_stays_in_its_cone_from_the_start_of_each_part():
+    machine = with_facings(trunnion(), 4)
+    assert machine_from_dict(machine.to_dict()).targets == machine.targets
+    place = sight.default_tracker_place(machine)
+    chains = facing_chains(machine, place)
+    assert len({c.target for c in chains}) == 3 * 4
+    for chain in chains:
+        steps = np.linspace(chain.corners[:-1], chain.corners[1:], 15).reshape(-1, 5)
+        beam = sight.beams(machine, chain.target, place, steps)
+        assert sight.in_view(machine, chain.target, beam).all()
+        aimed = sight.beams(machine, chain.target, place, chain.corners[:1])[0]
+        assert np.all(beam @ aimed > np.cos(np.radians(30.0)))
+
+
+def test_facings_show_what_a_reflector_shows_that_is_seen_throughout():
+    machine = with_facings(trunnion(), 4)
+    place = sight.default_tracker_place(machine)
+    parts = choose_parts(machine, place, FEED, ForecastConfig(), time_budget=2400.0)
+    moves, turns = work_by_hand(machine, parts)
+    targets = [p.path.target for p in parts]
+    assert moves + turns == len(set(targets)) - 1 and turns > 4
+    found = judged(machine, parts)
+    assert not {n for n in found.hidden if n[-1] in 'AC'}
+    assert found.u['ECC'] < 5e-6
 
 
 def test_a_swivel_head_shows_all_by_creep_with_its_other_axis_tilted():

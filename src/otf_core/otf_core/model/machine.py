@@ -56,6 +56,11 @@ FULL_TURN = 2.0 * math.pi
 USUAL_U = {TABLE: 1e-3, SPINDLE: 1e-5}
 """m; standard uncertainty of the place of a target where none is stated, by link; of ``tool`` 0. A
 second length in a spindle that leans by 100 urad is 10 um aside."""
+USUAL_U_FACING = 3e-6
+"""m; standard uncertainty of every coordinate of the centre of a reflector after it is turned in
+its nest, where none is stated."""
+MOST_FACINGS = 12
+"""Of one reflector."""
 
 Vector = tuple[float, float, float]
 
@@ -129,15 +134,27 @@ class Target:
         m, in the frame of its link: machine coordinates, all axes at zero.
     u : float
         m; standard uncertainty of every coordinate, 0 for a known place.
+    facings : int
+        Directions to which the operator may turn a reflector in its nest, see ``Machine.targets``.
+    u_facing : float
+        m; standard uncertainty of every coordinate of its centre after it is turned.
+    nest : str
+        Name of the target of which it is a facing; empty where there is one facing alone.
     """
 
     link: str
     place: Vector
     u: float = 0.0
+    facings: int = 1
+    u_facing: float = 0.0
+    nest: str = ''
 
     def to_dict(self) -> dict[str, Any]:
         """Layout of machine.yaml."""
-        return {'link': self.link, 'place': list(self.place), 'u': self.u}
+        data: dict[str, Any] = {'link': self.link, 'place': list(self.place), 'u': self.u}
+        if self.facings > 1:
+            data |= {'facings': self.facings, 'u_facing': self.u_facing}
+        return data
 
 
 @dataclass(frozen=True)
@@ -276,11 +293,20 @@ class Machine:
 
     @property
     def targets(self) -> dict[str, Target]:
-        """All places of reflectors by name, ``tool`` first."""
+        """All places of reflectors by name, ``tool`` first.
+
+        A reflector that is turned to other facings is a target of its own in each: ``nest``,
+        ``nest-facing-2``, ``nest-facing-3`` ...
+        """
         own = self.stated_targets.get(TOOL)
         offset = (*(float(v) for v in self.target_offset),)
         tool = Target(SPINDLE, (offset[0], offset[1], offset[2]), own.u if own else 0.0)
-        return {TOOL: tool, **{n: t for n, t in self.stated_targets.items() if n != TOOL}}
+        targets = {TOOL: tool}
+        for name, target in self.stated_targets.items():
+            if name != TOOL:
+                one = target if target.facings == 1 else replace(target, nest=name)
+                targets |= dict.fromkeys(facing_names(name, target.facings), one)
+        return targets
 
     def column(self, axis: str) -> int:
         """Column of an axis in positions (n, k)."""
@@ -335,6 +361,11 @@ class Machine:
         if surroundings := self.surroundings.to_dict():
             data['surroundings'] = surroundings
         return data
+
+
+def facing_names(nest: str, facings: int) -> list[str]:
+    """Names of the facings of a reflector as targets; the first one has that of its nest."""
+    return [nest, *(f'{nest}-facing-{k}' for k in range(2, facings + 1))]
 
 
 def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
@@ -422,9 +453,32 @@ def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
             own.fail('place', "the target 'tool' is at target_offset on the tool side")
         usual = 0.0 if name == TOOL else USUAL_U[link]
         u = own.number('u', low=0.0, high=0.05, unit='m', closed=True) if own.has('u') else usual
-        own.done(known=('link', 'place', 'u'))
-        targets[name] = Target(link, (place[0], place[1], place[2]), u)
+        facings, u_facing = _facings(own, link, u)
+        own.done(known=('link', 'place', 'u', 'facings', 'u_facing'))
+        targets[name] = Target(link, (place[0], place[1], place[2]), u, facings, u_facing)
+        for other in facing_names(name, facings)[1:]:
+            if other in fields.keys:
+                own.fail('facings', f"'{other}' is stated as a target of its own")
     return targets
+
+
+def _facings(own: Fields, link: str, u: float) -> tuple[int, float]:
+    """How often a reflector on the table is turned in its nest, and how well its centre stays."""
+    if not own.has('facings'):
+        if own.has('u_facing'):
+            own.fail('u_facing', 'goes with facings, which is missing')
+        return 1, 0.0
+    count = own.number('facings', low=1.0, high=MOST_FACINGS, unit='facings', closed=True)
+    if count != int(count):
+        own.fail('facings', f'expected a whole number, got {count:g}')
+    if link != TABLE:
+        own.fail('facings', 'of a reflector on the table (link: w) alone')
+    if u == 0.0:
+        own.fail('facings', 'goes with u above 0: turning a reflector moves its centre')
+    usual = USUAL_U_FACING
+    stated = own.has('u_facing')
+    u_facing = own.number('u_facing', low=1e-9, high=1e-3, unit='m') if stated else usual
+    return int(count), u_facing if count > 1 else 0.0
 
 
 def _with_stated_offset(

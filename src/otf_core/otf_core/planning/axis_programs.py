@@ -127,9 +127,7 @@ def part_program(
     ]
     lines = dialect.begin_axes(_comments(notes), number, False)
     lines += _approach(dialect, machine, part)
-    lines += dialect.say(
-        f'part {number}: put the reflector at {part.path.target}, lock the beam, record'
-    )
+    lines += dialect.say(f'part {number}: {_put_reflector(machine, part)}, lock the beam, record')
     lines += [*dialect.wait(), *_stand(dialect, config.end_dwell)]
     for k, move in enumerate(moves, start=1):
         lines += dialect.move_axes(move, False)
@@ -138,6 +136,15 @@ def part_program(
             lines += _stand(dialect, config.end_dwell if at_end else part.halt(config))
     lines += dialect.say(f'part {number} is done: stop recording, break the beam')
     return '\n'.join(dialect.finished([*lines, *dialect.wait(), *dialect.end_axes(False)])) + '\n'
+
+
+def _put_reflector(machine: Machine, part: PlannedPart) -> str:
+    """What the operator does with the reflector before a part."""
+    name = part.path.target
+    nest = machine.targets[name].nest
+    if nest in ('', name):
+        return f'put the reflector at {name}' + (', turned to the tracker' if nest else '')
+    return f'turn the reflector at {nest} to the tracker ({name})'
 
 
 def _stand(dialect: Dialect, seconds: float) -> list[str]:

@@ -61,6 +61,8 @@ def bodies(machine: Machine, place: Array, mounted: Sequence[str]) -> list[Body]
     own = []
     for link, words in ((SPINDLE, 'the reflector of the spindle ({})'), (TABLE, '{}')):
         for name, target in machine.targets.items():
+            if target.nest not in ('', name):  # another facing of the same reflector
+                continue
             if target.link == link and (link == TABLE or name in mounted):
                 own.append(Body(words.format(name), _point(link, target.place), FROM_REFLECTOR))
     boxes = machine.surroundings.boxes

@@ -63,7 +63,7 @@ def _mesh(machine: Machine, name: str) -> tuple[list[str], list[Array], Array]:
     return turning, own, positions_of(machine, **dict(zip(turning, mesh, strict=True)))
 
 
-def _beams(machine: Machine, name: str, place: Array, q: Array) -> Array:
+def beams(machine: Machine, name: str, place: Array, q: Array) -> Array:
     """Unit vectors (n, 3) from a reflector to the tracker, in the frame of the reflector's link.
 
     A reflector of the spindle stays where it is in the middle of the linear axes: they follow.
@@ -81,6 +81,12 @@ def _beams(machine: Machine, name: str, place: Array, q: Array) -> Array:
 def _lowest(machine: Machine, name: str) -> tuple[float, float]:
     """Sign of Z away from what hides a reflector, and the least component of a beam along it."""
     return (1.0, 0.0) if machine.targets[name].link == TABLE else (-1.0, -float(np.cos(BEHIND)))
+
+
+def in_view(machine: Machine, name: str, beam: Array) -> NDArray[np.bool_]:
+    """Tell of which beams (n, 3) of a reflector neither table nor spindle stands in the way."""
+    sign, least = _lowest(machine, name)
+    return np.asarray(sign * beam[:, 2] > least)
 
 
 def sight_share(
@@ -103,9 +109,9 @@ def sight_share(
         rad; of the cone of beams that the reflector returns; by default that of machine.yaml.
     """
     turning, own, q = _mesh(machine, name)
-    beam = _beams(machine, name, place, q)
+    beam = beams(machine, name, place, q)
     sign, least = _lowest(machine, name)
-    free = sign * beam[:, 2] > least
+    free = in_view(machine, name, beam)
     angle = machine.surroundings.half_angle if half_angle is None else half_angle
     k = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
     height, about = 1.0 - k * (1.0 - least), np.pi * (1.0 + 5.0**0.5) * DIRECTIONS * k
@@ -138,11 +144,12 @@ def facings_needed(sight: SightShare) -> int:
 
 
 def sights(machine: Machine, place: Array) -> dict[str, SightShare]:
-    """``sight_share`` of every target that a rotary axis turns before the tracker."""
+    """``sight_share`` of the targets that rotary axes turn before the tracker, of nests once."""
     return {
         name: sight_share(machine, name, place)
-        for name in machine.targets
-        if any(j.axis.rotary for j in Sight.of_target(machine, name).joints)
+        for name, target in machine.targets.items()
+        if target.nest in ('', name)
+        and any(j.axis.rotary for j in Sight.of_target(machine, name).joints)
     }
 
 
@@ -151,9 +158,8 @@ def _least_open(machine: Machine, place: Array) -> float:
     shares = []
     for name in machine.targets:
         if any(j.axis.rotary for j in Sight.of_target(machine, name).joints):
-            sign, least = _lowest(machine, name)
-            beam = _beams(machine, name, place, _mesh(machine, name)[2])
-            shares.append(float(np.mean(sign * beam[:, 2] > least)))
+            beam = beams(machine, name, place, _mesh(machine, name)[2])
+            shares.append(float(np.mean(in_view(machine, name, beam))))
     return min(shares, default=1.0)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
-from itertools import accumulate, groupby
+from itertools import accumulate, groupby, pairwise
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.plan import AxisPlan
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.axis_programs import on_axis_increment
+from otf_core.planning.facings import facing_chains
 from otf_core.planning.line_of_sight import (
     HAND_TURN,
     default_tracker_place,
@@ -79,7 +80,7 @@ def choose_parts(
     ConfigError
         If the time is too short for any chain.
     """
-    chains = candidate_chains(machine, config)
+    chains = candidate_chains(machine, config) + facing_chains(machine, place)
     if time_budget is not None and config.levels > FEWEST_LEVELS:
         few = replace(config, levels=FEWEST_LEVELS)
         chains += [c for c in candidate_chains(machine, few) if c.is_lines]
@@ -113,7 +114,8 @@ class _Choice:
         self.judge = Judge(_coarser(machine), each, place, config, judged, noise, piece)
         self.each = each
         self.turning = {n: HAND_TURN * (facings_needed(s) - 1)
-                        for n, s in sights(machine, place).items()}  # fmt: skip
+                        for n, s in sights(machine, place).items()
+                        if not machine.targets[n].nest}  # fmt: skip
 
     @cached_property
     def equations(self) -> list[NormalEquations]:
@@ -201,16 +203,22 @@ class _Choice:
         took = [duration_of(self.machine, p, self.config) for p in parts]
         if self.whole:
             turned = {c.target for c in chains if not c.is_lines}
-            by_hand = HAND_MOVE * hand_moves(parts) + sum(self.turning.get(t, 0) for t in turned)
-            return sum(took) + by_hand
+            moves, turns = work_by_hand(self.machine, parts)
+            by_hand = HAND_MOVE * moves + HAND_TURN * turns
+            return sum(took) + by_hand + sum(self.turning.get(t, 0) for t in turned)
         kinds = [kind for kind, _ in groupby(chains, key=lambda c: c.part)]
         return sum(t for t, kind in zip(took, kinds, strict=True) if not kind[1])
 
     def _hand(self, selected: Sequence[int], k: int) -> float:
         """Time by hand, s, that goes with a chain: of the only one of its target."""
-        alone = sum(self.chains[i].target == self.chains[k].target for i in selected) == 1
-        turns = 0.0 if self.chains[k].is_lines else self.turning.get(self.chains[k].target, 0.0)
-        return HAND_MOVE + turns if alone and self.whole else 0.0
+        own, targets = self.chains[k], self.machine.targets
+        others = [self.chains[i].target for i in selected if i != k]
+        if not self.whole or own.target in others:
+            return 0.0
+        nest = targets[own.target].nest
+        if nest and any(targets[t].nest == nest for t in others):
+            return HAND_TURN
+        return HAND_MOVE + (0.0 if own.is_lines else self.turning.get(own.target, 0.0))
 
     def _variances(self, normal: NormalEquations) -> Array:
         """Mean variance of every error over its nodes."""
@@ -253,10 +261,12 @@ def _coarser(machine: Machine) -> Machine:
     return replace(machine, axes=axes)
 
 
-def hand_moves(parts: Sequence[PlannedPart]) -> int:
-    """How often the reflector is taken to another place."""
+def work_by_hand(machine: Machine, parts: Sequence[PlannedPart]) -> tuple[int, int]:
+    """How often the reflector is taken to another place, and how often turned in its nest."""
     order = [target for target, _ in groupby(parts, key=lambda p: p.path.target)]
-    return len(order) - 1
+    nests = [machine.targets[target].nest for target in order]
+    turns = sum(bool(a) and a == b for a, b in pairwise(nests))
+    return len(order) - 1 - turns, turns
 
 
 def planned_parts(

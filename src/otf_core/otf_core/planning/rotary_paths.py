@@ -335,7 +335,8 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
 
     Spindle targets: lines, TCP creep and a spiral of every rotary axis between them and the
     tracker. Targets on the table: circles and arcs of every rotary axis, two rotary axes together,
-    else a linear axis on the table with the rotary one, else stops.
+    else a linear axis on the table with the rotary one, else stops. Those of reflectors that are
+    turned to several facings depend on the place of the tracker: ``facings.facing_chains``.
 
     Raises
     ------
@@ -357,7 +358,7 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
                 outward = _spiral_outward(machine, axis)
                 chains.append(Chain(name, outward, f'{axis} with X, spiral'))
             tools += 1
-        elif turning:
+        elif turning and not target.nest:
             chains += _table_chains(machine, name, turning, [a for a in seen if a in AXES], nests)
             nests += 1
     if not chains:

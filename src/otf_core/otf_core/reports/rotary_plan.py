@@ -37,7 +37,7 @@ from otf_core.planning.line_of_sight import (
     facings_needed,
 )
 from otf_core.planning.nc.dialect import Dialect
-from otf_core.planning.part_choice import hand_moves
+from otf_core.planning.part_choice import work_by_hand
 from otf_core.planning.rotary_forecast import RotaryForecast, duration_of
 from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart
 
@@ -78,7 +78,12 @@ class RotaryPlan:
             for part in self.parts
             if np.ptp(part.path.positions[:, turning], axis=0).any()
         }
-        return sum(facings_needed(s) - 1 for name, s in self.sight.items() if name in driven)
+        planned = work_by_hand(self.machine, self.parts)[1]
+        return planned + sum(
+            facings_needed(s) - 1
+            for name, s in self.sight.items()
+            if name in driven and not self.machine.targets[name].nest
+        )
 
     @property
     def durations(self) -> list[float]:
@@ -88,7 +93,7 @@ class RotaryPlan:
     @property
     def by_hand(self) -> float:
         """Time for moves and turns of the reflector by hand, s."""
-        return HAND_MOVE * hand_moves(self.parts) + HAND_TURN * self.turns
+        return HAND_MOVE * work_by_hand(self.machine, self.parts)[0] + HAND_TURN * self.turns
 
 
 def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,7 +143,7 @@ def plan_words(plan: RotaryPlan) -> str:
     machine, forecast = plan.machine, plan.forecast
     link = 'bed' if machine.tracker.link == BED else 'table'
     at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
-    moves = hand_moves(plan.parts)
+    moves = work_by_hand(machine, plan.parts)[0]
     lines = [
         f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
         f'{forecast.duration / 60:.1f} min of driving; {moves} moves of the reflector by hand and '
@@ -146,8 +151,9 @@ def plan_words(plan: RotaryPlan) -> str:
         f'stays where it is throughout',
         '',
     ]
+    width = max(10, *(len(part.path.target) for part in plan.parts))
     for part, duration in zip(plan.parts, plan.durations, strict=True):
-        lines.append(f'  {part.path.target:10s} {duration / 60:5.1f} min  {part.words}')
+        lines.append(f'  {part.path.target:{width}s} {duration / 60:5.1f} min  {part.words}')
     for name, own in plan.sight.items():
         count = facings_needed(own)
         facings = f'{count} facings of the reflector'
@@ -163,6 +169,7 @@ def plan_words(plan: RotaryPlan) -> str:
             )
         if own.open < LEAST_OPEN:
             lines.append(f'  {name}: {_hidden_words(machine, name, own)}')
+    lines += _facing_words(plan)
     lines += [f'  {sentence}' for sentence in plan.near]
     lines += ['', _vector_words(forecast)]
     shown = [n for n in forecast.u if n not in forecast.hidden]
@@ -178,6 +185,32 @@ def plan_words(plan: RotaryPlan) -> str:
             names = ', '.join(n for n, own in forecast.hidden.items() if own == why)
             lines.append(f'  {names}: {why}')
     return '\n'.join(lines) + '\n'
+
+
+def _facing_words(plan: RotaryPlan) -> list[str]:
+    """What to do where one facing of a reflector on the table does not show enough."""
+    targets = plan.machine.targets
+    driven = {part.path.target for part in plan.parts}
+    lines: list[str] = []
+    whole: dict[str, int] = {}
+    for name, own in plan.sight.items():
+        if targets[name].link != TABLE or facings_needed(own) == 1:
+            continue
+        facings = [t for t in driven if targets[t].nest == name]
+        if facings:
+            lines.append(
+                f'  {name}: {len(facings)} facings planned; turn the reflector to the tracker '
+                f'where the part of each begins'
+            )
+        elif name in driven:
+            whole[name] = facings_needed(own)
+    if whole:
+        lines.append(
+            f'  {", ".join(whole)}: planned for a reflector that is seen throughout (active '
+            f'target); of one that is turned by hand state facings: {max(whole.values())} in '
+            f'machine.yaml and plan again'
+        )
+    return lines
 
 
 def _vector_words(forecast: RotaryForecast) -> str:

@@ -27,7 +27,7 @@ from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.noise.noise_model import Misfit, NoiseModel, noise_and_misfit
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
-from otf_core.rotary.axis_unknowns import place_block
+from otf_core.rotary.axis_unknowns import PLACE, place_block
 from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
 from otf_core.solving.joint import (
     MAX_RATIO_OF_CHANGES,
@@ -252,15 +252,20 @@ def place_equations(
     """What machine.yaml says of the places of targets, as normal equations."""
     matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
     square, rows = 0.0, 0
-    for name, target in machine.targets.items():
-        block = unknowns.free_blocks.get(place_block(name))
-        if block is None:
-            continue
-        off = (np.array(target.place) - places[name]) / target.u
-        own = np.arange(block.start, block.stop)
-        matrix[own, own] = 1.0 / target.u**2
-        right[own] = off / target.u
-        square, rows = square + float(off @ off), rows + len(own)
+    seen = [n for n in machine.targets if place_block(n) in unknowns.free_blocks]
+    for nest in dict.fromkeys(machine.targets[n].nest or n for n in seen):
+        names = [n for n in seen if nest in (n, machine.targets[n].nest)]
+        target = machine.targets[nest]
+        # the centre of the nest is common to all facings, each of which is off it by u_facing
+        common, own_part = target.u**2, target.u_facing**2
+        cover = common * np.ones((len(names), len(names))) + own_part * np.eye(len(names))
+        precision = np.linalg.inv(cover)
+        off = np.array([np.array(target.place) - places[n] for n in names])
+        columns = np.array([unknowns.free_blocks[place_block(n)].start for n in names])
+        for k in range(PLACE):
+            matrix[np.ix_(columns + k, columns + k)] = precision
+            right[columns + k] = precision @ off[:, k]
+        square, rows = square + float(np.sum(off * (precision @ off))), rows + off.size
     return NormalEquations(matrix, right, square, rows)
 
 

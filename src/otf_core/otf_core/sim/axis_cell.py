@@ -158,10 +158,7 @@ def simulate_parts(
     rotation, place = place_tracker(machine, rngs[1])
     if tracker_place is not None:
         place = tracker_place
-    places = {
-        name: np.array(t.place) + t.u * rngs[5].standard_normal(3)
-        for name, t in machine.targets.items()
-    }
+    places = _drawn_places(machine, rngs[5])
     own = [part.of(machine) for part in parts]
     every = [np.broadcast_to(given, len(own)).tolist() for given in (feed, dwell, stops)]
     drives = [
@@ -194,6 +191,20 @@ def simulate_parts(
     return SimulatedParts(
         Samples(np.concatenate(stamps), xyz), truth, rotation, place, tuple(own), places
     )
+
+
+def _drawn_places(machine: Machine, rng: np.random.Generator) -> dict[str, Array]:
+    """Places of the reflectors, and of one that is turned in its nest after every turn."""
+    targets = machine.targets
+    nests = {
+        name: np.array(t.place) + t.u * rng.standard_normal(3)
+        for name, t in targets.items()
+        if t.nest in ('', name)
+    }
+    return {
+        name: nests[t.nest] + t.u_facing * rng.standard_normal(3) if t.nest else nests[name]
+        for name, t in targets.items()
+    }
 
 
 @dataclass(frozen=True)

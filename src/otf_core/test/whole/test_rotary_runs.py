@@ -19,7 +19,11 @@ from otf_core.model.declared import DeclaredUncertainty
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
+from otf_core.model.machine import facing_names, machine_from_dict
 from otf_core.pieces.runs import Recording
+from otf_core.planning.facings import facing_chains
+from otf_core.planning.line_of_sight import default_tracker_place
+from otf_core.planning.rotary_paths import parts_of
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.reports.rotary_calibration import verdicts_of, write_calibration
 from otf_core.rotary.curve_matching import match, split_parts
@@ -279,6 +283,30 @@ def test_tracker_that_moved_a_little_between_parts_is_named():
 def test_step_of_the_tracker_that_keeps_a_solution_from_converging_is_named():
     with pytest.raises(InputError, match=r'from part 4 on .* the tracker has moved'):
         calibrate_axes([with_tracker_moved(3, 2.5e-4)], CalibrationConfig(), silent)
+
+
+def test_facings_of_a_reflector_are_one_nest_to_the_solution():
+    data = machine().to_dict()
+    for own in data['targets'].values():
+        own |= {'facings': 5, 'u_facing': 2e-6} if own['link'] == 'w' else {}
+    m = machine_from_dict(data)
+    chains = facing_chains(m, default_tracker_place(m))
+    parts = [p for p in usual_parts(machine()) if m.targets[p.target].link == 't']
+    parts += [p.path for p in parts_of(m, chains)]
+    run = simulate_parts(
+        m, parts, SimulationConfig(seed=21, rate=40.0), dwell=0.1,
+        tracker_place=default_tracker_place(m),
+    )  # fmt: skip
+    path = nominal_track(m, run.parts)
+    recording = Recording(run.samples, path, m, 'turned', axis_paths=run.parts)
+    result = calibrate_axes([recording], CalibrationConfig(), silent)
+    assert not result.failed_gates
+    assert left(result.tables, run.truth, evenly_spread(m.lower, m.upper, 400)) < 0.1
+    for nest in (n for n, t in m.targets.items() if t.nest == n):
+        places = [result.targets[n][0] for n in facing_names(nest, 5)]
+        apart = [run.places[n] for n in facing_names(nest, 5)]
+        found, true = (np.array(v) - np.mean(v, axis=0) for v in (places, apart))
+        assert np.all(np.abs(found - true) < 6e-6)
 
 
 def test_reflector_that_was_reseated_is_named():
