@@ -140,6 +140,9 @@ def test_lost_samples_leave_level_and_colour():
     np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.2)
     assert 0.5 < report.measured.noise.range.correlation_time / 0.3 < 2.0
     assert '(10 %)' in format_noise(report)
+    late = samples.stamp_ns + np.where(np.arange(len(samples)) < 900, 0, 4_000_000_000)
+    for parts, gaps in ((1, 1), (2, 0)):  # between two parts a reflector is moved by hand
+        assert noise_report(Samples(late, samples.xyz), SPEED, parts).lost.gaps == gaps
 
 
 def test_rounding_to_a_micrometre_changes_levels_by_its_own_noise():

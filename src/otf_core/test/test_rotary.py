@@ -13,7 +13,7 @@ from otf_core.bags.cdr import decode_axes, encode_axes
 from otf_core.cli import main
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.path_file import read_path
+from otf_core.inputs.path_file import read_axis_plan, read_path
 from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.model.axis_path import TURN_RATE, AxisPath, along_legs, nominal_track, position_at
 from otf_core.model.evaluation import evenly_spread
@@ -75,6 +75,8 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
     plan = [{'target': p.target, 'positions': p.positions.tolist()} for p in parts]
     content = {'schema': 'otf-rotary-plan/1', 'axes': axes, 'parts': plan}
     (tmp_path / 'plan.json').write_text(json.dumps(content))
+    with pytest.raises(ConfigError, match=r'parts: 1: feed: expected a finite number'):
+        read_axis_plan(tmp_path / 'plan.json')  # drawn by hand: a path, but no plan
     for file in ('path.csv', 'plan.json'):
         again = read_recording(
             [tmp_path / 's.csv'], machine(), ReadingOptions(path=tmp_path / file)

@@ -28,7 +28,13 @@ from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.model.provenance import moment
-from otf_core.noise.standstill import MIN_TOTAL, find_standstills, lost_samples, standstill_noise
+from otf_core.noise.standstill import (
+    MIN_TOTAL,
+    find_standstills,
+    lost_samples,
+    moves_by_hand,
+    standstill_noise,
+)
 from otf_core.pieces.finding import COMPLETE_PATH, GATE, MIN_COVERAGE, WARNING, Finding, words_of
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import (
@@ -37,7 +43,6 @@ from otf_core.planning.forecast import (
     planned_systematic,
     solution_of_pieces,
 )
-from otf_core.rotary.curve_matching import BREAK
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.driving_order import OFF_PATH
@@ -332,29 +337,19 @@ LOST_SHARE = 0.01
 GAPS_LISTED = 3
 
 
-def _breaks(samples: Samples, parts: int) -> tuple[Index, Index]:
-    """Samples before the gaps of a recording, and before those in which a reflector was moved.
-
-    A run of several parts has a break of ``BREAK`` or more between any two of them.
-    """
-    at = np.flatnonzero(find_breaks(samples))
-    length = samples.time[at + 1] - samples.time[at]
-    longest = np.argsort(-length)[: max(parts - 1, 0)]
-    between = np.zeros(len(at), dtype=bool)
-    between[longest[length[longest] >= BREAK]] = True
-    return at[~between], at[between]
+def _breaks(samples: Samples, parts: int) -> Index:
+    """Samples before the gaps of a recording, those left out in which a reflector was moved."""
+    return np.setdiff1d(np.flatnonzero(find_breaks(samples)), moves_by_hand(samples, parts))
 
 
 def _check_gaps(seen: CheckedRecording) -> CheckOutcome:
     samples = seen.samples
     if samples is None or len(samples) < 3:
         return CheckOutcome(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
-    lost, time = lost_samples(samples), samples.time
-    at, between = _breaks(samples, len(seen.parts))
+    missing, time = lost_samples(samples, len(seen.parts)).samples, samples.time
+    at = _breaks(samples, len(seen.parts))
     length = time[at + 1] - time[at]
-    by_hand = round(float(np.sum(time[between + 1] - time[between])) / samples.step)
-    missing = max(0, lost.samples - by_hand)
-    share = missing / (lost.samples + len(samples))
+    share = missing / (missing + len(samples))
     longest = float(length.max()) if len(at) else 0.0
     facts = {'gaps': len(at), 'lost_share': share, 'longest_gap_s': longest}
     if not len(at):
@@ -436,7 +431,7 @@ def _check_beam(seen: CheckedRecording) -> CheckOutcome:
         return CheckOutcome()
     lost = int(np.count_nonzero(~seen.received.xyz.any(axis=1)))
     samples = seen.samples
-    at = _breaks(samples, len(seen.parts))[0]
+    at = _breaks(samples, len(seen.parts))
     moved = np.linalg.norm(samples.xyz[at + 1] - samples.xyz[at], axis=1) > HOP
     breaks = int(np.count_nonzero(moved))
     reach = np.linalg.norm(samples.xyz, axis=1)

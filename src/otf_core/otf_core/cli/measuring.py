@@ -251,7 +251,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
         reading = open_reading(arguments.bag, reading_options(arguments))
         samples = points_of(reading, arguments.bag)
         try:
-            report = noise_report(samples, speed)
+            report = noise_report(samples, speed, max(len(reading.axis_paths), 1))
         except OtfError as error:
             raise type(error)(f'{arguments.bag}: {error}') from None
         origin = dataclasses.replace(

@@ -69,14 +69,19 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
     return file
 
 
-def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig) -> Any:
-    """Take the dwells from the options where given; refuse options that the plan decides."""
+def _refuse_planned(arguments: argparse.Namespace) -> None:
+    """Refuse options that a plan decides."""
     for option in ('passes', 'feed', 'feed_ratio', 'margin', 'levels'):
         if getattr(arguments, option) is not None:
             raise ConfigError(
                 f'--{option.replace("_", "-")}: {arguments.path} is a plan, which sets this; '
                 f'give its path.csv to drive the same path with other settings'
             )
+
+
+def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig) -> Any:
+    """Take the dwells from the options where given; refuse options that the plan decides."""
+    _refuse_planned(arguments)
     dwell = file.plan.dwell.copy()
     if arguments.corner_dwell is not None:
         dwell[1:-1] = config.corner_dwell
@@ -138,9 +143,8 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
     """Bag of a simulated run of a machine with rotary axes, and its truth."""
     from otf_core.effects.effects_yaml import read_effects
     from otf_core.files.output_folder import OutputFolder
-    from otf_core.inputs.path_file import read_axis_paths
     from otf_core.model.tables import load_tables
-    from otf_core.sim.axis_cell import simulate_parts, usual_parts
+    from otf_core.sim.axis_cell import simulate_parts
     from otf_core.sim.axis_truth import write_axis_run
 
     if str(arguments.out).endswith('.mcap'):
@@ -154,15 +158,8 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
         occupied='exists already',
     )
     tables = load_tables(arguments.tables).tables.on(machine) if arguments.tables else None
-    parts = usual_parts(machine)
-    if arguments.path:
-        parts = tuple(read_axis_paths(arguments.path, machine.axis_names))
+    parts, options = _parts_to_drive(arguments, machine)
     with progress_of(arguments, 'simulating', SIMULATE) as progress:
-        options = {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
-        if arguments.corner_dwell is not None:
-            options['dwell'] = arguments.corner_dwell
-        if arguments.end_dwell is not None:
-            options['end_dwell'] = arguments.end_dwell
         try:
             run = simulate_parts(machine, parts, config, tables, effects=effects, **options)
         except InputError as error:
@@ -175,6 +172,36 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
         f'{len(run.parts)} parts ({", ".join(p.target for p in run.parts)})'
     )
     return _answer_run(arguments, config, run, words)
+
+
+def _parts_to_drive(
+    arguments: argparse.Namespace, machine: Any
+) -> tuple[Sequence[Any], dict[str, Any]]:
+    """Parts of the path, and how ``simulate_parts`` is to drive them: as planned, or as stated."""
+    from otf_core.inputs.path_file import looks_like_json, read_axis_paths, read_axis_plan
+    from otf_core.sim.axis_cell import usual_parts
+
+    dwell, end_dwell = arguments.corner_dwell, arguments.end_dwell
+    options: dict[str, Any] = {} if end_dwell is None else {'end_dwell': end_dwell}
+    name = arguments.path
+    if name is None or not looks_like_json(name):
+        options |= {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
+        options |= {} if dwell is None else {'dwell': dwell}
+        parts = read_axis_paths(name, machine.axis_names) if name else usual_parts(machine)
+        return parts, options
+    _refuse_planned(arguments)
+    file = read_axis_plan(name)
+    if file.link != machine.tracker.link:
+        raise ConfigError(
+            f'{name}: plans a tracker on link {file.link}, machine.yaml states '
+            f'{machine.tracker.link}: plan again with this machine.yaml'
+        )
+    plan = file.plan
+    halts = [d if dwell is None or s else dwell
+             for d, s in zip(plan.dwell, plan.stops, strict=True)]  # fmt: skip
+    planned = {'end_dwell': file.end_dwell, 'feed': plan.feed, 'dwell': halts,
+               'stops': plan.stops, 'tracker_place': file.tracker_place}  # fmt: skip
+    return plan.parts, planned | options
 
 
 def run_plan(arguments: argparse.Namespace) -> int:

@@ -25,7 +25,7 @@ from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.motions import AXES, LETTERS, ROTARY
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import Plan
+from otf_core.model.plan import AxisPlan, Plan
 
 # Reads what ``otf plan`` wrote: plan.json (``otf-plan/1``) with feed of every leg and dwells.
 
@@ -55,6 +55,26 @@ class PlanFile:
     tracker_place: Array | None
 
 
+@dataclass(frozen=True)
+class AxisPlanFile:
+    """Content of the plan.json of a machine with rotary axes.
+
+    Attributes
+    ----------
+    end_dwell : float
+        s, standstill at start and end of every part.
+    link : str
+        On what the tracker stands.
+    tracker_place : ndarray, shape (3,), m
+        Beam origin in the frame of that link that the forecast assumed.
+    """
+
+    plan: AxisPlan
+    end_dwell: float
+    link: str
+    tracker_place: Array
+
+
 def looks_like_json(path: str | Path) -> bool:
     """Return whether a file starts as a JSON object; False if it cannot be read.
 
@@ -74,15 +94,16 @@ def looks_like_json(path: str | Path) -> bool:
 def _numbers(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:
     """Array of a shape, -1 standing for any length; ConfigError names the key."""
     words = ' x '.join('n' if n < 0 else str(n) for n in shape)
+    words = f'{words} finite numbers' if shape else 'a finite number'
     try:
         values = np.array(data[key], dtype=float)
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise ConfigError(f'{where}: {key}: expected {words} numbers') from None
+        raise ConfigError(f'{where}: {key}: expected {words}') from None
     fits = values.ndim == len(shape) and all(
         wanted in (-1, n) for wanted, n in zip(shape, values.shape, strict=True)
     )
     if not fits or not np.all(np.isfinite(values)):
-        raise ConfigError(f'{where}: {key}: expected {words} finite numbers')
+        raise ConfigError(f'{where}: {key}: expected {words}')
     return values
 
 
@@ -181,7 +202,7 @@ def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath
         If the file cannot be read, has another header, or a line is no position.
     """
     if looks_like_json(name):
-        return _planned_parts(name)
+        return _parts_in(name, read_json(name))
     lines = _lines_of(name)
     head = [word.strip().lower() for word in lines[0].split(',')]
     letters = tuple(axes) or tuple(a for a in LETTERS if a.lower() in head)
@@ -200,9 +221,39 @@ def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath
     return [AxisPath(letters, positions[a:b], targets[a]) for a, b in pairwise(ends)]
 
 
-def _planned_parts(name: str | Path) -> list[AxisPath]:
+def read_axis_plan(name: str | Path) -> AxisPlanFile:
+    """Read the plan.json of a machine with rotary axes.
+
+    Raises
+    ------
+    ConfigError
+        Names the file and what is wrong with it.
+    """
+    data, where = read_json(name), str(name)
+    paths = _parts_in(name, data)
+    given: dict[str, Array] = {}
+    for key in ('feed', 'dwell', 'end_dwell', 'stops', 'duration'):
+        each = [_numbers(part, key, (), f'{where}: parts: {k}')
+                for k, part in enumerate(data['parts'], start=1)]  # fmt: skip
+        given[key] = np.array(each)
+    end_dwell = float(given['end_dwell'].max())
+    if end_dwell < 0.0:
+        raise ConfigError(f'{where}: end_dwell: must not be negative, got {end_dwell:g}')
+    feed, dwell, duration = (tuple(given[key].tolist()) for key in ('feed', 'dwell', 'duration'))
+    stops = tuple(bool(v) for v in given['stops'])
+    try:
+        plan = AxisPlan(tuple(paths), feed, dwell, stops, sum(duration))
+    except InputError as error:
+        raise ConfigError(f'{where}: {error}') from None
+    tracker = data.get('tracker')
+    if not isinstance(tracker, Mapping) or not isinstance(tracker.get('link'), str):
+        raise ConfigError(f'{where}: tracker: link: missing')
+    place = _numbers(tracker, 'place', (3,), f'{where}: tracker')
+    return AxisPlanFile(plan, end_dwell, tracker['link'], place)
+
+
+def _parts_in(name: str | Path, data: Any) -> list[AxisPath]:
     """Parts of the plan.json of a machine with rotary axes."""
-    data = read_json(name)
     if not isinstance(data, Mapping) or data.get('schema') != ROTARY_SCHEMA:
         raise ConfigError(
             f"{name}: not a plan for rotary axes; expected the schema '{ROTARY_SCHEMA}' of otf "

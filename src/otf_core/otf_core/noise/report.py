@@ -161,13 +161,15 @@ def _warnings(
     return tuple(warnings)
 
 
-def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
+def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> NoiseReport:
     """Judge the noise in the standstills of a recording.
 
     Parameters
     ----------
     standstill_speed : float
         m/s; slower counts as standstill.
+    parts : int
+        Of the run; the beam is broken between them.
 
     Raises
     ------
@@ -200,7 +202,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     seen = spectrum(windows, step)
     shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
-    lost = lost_samples(samples)
+    lost = lost_samples(samples, parts)
     return NoiseReport(
         measured=measured,
         u_total=u_total,

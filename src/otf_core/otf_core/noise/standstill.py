@@ -19,6 +19,7 @@ from scipy.special import gammaln
 
 from otf_core.arrays import Array, Index
 from otf_core.memory import blocks
+from otf_core.model.axis_path import BREAK
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
@@ -247,9 +248,26 @@ class Drift:
     change: Array
 
 
-def lost_samples(samples: Samples) -> LostSamples:
-    """Count missing samples: pauses in multiples of the usual interval."""
+def moves_by_hand(samples: Samples, parts: int) -> Index:
+    """Samples before the pauses between the parts of a run, in which a reflector was moved.
+
+    They are the longest, and ``BREAK`` or more.
+    """
+    interval = np.diff(samples.stamp_ns)
+    longest = np.argsort(-interval, kind='stable')[: max(parts - 1, 0)]
+    return np.sort(longest[interval[longest] >= 1e9 * BREAK])
+
+
+def lost_samples(samples: Samples, parts: int = 1) -> LostSamples:
+    """Count missing samples: pauses in multiples of the usual interval.
+
+    Parameters
+    ----------
+    parts : int
+        Of the run; the beam is broken between them, so nothing is lost there.
+    """
     interval, usual = np.diff(samples.stamp_ns), samples.step_ns
+    interval[moves_by_hand(samples, parts)] = 0
     pauses = interval[interval >= 1.5 * usual]
     missing = np.rint(pauses / usual).astype(np.int64) - 1
     longest = float(pauses.max(initial=0)) * 1e-9

@@ -23,12 +23,7 @@ from otf_core.model.axis_path import AxisPath, driven_through, seconds_of_legs
 from otf_core.model.joints import Sight
 from otf_core.model.machine import TOOL, Machine
 from otf_core.planning.nc.dialect import AxisMove, Dialect, comment_lines
-from otf_core.planning.rotary_paths import (
-    STOP_TIME,
-    PlannedPart,
-    courses,
-    creeps,
-)
+from otf_core.planning.rotary_paths import PlannedPart, courses, creeps
 
 INCREMENT = 1e-3
 """mm and degrees; resolution of the positions in a program."""
@@ -70,7 +65,7 @@ def axis_moves(machine: Machine, part: PlannedPart, feed: float) -> list[AxisMov
     through = np.append(driven_through(machine, q), False)
     moves = []
     for k in range(len(q) - 1):
-        through_here = bool(through[k]) and part.dwell < STOP_TIME
+        through_here = bool(through[k]) and not part.stops
         moves.append(_move(machine, at[k], at[k + 1], float(seconds[k]), stop=not through_here))
     return moves
 

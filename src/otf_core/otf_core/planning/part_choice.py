@@ -296,6 +296,6 @@ def axis_plan(machine: Machine, parts: Sequence[PlannedPart], config: PlannerCon
         tuple(part.path for part in parts),
         tuple(config.feed for _ in parts),
         tuple(part.halt(config) for part in parts),
-        tuple(part.dwell > 0.0 for part in parts),
+        tuple(part.stops for part in parts),
         sum(duration_of(machine, part, config) for part in parts),
     )

@@ -31,7 +31,7 @@ from otf_core.model.joints import Sight
 from otf_core.model.machine import BED, TABLE, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.planning.rotary_paths import STOP_TIME, PlannedPart, courses, creeps
+from otf_core.planning.rotary_paths import PlannedPart, courses, creeps
 from otf_core.rotary.axis_solution import AxisSolution, place_equations
 from otf_core.rotary.axis_unknowns import layout, smooth_bases
 from otf_core.rotary.curve_matching import Part, nominal_places
@@ -119,7 +119,7 @@ def _pieces(
 ) -> AxisPieces:
     """Pieces of a part, or its stops, as a recording would give them."""
     q, sight = part.path.positions, Sight.of_target(machine, part.path.target)
-    if part.dwell >= STOP_TIME:
+    if part.stops:
         count, took = len(q), part.dwell
         points, corner = sight.nominal(q), np.arange(count)
         zero, whole = np.zeros_like(q), np.full(count, took)
@@ -161,7 +161,7 @@ def duration_of(machine: Machine, part: PlannedPart, config: PlannerConfig) -> f
 def _stretches(machine: Machine, part: PlannedPart, config: PlannerConfig) -> Stretches:
     return Stretches.of(
         machine, part.path.positions, config.feed, SimulationConfig.acceleration,
-        stops=part.dwell >= STOP_TIME,
+        stops=part.stops,
     )  # fmt: skip
 
 
@@ -299,11 +299,7 @@ def why_hidden(machine: Machine, parts: Sequence[PlannedPart], name: str) -> str
         return words
     turns = axis in machine.rotary_names
     angular = name[1] == axis or name in machine.location
-    if (
-        turns
-        and angular
-        and not any(_combined(machine, p, axis) or p.dwell >= STOP_TIME for p in moved)
-    ):
+    if turns and angular and not any(_combined(machine, p, axis) or p.stops for p in moved):
         return (
             f'every leg that turns {axis} moves nothing else: the direction of travel, which is '
             f'left out, is the one in which {name} acts. Drive another axis at the same time, '

@@ -72,6 +72,11 @@ class PlannedPart:
     dwell: float
     words: str
 
+    @property
+    def stops(self) -> bool:
+        """Whether it stands at every corner, at smooth ones too."""
+        return self.dwell > 0.0
+
     def halt(self, config: PlannerConfig) -> float:
         """Standstill at every corner that is not driven through, s."""
         return self.dwell or config.corner_dwell

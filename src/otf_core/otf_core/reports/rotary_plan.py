@@ -111,7 +111,7 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
                 'feed': plan.config.feed,
                 'dwell': part.halt(plan.config),
                 'end_dwell': plan.config.end_dwell,
-                'stops': part.dwell > 0.0,
+                'stops': part.stops,
                 'duration': duration,
                 'positions': part.path.positions.tolist(),
             }

@@ -18,7 +18,7 @@ import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
-from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.axis_path import BREAK, AxisPath, position_at
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.joints import ReflectorView, Sight
 from otf_core.model.machine import SPINDLE, Machine
@@ -26,8 +26,6 @@ from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
 from otf_core.rotary.track import MOST, STEP, Curve, Track, assign_places, by_length
 
-BREAK = 1.9
-"""s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""
 MOST_BREAKS = 200
 SAME_LENGTH = 0.1
 """Share by which the track of a whole part may be longer or shorter than its curve."""

@@ -16,10 +16,10 @@ from itertools import combinations
 import numpy as np
 
 from otf_core.errors import InputError, OtfError
-from otf_core.model.axis_path import AxisPath
+from otf_core.model.axis_path import BREAK, AxisPath
 from otf_core.model.machine import BED, TABLE, Chain, Machine
 from otf_core.model.observation import Samples
-from otf_core.rotary.curve_matching import BREAK, MatchedRun, match
+from otf_core.rotary.curve_matching import MatchedRun, match
 
 SUSPECT = 2.5e-4
 """m; median distance of a part from its curve, after the rough fit, above which others are tried:

@@ -10,13 +10,12 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.model.axis_path import PartsTrack
+from otf_core.model.axis_path import BREAK, PartsTrack
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.rotary.curve_matching import (
-    BREAK,
     SAME_LENGTH,
     apply_location_errors,
     match,

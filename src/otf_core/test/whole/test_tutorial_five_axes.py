@@ -12,6 +12,7 @@ import pytest
 from test_rotary_exports import IsgReader, units
 
 from otf_core import cli
+from otf_core.bags.bag import read_bag
 from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.kinematics import exact_position, nominal_position
 from otf_core.model.machine import load_machine
@@ -23,6 +24,7 @@ from otf_core.model.tables import (
     load_tables,
     tables_to_dict,
 )
+from otf_core.sim.axis_cell import BROKEN_BEAM
 
 PAGE = Path(__file__).resolve().parents[4] / 'docs' / 'tutorial-five-axes.md'
 
@@ -46,6 +48,10 @@ def folder(tmp_path_factory):
 def test_every_command_of_the_tutorial_runs_and_hides_what_the_page_says(folder):
     plan = json.loads((folder / 'plan/plan.json').read_text())
     assert set(plan['forecast']['hidden']) == {'ECX', 'ECZ'}
+    driven = read_bag(folder / 'before').samples.time[
+        -1
+    ]  # at the feed and with the dwells planned
+    assert driven == pytest.approx(plan['forecast']['duration'] + 4 * BROKEN_BEAM, abs=1.0)
     tables = load_tables(folder / 'tables/error_tables.json').tables
     assert {str(n) for n, m in tables.motions.items() if not m.identifiable} == {'ECX', 'ECZ'}
     assert {f.name for f in (folder / 'plan').glob('*.MPF')} == {
