@@ -139,3 +139,21 @@ def test_work_of_looking_at_parts_is_that_of_the_new_samples(monkeypatch):
     assert at_the_end[-1] == len(ends) - 1 and at_the_end[0] > 0.98 * len(ends)
     assert len(compared) <= 2  # each visits all samples twice: to split and to follow
     assert sum(visited) <= (1 + 2 * len(compared)) * len(xyz) / 10
+
+
+def test_parts_shorter_than_the_moves_by_hand_between_them_are_counted():
+    machine = rotary_machine()
+    corners = np.zeros((2, len(machine.axis_names)))
+    corners[:, 0] = machine.axes['X'].min + np.array([0.0, 0.05])
+    apart = np.eye(len(machine.axis_names))[0] * 0.2
+    both = (corners, corners + apart)
+    path = nominal_track(machine, [AxisPath(machine.axis_names, q) for q in both])
+    assert path.part_lengths == pytest.approx([0.05, 0.05])
+    watcher = run_progress.PartsWatcher(path, CONFIG)
+    for number in (0, 1):
+        first, end = (0, *path.ends)[number], path.ends[number]
+        a, b = path.points[first], path.points[end - 1]
+        for k, share in enumerate(np.linspace(0.0, 1.0, 100)):
+            stamp = number * 5_000_000_000 + k * 10_000_000
+            watcher.add(stamp, *(a + share * (b - a)).tolist())
+        assert watcher.part == number + 1

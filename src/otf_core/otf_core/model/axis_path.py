@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,11 +252,12 @@ class PartsTrack(NominalPath):
     parts: tuple[AxisPath, ...]
     ends: tuple[int, ...]
 
-    @property
-    def reach(self) -> list[float]:
-        """Length of the track up to the end of every part, hand moves included, m."""
+    @cached_property
+    def part_lengths(self) -> list[float]:
+        """Length of the track of every part, m."""
         along = np.append(0.0, np.cumsum(self.leg_lengths))
-        return [float(along[end - 1]) for end in self.ends]
+        starts = [0, *self.ends[:-1]]
+        return [float(along[b - 1] - along[a]) for a, b in zip(starts, self.ends, strict=True)]
 
     def first_parts(self, count: int) -> PartsTrack:
         """Track of the first parts alone."""

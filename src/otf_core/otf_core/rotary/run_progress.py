@@ -82,7 +82,6 @@ class PartsWatcher(PathWatcher):
     def __init__(self, path: PartsTrack, config: CalibrationConfig) -> None:
         super().__init__(path, config)
         self._track, self._tolerance = path, config.match_tolerance
-        self._reach = [0.0, *path.reach]
         self._breaks = 0
         self._start = 0.0
         self._at_break = False
@@ -98,7 +97,7 @@ class PartsWatcher(PathWatcher):
         broken = self._last is not None and stamp_ns - self._newest_ns >= BREAK_NS
         if broken:
             self._breaks += 1
-            length = self._reach[self.part] - self._reach[self.part - 1]
+            length = self._track.part_lengths[self.part - 1]
             driven = self.travelled - self._start >= PART_DRIVEN * length
             if driven and self.part < len(self._track.parts):
                 self.starts.append(self._count)
