@@ -126,6 +126,10 @@ class Worker:
         self._solver.warm_up()
         return self._begin(self._provisional, request)
 
+    def give_way(self) -> None:
+        """End a calibration of what had been driven: the run seems to be over."""
+        self._ahead.set()
+
     def save(self, outcome: CalibrationOutput) -> Future[CalibrationOutput]:
         """Add the report, residuals, and path and samples as a bag, as far as wanted."""
         self.stage, self.fraction = 'saving report and samples', 0.0

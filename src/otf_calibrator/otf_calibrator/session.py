@@ -28,7 +28,7 @@ from otf_core.calibration.first_sight import (
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import Samples
-from otf_core.tracking.path_watch import PathWatcher
+from otf_core.tracking.path_watch import NEARLY, PathWatcher
 
 Ahead = AnyCalibration | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
@@ -250,7 +250,8 @@ class Session:
         A look that shows nothing yet is not told of.
         """
         collector = self.collector
-        lap = None if self.busy else collector.first_lap()
+        under_way = self._ahead is not None and not self._ahead.done()
+        lap = None if self.busy or under_way else collector.first_lap()
         if lap:
             self._first_looks.found()
             self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
@@ -345,6 +346,8 @@ class Session:
             return 'standstill at the end point'
         if not self._verdict and watcher and (samples := collector.end_to_judge()):
             if files.finish_at_standstill:
+                if watcher.share >= NEARLY:
+                    self.worker.give_way()
                 self._verdict = self.worker.follow(watcher.look, self.request(samples=samples))
                 self._judged = watcher, watcher.end
             else:
