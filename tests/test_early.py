@@ -118,3 +118,13 @@ def test_question_that_fails_is_told(worker, request_made):
 
     with pytest.raises(ValueError, match='what is that'):
         worker.follow(fails, request_made).result()
+
+
+def test_calibration_of_what_was_driven_gives_way_to_the_end_of_the_run(
+    worker, request_made, look
+):
+    ahead = worker.look_ahead(request_made)
+    worker.give_way()
+    assert worker.follow(look, request_made).result()
+    with pytest.raises(Cancelled):
+        ahead.result()
