@@ -34,9 +34,9 @@ MISMATCH = 0.3
 KNOWN = 1e-4
 """m; places that are known better give the first pose."""
 ROUNDS, QUICK_ROUNDS = 12, 5
-QUICK_STEP, FEWEST = 6e-3, 200
+QUICK_STEP, FEWEST, PLENTY = 6e-3, 200, 3000
 """m between places that are assigned to each other at first, or where it is only asked whether
-they fit; and their number on a short part."""
+they fit; and their number on a short part and on a long one."""
 SETTLED = 1e-7
 """m; change of the points below which pose and places are good enough to start a solution from."""
 WIDEST, NARROWEST = 0.15, 0.03
@@ -224,7 +224,8 @@ def match(
                 f'{1e3 * track.length:.1f} mm; is a part missing, or a broken beam between parts?'
             )
         tracks.append(track)
-        track = track.resampled(min(QUICK_STEP, max(STEP, track.length / FEWEST)))
+        coarse = max(QUICK_STEP, track.length / PLENTY)
+        track = track.resampled(min(coarse, max(STEP, track.length / FEWEST)))
         cut_off = len(parts) < len(paths) and part is parts[-1]
         reach = track.reach if cut_off else by_length(track, curve)
         following.append(_Following(part, track, reach))
@@ -338,8 +339,9 @@ def _refined(
             )
             f.reach = curve.reach_at(place)
             at_lines = {scalar: k for k, scalar in enumerate(location, start=first)}
-            matrix, side = _equations(points, seen, tangent, column.get(name), at_lines, size)
-            normal, right = normal + matrix, right + side
+            acting, matrix, side = _equations(points, seen, tangent, column.get(name), at_lines)
+            normal[np.ix_(acting, acting)] += matrix
+            right[acting] += side
         step = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0], dtype=np.float64)
         pose = pose.moved_by(step[:3], step[3:6])
         for name, at in column.items():
@@ -360,25 +362,32 @@ def _equations(
     tangent: Array,
     at_place: int | None,
     at_lines: Mapping[str, int],
-    size: int,
-) -> tuple[Array, Array]:
-    """Normal equations of the deviations of points across their curve, robustly weighted."""
+) -> tuple[list[int], Array, Array]:
+    """Normal equations of the deviations of points across their curve, robustly weighted.
+
+    Returns
+    -------
+    acting : list of int
+        Unknowns that act on these points, k of them.
+    matrix, right : ndarray, shapes (k, k) and (k,)
+    """
     off = points - seen.position
     off = off - tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
-    weight = 1.0 / np.maximum(np.linalg.norm(off, axis=1), LEAST_OFF)
-    rows = np.zeros((len(points), 3, size))
+    scale = 1.0 / np.sqrt(np.maximum(np.linalg.norm(off, axis=1), LEAST_OFF))
+    lines = {k: scalar for scalar, k in at_lines.items() if scalar in seen.scalars}
+    turned = 0 if at_place is None else 3
+    acting = [*range(6), *range(at_place or 0, (at_place or 0) + turned), *lines]
+    rows = np.zeros((len(points), 3, len(acting)))
     rows[:, :, :3] = np.eye(3)
     for k in range(3):
         rows[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
-    if at_place is not None:
-        rows[:, :, at_place : at_place + 3] = -np.eye(3) if seen.inner is None else -seen.inner
-    for scalar, k in at_lines.items():
-        if scalar in seen.scalars:
-            rows[:, :, k] = -seen.scalars[scalar]
+    if turned:
+        rows[:, :, 6:9] = -np.eye(3) if seen.inner is None else -seen.inner
+    for k, scalar in enumerate(lines.values(), start=6 + turned):
+        rows[:, :, k] = -seen.scalars[scalar]
     rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
-    normal = np.einsum('n,nij,nik->jk', weight, rows, rows, optimize=True)
-    right = -np.einsum('n,nij,ni->j', weight, rows, off, optimize=True)
-    return np.asarray(normal), np.asarray(right)
+    whole = (rows * scale[:, None, None]).reshape(-1, len(acting))
+    return acting, whole.T @ whole, -whole.T @ (off * scale[:, None]).reshape(-1)
 
 
 def apply_location_errors(machine: Machine, location: Mapping[str, float]) -> Machine:
