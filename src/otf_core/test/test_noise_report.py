@@ -90,6 +90,19 @@ def test_standstills_in_which_the_target_creeps_are_left_out():
     np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.3)
 
 
+def test_a_short_stretch_in_which_the_target_turns_back_is_no_standstill():
+    def turning(k, time):
+        slow, away = 60e-6 * time, 0.1 * np.maximum(time - 0.4, 0.0)
+        return (k % 2) * (slow + away)[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3
+
+    samples = stops(24, 1.0, add=turning)
+    runs = find_standstills(samples, 5e-4)
+    assert np.sum(np.diff(runs, axis=1) < 0.5 * RATE) == 12
+    seen = standstill_noise(samples, runs)
+    assert seen.windows == seen.left_out == 12
+    np.testing.assert_allclose(relative(seen.noise)[0], 1.0, atol=0.3)
+
+
 def test_settling_and_the_next_start_are_no_noise():
     def settling(k, time):
         ringing = np.exp(-time / 0.2) * np.cos(2 * np.pi * 12 * time)

@@ -14,6 +14,7 @@ NAMED = Case(
     beyond_um=0.0,
     named=True,
     structured=True,
+    left_structured=True,
     left_has_place=False,
     decoyed=False,
 )
@@ -82,12 +83,29 @@ def test_named_cause_falls_if_the_whole_catalogue_leaves_much(has_place, beyond_
     assert verdict_of(case) == expected
 
 
-@pytest.mark.parametrize('has_place', [True, False])
-@pytest.mark.parametrize(('left_um', 'expected'), [(0.349, 'explained'), (0.351, 'unknown')])
-def test_a_rest_that_does_not_matter_beside_the_noise_is_no_rest(has_place, left_um, expected):
-    """A gap of 0.4: all of it is left as a share, and yet less than the simulation tells."""
+@pytest.mark.parametrize(
+    ('structured', 'has_place', 'left_um', 'expected'),
+    [
+        (True, False, 0.349, 'explained'),
+        (True, False, 0.351, 'unknown'),
+        (False, True, 0.349, 'explained'),
+        (False, True, 0.351, 'unknown'),
+        # without structure and place: as far as the level of noise is known
+        (False, False, 0.599, 'explained'),
+        (False, False, 0.601, 'unknown'),
+    ],
+)
+def test_a_rest_that_does_not_matter_beside_the_noise_is_no_rest(
+    structured, has_place, left_um, expected
+):
+    """A gap of 0.61: all of it is left as a share, and yet less than the simulation tells."""
     case = replace(
-        NAMED, before_um=0.4, after_um=left_um, beyond_um=left_um, left_has_place=has_place
+        NAMED,
+        before_um=0.61,
+        after_um=left_um,
+        beyond_um=left_um,
+        left_structured=structured,
+        left_has_place=has_place,
     )
     assert verdict_of(case) == expected
 

@@ -97,6 +97,8 @@ class Case:
         True if a cause is named.
     structured : bool
         True if neighbouring pieces share more of the residual than noise explains.
+    left_structured : bool
+        The same of what is left with everything of the catalogue.
     left_has_place : bool
         True if what is left stands out somewhere.
     decoyed : bool
@@ -109,6 +111,7 @@ class Case:
     beyond_um: float
     named: bool
     structured: bool
+    left_structured: bool
     left_has_place: bool
     decoyed: bool
 
@@ -118,19 +121,25 @@ def matters(gap_um: float, simulated_um: float) -> bool:
     return gap_um > NO_GAP_SHARE * simulated_um
 
 
+def _least_share(*, structured: bool) -> float:
+    """Gap over simulated residual from which there is something to explain."""
+    return NO_GAP_SHARE if structured else PLAIN_GAP_SHARE
+
+
 def verdict_of(case: Case) -> str:
     """Return 'none', 'explained', 'partly_explained' or 'unknown'."""
     if not case.named:
-        least = NO_GAP_SHARE if case.structured or case.decoyed else PLAIN_GAP_SHARE
+        least = _least_share(structured=case.structured or case.decoyed)
         return 'none' if case.before_um < least * case.simulated_um else 'unknown'
     if case.decoyed:
         return 'unknown'
     explained, known = EXPLAINED_SHARE, KNOWN_SHARE
     if case.left_has_place:
         explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
-    if case.beyond_um > max(known * case.before_um, NO_GAP_SHARE * case.simulated_um):
+    least = _least_share(structured=case.left_structured or case.left_has_place)
+    if case.beyond_um > max(known * case.before_um, least * case.simulated_um):
         return 'unknown'
-    remainder = case.after_um if matters(case.after_um, case.simulated_um) else 0.0
+    remainder = case.after_um if case.after_um > least * case.simulated_um else 0.0
     return 'explained' if remainder <= explained * case.before_um else 'partly_explained'
 
 
@@ -161,8 +170,9 @@ class Explanation:
         named included (held out), um.
     known_rest : Residuals
         The same, fitted to all legs.
-    structured : bool
-        True if neighbouring pieces share more of the residual than noise explains.
+    structured, left_structured : bool
+        True if neighbouring pieces share more of the residual than noise explains: without causes,
+        and with the effects of the catalogue that the data speak for.
     decoyed : bool
         True if shapes outside the catalogue explain more than the causes.
     besides : Residuals, optional
@@ -179,6 +189,7 @@ class Explanation:
     known_um: float
     known_rest: Residuals
     structured: bool
+    left_structured: bool
     decoyed: bool
     besides: Residuals | None = None
     small: tuple[Cause, ...] = ()
@@ -241,7 +252,10 @@ def explain(rows: Rows, causes_found: Sequence[Cause], twin_um: float) -> Explan
     if len(known) > len(causes):
         known_um = min(known_um, residuals_with(rows, known).rms_um)
         rest = residuals_with(rows, known, held_out=False)
-    structured = _structure(rows, rows.residual) > FREE_OF_STRUCTURE
+    structured, left_structured = (
+        _structure(rows, part) > FREE_OF_STRUCTURE
+        for part in (rows.residual, _less_causes(rows, known))
+    )
     levels = twin_um, simulated_um
     return Explanation(
         tuple(causes),
@@ -251,6 +265,7 @@ def explain(rows: Rows, causes_found: Sequence[Cause], twin_um: float) -> Explan
         known_um,
         rest,
         structured,
+        left_structured,
         decoyed,
         small=tuple(known[len(causes) :]),
     )
@@ -294,14 +309,20 @@ def noise_level(rows: Rows, causes_found: Sequence[Cause]) -> float:
     How fast noise averages out over a piece is known to some ten percent from short stops. If
     what is left has no structure, its size tells better.
     """
-    residual = rows.residual
-    for cause in causes_found:
-        residual = remove_option(cause.option, residual)
+    residual = _less_causes(rows, causes_found)
     structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - len(rows.use))
     if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
         return 1.0
     return float(np.sqrt(variance))
+
+
+def _less_causes(rows: Rows, causes: Sequence[Cause]) -> Array:
+    """What the best fits of causes leave, one after the other."""
+    residual = rows.residual
+    for cause in causes:
+        residual = remove_option(cause.option, residual)
+    return residual
 
 
 def _structure(rows: Rows, residual: Array) -> float:
@@ -704,6 +725,7 @@ def _case(explained: Explanation, noise: NoiseFinding | None, *, has_place: bool
         beyond_um=gap_um(explained.known_um, simulated),
         named=bool(explained.causes),
         structured=explained.structured,
+        left_structured=explained.left_structured,
         left_has_place=has_place,
         decoyed=explained.decoyed,
     )

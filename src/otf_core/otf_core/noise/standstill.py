@@ -167,8 +167,8 @@ def trim_to_rest(samples: Samples, runs: Index) -> Index:
     Returns
     -------
     ndarray of int64, shape (k', 2)
-        Standstills without any rest are missing; those shorter than three blocks are returned
-        as they are.
+        Standstills without any rest are missing. Those shorter than three blocks are not
+        shortened: they are at rest as a whole or not at all.
     """
     if not len(runs):
         return runs
@@ -178,11 +178,12 @@ def trim_to_rest(samples: Samples, runs: Index) -> Index:
     quiet = quiet_blocks(blocks, resolution(deviations))
     spans = []
     for (first, last), (mean, deviation) in zip(runs, blocks, strict=True):
-        if len(mean) < MIN_BLOCKS:
-            spans.append((first, last))
-            continue
         jump = np.any(np.abs(np.diff(mean, axis=0)) > MAX_BLOCK_CHANGE * quiet.change, axis=1)
         bad = np.any(deviation > MAX_RATIO_AT_REST * quiet.deviation, axis=1)
+        if len(mean) < MIN_BLOCKS:  # a target that turns back creeps for as long
+            if not (jump.any() or bad.any()):
+                spans.append((first, last))
+            continue
         bad[1:] |= jump
         bad[:-1] |= jump
         low, high = _longest(~bad)

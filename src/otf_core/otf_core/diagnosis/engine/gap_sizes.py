@@ -97,15 +97,22 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
 
 
 def wave_um(cause: Cause, rows: Rows) -> float:
-    """Root mean square displacement by a wave, which means over pieces wash out, um; 0 of others.
+    """Root mean square displacement by a wave where it acts, um; 0 of others.
 
-    Its coefficients are amplitudes of sine and cosine.
+    Means over pieces wash waves out, and tables hold part of them. The coefficients of those that
+    pieces wash out are amplitudes of sine and cosine.
     """
     option = cause.option
-    if option.effect.wave is None or option.terms.orders:
+    effect = option.effect
+    if option.terms.orders or not (effect.wave or effect.held_by_tables):
         return 0.0
     value = estimate(option.own, option.size, rows.residual, option.widths).value
-    return float(1e6 * np.sqrt(0.5 * np.sum(value**2)))
+    if effect.wave:
+        return float(1e6 * np.sqrt(0.5 * np.sum(value**2)))
+    moved = [effect.terms(s, option.shape).columns[:, :, option.take] @ value for s in rows.states]
+    square = np.concatenate([np.sum(m**2, axis=1) for m in moved])
+    acts = square > 0.0
+    return float(1e6 * np.sqrt(np.mean(square[acts]))) if acts.any() else 0.0
 
 
 def gap_um(measured_um: float, simulated_um: float) -> float:

@@ -49,6 +49,7 @@ class RotaryCyclicError(Effect):
     shape_names: ClassVar[tuple[str, ...]] = (PER_TURN,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     stays_in_place: ClassVar[bool] = True
+    held_by_tables: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((
         Number(PER_TURN, OneOf((36.0, 48.0, 60.0))), Axes('S', 1e-5, most=1),
     ))  # fmt: skip
