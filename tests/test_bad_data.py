@@ -126,7 +126,7 @@ class Side:
 
     def path(self, path):
         message = encode_path(path.points, 0, 'machine')
-        self.session.intake.path(path, message)
+        self.session.intake.take_path(path, message)
 
     def take(self, stamp, xyz, frames):
         """Give samples as they arrive, some at a time."""
@@ -137,7 +137,7 @@ class Side:
                 str(name): (stamp[rows][names[rows] == name], xyz[rows][names[rows] == name])
                 for name in np.unique(names[rows])
             }
-            self.session.intake.samples(Batch(points))
+            self.session.intake.take_samples(Batch(points))
         time.sleep(1.1 * SILENT * bool(self.session.collector.held))
         self.session.intake.decide()
 
@@ -290,7 +290,7 @@ def test_second_publisher_costs_nothing_and_its_samples_are_in_the_journal(side)
     intake, half = side.session.intake, COUNT // 2
     side.take(STAMP[:half], XYZ[:half], None)
     other = {'tracker': (STAMP[:700] - 49 * 10**9, XYZ[:700])}
-    intake.of_another_publisher(Batch(other))
+    intake.keep_apart(Batch(other))
     side.take(STAMP[half:], XYZ[half:], None)
     (said,) = intake.troubles()
     assert said.startswith('700 samples of a second publisher on /tracker/point are not part')
@@ -306,8 +306,8 @@ def test_samples_lost_by_the_numbers_of_their_publisher_are_counted_and_said(sid
     session.intake._sequence = SequenceWatch(lambda: known[0])
 
     def take(count, numbers):
-        used, missed, beside = session.intake.sorted_out(STAMP[:count].tolist(), numbers)
-        session.intake.samples(Batch({'tracker': (STAMP[:3], XYZ[:3])}, missed))
+        used, missed, beside = session.intake.separate_publishers(STAMP[:count].tolist(), numbers)
+        session.intake.take_samples(Batch({'tracker': (STAMP[:3], XYZ[:3])}, missed))
         return len(used), len(beside)
 
     assert take(3, [7, 8, 12]) == (3, 0) and session.request().lost == 3

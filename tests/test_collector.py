@@ -40,7 +40,7 @@ def announce(collector, name, published, state, now=0.0, last=None):
 
 
 def complete(collector, now=0.0):
-    return collector.complete(now, at_stream_end=True, idle_timeout=10.0)
+    return collector.reason_to_end(now, at_stream_end=True, idle_timeout=10.0)
 
 
 def test_stream_is_complete_when_all_announced_samples_are_here(collector):
@@ -83,13 +83,13 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     add(session.collector, 101, now=now)
     for k in range(101, 201 + round(500 * seconds)):
         session.collector.add(k * 2_000_000, 0.1, 1e-3 * min(k - 100, 100), 0.0, now)
-        assert not session.complete()
+        assert not session.reason_to_end()
     session.collector.add((k + 1) * 2_000_000, 0.09, 0.1, 0.0, now)
-    assert not session.complete()  # nobody knows yet where that was
+    assert not session.reason_to_end()  # nobody knows yet where that was
     verdict.set_result(True)
-    ended = session.complete()
+    ended = session.reason_to_end()
     assert ended == ('standstill at the end point' if seconds > 0.25 else '')
-    assert not session.complete()
+    assert not session.reason_to_end()
 
 
 def waiting_for_the_last(now):
@@ -107,9 +107,9 @@ def test_calibration_that_is_asked_for_has_the_last_samples():
     now = time.monotonic()
     session = waiting_for_the_last(now)
     assert session.calibrate()[0] and session.busy
-    assert session.due() == '' and not session.calibrate()[0]
+    assert session.start_due() == '' and not session.calibrate()[0]
     add(session.collector, 10, start=90, now=now)
-    assert session.due() == 'calibration of 100 samples started: requested'
+    assert session.start_due() == 'calibration of 100 samples started: requested'
     session.close()
 
 
@@ -118,7 +118,7 @@ def test_run_that_is_forgotten_while_its_last_samples_are_waited_for_is_not_cali
     session = waiting_for_the_last(now)
     assert session.calibrate()[0] and session.forget()[0]
     session.collector.announce('a', 90, False, True, now)
-    assert 'was set aside' in session.due() and not session.busy
+    assert 'was set aside' in session.start_due() and not session.busy
     session.close()
 
 
@@ -134,8 +134,8 @@ def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_p
     assert session.calibrate()[0] and session.progress == (LAST_SAMPLES, 0.0)
     session.cancel()
     add(session.collector, 10, start=90, now=now)
-    session.due()
-    while not (job := session.finished()):
+    session.start_due()
+    while not (job := session.take_finished()):
         time.sleep(0.01)
     assert isinstance(job.exception(), Cancelled) and not session.busy
     assert len(session.collector.buffer) == 100
@@ -144,12 +144,14 @@ def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_p
 
 def test_samples_of_another_machines_run_are_set_aside_and_no_others(collector):
     add(collector, 100)
-    assert collector.of_another(-1, 'before') is None and len(collector.buffer) == 100
-    rest = collector.of_another(69 * 2_000_000, 'they belong to the run along /left/planner/path')
+    assert collector.set_aside_until(-1, 'before') is None and len(collector.buffer) == 100
+    rest = collector.set_aside_until(
+        69 * 2_000_000, 'they belong to the run along /left/planner/path'
+    )
     assert len(rest) == len(collector.buffer) == 30 and rest.stamp_ns[0] == 70 * 2_000_000
     assert collector.travelled == pytest.approx(0.029) and not collector.remarks
     collector.taken = True
-    assert collector.of_another(10**12, 'ours is calibrated') is None
+    assert collector.set_aside_until(10**12, 'ours is calibrated') is None
 
 
 @pytest.mark.parametrize('status_first', [True, False])
@@ -229,10 +231,10 @@ def test_samples_on_their_way_are_not_lost_yet(collector):
     announce(collector, 'a', 0, 'STREAMING')
     add(collector, 100)
     announce(collector, 'a', 130, 'STREAMING')
-    assert collector.lost_for_sure(0.0) == 0
+    assert collector.count_surely_lost(0.0) == 0
     announce(collector, 'a', 130, 'FINISHED')
-    assert collector.lost_for_sure(0.0) == 0
-    assert collector.lost_for_sure(2 * LATE) == 30
+    assert collector.count_surely_lost(0.0) == 0
+    assert collector.count_surely_lost(2 * LATE) == 30
 
 
 def test_samples_lost_in_a_run_are_not_counted_in_the_next(collector):
@@ -346,7 +348,7 @@ def test_silence_after_the_path_completes_a_run_without_status(collector):
     add(collector, 100, start=100)
     assert not complete(collector, now=9.0)
     assert complete(collector, now=11.0) == 'no sample for 11 s'
-    assert not collector.complete(11.0, at_stream_end=True, idle_timeout=0.0)
+    assert not collector.reason_to_end(11.0, at_stream_end=True, idle_timeout=0.0)
 
 
 def test_silence_completes_nothing_while_the_driver_says_that_its_stream_goes_on(collector):
@@ -399,10 +401,13 @@ def test_another_path_in_mid_run_waits_and_is_that_of_the_next_run(collector):
     assert collector.set_path(other) == collector.set_path(PATH) == PathTaken.KNOWN
     add(collector, 100, start=100)
     assert len(collector.buffer) == 200 and collector.path is PATH
-    assert not collector.run_over()
+    assert not collector.use_newest_path()
     collector.taken = True
-    assert collector.run_over() and (collector.path, collector.path_message) == (other, b'2')
-    assert collector.other.path is PATH and not collector.run_over()
+    assert collector.use_newest_path() and (collector.path, collector.path_message) == (
+        other,
+        b'2',
+    )
+    assert collector.other.path is PATH and not collector.use_newest_path()
 
 
 def test_silence_after_nearly_the_whole_path_completes_a_run_whatever_the_driver_says(collector):
@@ -462,7 +467,7 @@ def restarted(collector, same):
     """100 samples, a calibrator that was ended and comes back, then 50 more samples."""
     announce(collector, 'a', 90, 'STREAMING')
     add(collector, 100)
-    collector.taken_up()
+    collector.resume_run()
     announce(collector, 'a' if same else 'b', 250 if same else 60, 'STREAMING')
     add(collector, 50, start=200)
     collector.decide(2 * SILENT)
@@ -487,7 +492,7 @@ def test_loss_while_driver_and_calibrator_were_away_is_at_least_what_is_known(co
 
 def test_loss_of_a_tracker_without_status_is_what_the_stamps_leave_out(collector):
     add(collector, 100)
-    collector.taken_up()
+    collector.resume_run()
     add(collector, 50, start=130)
     assert collector.lost == 30
 
@@ -506,19 +511,19 @@ def test_loss_of_a_killed_driver_is_exact_once_the_next_one_has_found_its_count(
     if not late:
         announce(collector, 'a', 90, 'STREAMING')
         add(collector, 100)
-        collector.taken_up()
-        collector.published_before('a', 130)
+        collector.resume_run()
+        collector.count_published_before('a', 130)
         announce(collector, 'b', 0, 'STREAMING')
         assert (collector.lost, collector.restarts.uncounted) == (30, False)
         return
     restarted(collector, same=False)
-    collector.published_before('a', 130)
+    collector.count_published_before('a', 130)
     assert (collector.lost, collector.restarts.uncounted) == (30 + 10, False)
 
 
 def test_stream_that_came_and_went_while_the_calibrator_was_away_is_lost_as_a_whole(collector):
     restarted(collector, same=False)
-    collector.published_before('between', 70)
+    collector.count_published_before('between', 70)
     assert (collector.lost, collector.restarts.uncounted) == (10 + 70, True)
 
 
@@ -526,14 +531,14 @@ def test_stream_that_came_and_went_while_the_calibrator_was_away_is_lost_as_a_wh
 def test_loss_is_known_while_the_stream_goes_on_whichever_comes_first(collector, late):
     announce(collector, 'a', 100, 'STREAMING', last=99)
     add(collector, 100)
-    collector.taken_up()
+    collector.resume_run()
     add(collector, late, start=240)  # those from 100 to 239 are lost
     announce(collector, 'a', 241, 'STREAMING', last=240)
     add(collector, 60 - late, start=240 + late)
-    assert (collector.lost_for_sure(0.0), collector.lost) == (140, 241 - 160)
+    assert (collector.count_surely_lost(0.0), collector.lost) == (140, 241 - 160)
     announce(collector, 'a', 320, 'STREAMING', last=319)
-    assert (collector.lost_for_sure(0.0), collector.lost) == (140, 160)
+    assert (collector.count_surely_lost(0.0), collector.lost) == (140, 160)
     collector.reset()
     add(collector, 20, start=300)
     announce(collector, 'a', 320, 'STREAMING', last=319)
-    assert (collector.lost_for_sure(0.0), collector.lost) == (0, 0)
+    assert (collector.count_surely_lost(0.0), collector.lost) == (0, 0)

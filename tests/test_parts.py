@@ -71,8 +71,8 @@ def test_another_plan_is_used_at_once_or_after_the_run():
     plans.now += LATER
     assert plans.take([part('tool', 0.2), B], [3, 3], driving=True) == ['NEXT', 'NEXT']
     assert plans.targets() == ['tool', 'nest-2']
-    assert plans.heard.run_over() and plans.targets() == ['tool', 'nest-1']
-    assert not plans.heard.run_over()
+    assert plans.heard.use_next_plan() and plans.targets() == ['tool', 'nest-1']
+    assert not plans.heard.use_next_plan()
 
 
 def test_parts_that_come_one_by_one_as_they_are_driven_are_one_plan():
@@ -94,9 +94,9 @@ def life(folder, samples):
     machine = load_machine(CELL / 'machine.yaml')
     session.intake.machine = machine
     session.intake.journal = Journal(folder, {})
-    said = session.intake.take_up(None, None)
+    said = session.intake.resume_run(None, None)
     heard = [
-        session.intake.part(
+        session.intake.take_part(
             one, machine, encode_axes(one.axes, one.positions, 7, one.target), 7
         ).name
         for one in read_bag(CELL / 'bag').axis_paths

@@ -58,7 +58,7 @@ def ended(folder, samples, batch, late, ends, given_up=None):
     session, asked = begun(folder)
     if given_up is not None:
         session.worker.give_up = lambda: given_up.append(len(asked))
-    session.intake.path(PATH, encode_path(PATH.points, 0, 'machine'))
+    session.intake.take_path(PATH, encode_path(PATH.points, 0, 'machine'))
     stamps, xyz = samples
     due = {}
     for number, at in enumerate(range(0, len(stamps) + batch * (late + 2), batch)):
@@ -68,7 +68,7 @@ def ended(folder, samples, batch, late, ends, given_up=None):
             if due.setdefault(count, number + late) == number:
                 verdict.set_result(count in ends)
         session.intake.decide()
-        if session.complete():
+        if session.reason_to_end():
             break
     else:
         raise AssertionError('it did not end')
@@ -111,11 +111,11 @@ def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_
     samples, end = driven(0, 160), 201 + AT_REST
     found, _ = ended(tmp_path, samples, 10, 0, [end])
     session, asked = begun(tmp_path)
-    assert f'continues with {end} samples' in session.intake.take_up(None, None)
-    assert not session.complete()
+    assert f'continues with {end} samples' in session.intake.resume_run(None, None)
+    assert not session.reason_to_end()
     ((verdict, count),) = asked
     verdict.set_result(True)
-    assert session.complete() == 'standstill at the end point' and count == end
+    assert session.reason_to_end() == 'standstill at the end point' and count == end
     assert session.request().samples.stamp_ns.tolist() == found.stamp_ns.tolist()
     session.close()
 
@@ -139,12 +139,12 @@ def life(folder, stream, before, start):
     def gap(message):
         return message.decode(), PUBLISHED[message]
 
-    session.intake.take_up(status, gap)
-    session.intake.status(status(stream), stream)
+    session.intake.resume_run(status, gap)
+    session.intake.take_status(status(stream), stream)
     if before:
-        session.intake.gap(*gap(before), before)
+        session.intake.take_gap(*gap(before), before)
     stamps = STEP * np.arange(start, start + 100)
-    session.intake.samples(Batch({'tracker': (stamps, np.full((100, 3), 0.5))}))
+    session.intake.take_samples(Batch({'tracker': (stamps, np.full((100, 3), 0.5))}))
     restarts = session.collector.restarts
     found = session.collector.lost, restarts.uncounted, restarts.samples
     session.close()

@@ -74,14 +74,16 @@ class OtherPath:
     since: int = 0
     message: bytes = b''
     watcher: PathWatcher = field(init=False)
-    _asked: float = field(default=0.0, init=False)
+    _compared_at: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         """Begin to follow the target."""
         self.watcher = PathWatcher(self.path, self.config)
 
-    def worth_asking(self, at_the_end: bool) -> bool:
-        """Return whether the samples should be compared with both paths; once per so much travel.
+    def comparison_due(self, at_the_end: bool) -> bool:
+        """Return whether the samples should be compared with both paths.
+
+        That is so again after ``COMPARED_EVERY`` of the path.
 
         Parameters
         ----------
@@ -89,14 +91,14 @@ class OtherPath:
             The run is about to be calibrated.
         """
         travelled = self.watcher.travelled
-        more = travelled - self._asked
+        more = travelled - self._compared_at
         if travelled < first_legs(self.path) or not more:
             return False
-        return at_the_end or not self._asked or more > COMPARED_EVERY * self.path.length
+        return at_the_end or not self._compared_at or more > COMPARED_EVERY * self.path.length
 
-    def asked(self) -> None:
-        """Record that they are compared."""
-        self._asked = self.watcher.travelled
+    def mark_compared(self) -> None:
+        """Record that they have been compared."""
+        self._compared_at = self.watcher.travelled
 
 
 class PathTaken(Enum):
@@ -110,39 +112,39 @@ class PathTaken(Enum):
 
 
 class Collector:
-    """Buffers samples without loss and tells when a run is complete.
+    """Buffers the samples of a run without loss and decides when the run is complete.
 
     Parameters
     ----------
     config : callable
         Returns the present parameters of the method.
     set_aside : callable, optional
-        Told why the samples so far do not belong to the run that begins, before they are gone.
+        Called with the reason before samples that do not belong to the new run are dropped.
 
     Attributes
     ----------
     path_message : bytes
-        In which it came.
+        The path as it was received.
     other : OtherPath or None
         Another path, which the target may turn out to follow.
     buffer : SampleBuffer
         Samples of the present run.
     screening : Screening
-        What was left out of it.
+        Samples that were rejected, by reason.
     remarks : list of str
-        What happened to it.
+        What the reader of the result has to know of the run.
     taken : bool
         The run has been calibrated; while the target stands, further samples are ignored.
     run : int
-        Changes with every new run and new path.
+        Number of the run; it changes with every new run and every new path.
     publishers : int
-        Of the samples, as far as the graph knows.
+        Number of publishers of samples that the graph knows.
     missed : int
         Samples of the run that the transport lost by its own count.
     restarts : Restarts
         What the stamps leave out where driver or calibrator were started again.
     watcher : PathWatcher or None
-        Of the samples so far; None without a path.
+        Progress along the path; None without a path.
     """
 
     def __init__(
@@ -162,7 +164,7 @@ class Collector:
         self.publishers = 1
         self.missed = 0
         self.restarts = Restarts()
-        self._taken_up = False
+        self._resumed = False
         self._lap_taken, self._parts_taken = False, 0
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
@@ -190,14 +192,14 @@ class Collector:
         unsaid = 0 if self._stream.name else self.restarts.samples
         return max(0, self._lost_before + self._stream.lost, self.missed, unsaid)
 
-    def taken_up(self) -> None:
-        """The samples so far are those of a calibrator that was ended in the run."""
-        self._taken_up = True
+    def resume_run(self) -> None:
+        """Continue the run of a calibrator that ended before it was complete."""
+        self._resumed = True
         if len(self.buffer):
             self.restarts.expect()
 
-    def lost_for_sure(self, now: float) -> int:
-        """Samples lost, less those that may be on their way: the driver is ahead of them."""
+    def count_surely_lost(self, now: float) -> int:
+        """Count the samples that are lost, without those that may still arrive."""
         if self._stream.over(now) or not self._stream.name:
             return self.lost
         return max(0, self._lost_before + (self._stream.missing or 0), self.missed)
@@ -210,16 +212,16 @@ class Collector:
 
     @property
     def held(self) -> int:
-        """Samples, the last ones taken, that are in no run yet: what follows tells."""
+        """Number of the latest samples that are in no run yet; the next samples decide."""
         return len(self._clock.held)
 
     def undecided(self, now: float) -> bool:
-        """Return whether what is held may turn out to be another run within a moment."""
+        """Return whether the samples held may still turn out to be another run."""
         return bool(self.held) and now - self._held_since <= SILENT
 
     @property
     def ended(self) -> bool:
-        """True if no sample can be added: calibrated, or the driver has ended its stream."""
+        """True if no sample can be added: the run is calibrated, or the stream has ended."""
         return self.taken or self._stream.ended
 
     def goes_on(self, now: float) -> bool:
@@ -237,7 +239,7 @@ class Collector:
         return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
 
     def set_path(self, path: NominalPath, message: bytes = b'') -> PathTaken:
-        """Take a path; samples that came before the first are kept."""
+        """Use a path; samples that arrived before the first path are kept."""
         before, config = self.path, self._config()
         if before is not None and _same(path, before):
             return PathTaken.KNOWN
@@ -255,13 +257,13 @@ class Collector:
         return PathTaken.USED
 
     def set_parts(self, path: PartsTrack, *, further: bool) -> None:
-        """Take the parts of a machine with rotary axes; samples that came before them are kept.
+        """Use the parts of a machine with rotary axes; samples that arrived before are kept.
 
         Parameters
         ----------
         further : bool
-            They begin with the parts that are known: the run goes on. Else samples so far are set
-            aside.
+            They continue the parts that are known, and the run goes on; otherwise the samples so
+            far are set aside.
         """
         self.other = None
         if self.path is not None and not further and (self.taken or len(self.buffer)):
@@ -270,7 +272,7 @@ class Collector:
         self._watch()
 
     def driven_parts(self) -> tuple[NominalPath, tuple[str, ...]]:
-        """Return the path without parts that were surely not driven, and words on these."""
+        """Return the path without the parts that were not driven, and a remark on these."""
         path, watcher = self.path, self.watcher
         assert path is not None, 'asked before'
         if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
@@ -286,17 +288,17 @@ class Collector:
         """Whether a run is being driven."""
         return not self.taken and self.travelled > MOTION
 
-    def two_paths(self, at_the_end: bool) -> TwoPaths | None:
-        """Return what tells which of two paths is driven, if it should be asked now; once."""
+    def paths_to_compare(self, at_the_end: bool) -> TwoPaths | None:
+        """Return the samples and both paths if a comparison is due, once; otherwise None."""
         other, path = self.other, self.path
-        if path is None or other is None or self.taken or not other.worth_asking(at_the_end):
+        if path is None or other is None or self.taken or not other.comparison_due(at_the_end):
             return None
-        other.asked()
+        other.mark_compared()
         samples, since = self.buffer.snapshot(), other.watcher.travelled
         return TwoPaths(samples, other.since, path, other.path, self.travelled, since)
 
     def follow_the_other(self) -> Samples:
-        """Begin a run along the other path with the samples since it came, and return these."""
+        """Begin a run along the other path; return its samples, those since it was published."""
         other = self.other
         assert other is not None, 'asked before'
         rest = self.buffer.snapshot(other.since)
@@ -307,22 +309,22 @@ class Collector:
         self._take_again(rest)
         return rest
 
-    def run_over(self) -> bool:
-        """Use the path that was published last for the next run; tell whether it is another."""
+    def use_newest_path(self) -> bool:
+        """Use the newest path for the next run; return whether it is another one."""
         if not self.taken or self.other is None or not self.other.newer:
             return False
         self._exchange()
         return True
 
     def _exchange(self) -> None:
-        """The other path becomes that of the run; the one before may still be meant."""
+        """Exchange both paths; the previous one may still be the one that is driven."""
         other, path = self.other, self.path
         assert other is not None and path is not None, 'asked before'
         self.other = OtherPath(path, self._config(), False, message=self.path_message)
         self.path, self.path_message = other.path, other.message
 
-    def of_another(self, until_ns: int, why: str) -> Samples | None:
-        """Set samples up to a stamp aside; return those that stay, None if nothing is changed."""
+    def set_aside_until(self, until_ns: int, why: str) -> Samples | None:
+        """Set samples up to a stamp aside; return the rest, None if there were none."""
         samples = self.buffer.snapshot()
         if self.taken or not len(samples) or samples.stamp_ns[0] > until_ns:
             return None
@@ -335,19 +337,19 @@ class Collector:
         return rest
 
     def _take_again(self, samples: Samples) -> None:
-        """Put samples into a run that has begun."""
+        """Add samples to the new run."""
         rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
         for stamp_ns, (x, y, z) in rows:
             self.buffer.append(stamp_ns, x, y, z)
         self._watch()
 
     def reset(self) -> None:
-        """Forget the samples; a stream that the driver has told of goes on."""
+        """Drop all samples; the stream of the driver continues."""
         self._clock.drop()
         self._forget()
 
     def add(self, stamp_ns: int, x: float, y: float, z: float, now: float) -> None:
-        """Take one sample: stamp in ns, tracker frame in m, time of arrival in s."""
+        """Add one sample: stamp in ns, tracker frame in m, time of arrival in s."""
         stream, clock = self._stream, self._clock
         # who is held up gets the last samples late: their stamps go on
         late = clock.newest_ns is not None and 0 < stamp_ns - clock.newest_ns < LATE * 1e9
@@ -365,7 +367,7 @@ class Collector:
         self.decide(now)
 
     def decide(self, now: float) -> None:
-        """Begin a run with what is held, or go on with it, as soon as it is known which."""
+        """Assign the samples held to a new run or to the present one, as soon as that is clear."""
         clock = self._clock
         back, known = clock.off_ns < 0, not self.undecided(now)
         if not self.held or not (clock.persists and known if back else clock.persists or known):
@@ -386,7 +388,7 @@ class Collector:
         now: float,
         last_ns: int = 0,
     ) -> None:
-        """Take what the driver says about its stream.
+        """Process the status of the stream as the driver reports it.
 
         Parameters
         ----------
@@ -405,9 +407,9 @@ class Collector:
             return
         before, self._told = self._stream, now
         self._strays.discard(name)
-        if self._taken_up and before.name and name != before.name and not before.ended:
+        if self._resumed and before.name and name != before.name and not before.ended:
             self.restarts.uncounted = before.name not in self._counted
-        self._taken_up = False
+        self._resumed = False
         if name in self._left:  # the one before goes on: what is lost of which is unknown
             self._lost_before -= self._left.pop(name)
             self._left[before.name] = 0
@@ -432,8 +434,8 @@ class Collector:
         elif not stream.ended:
             stream.ended, stream.ended_at = True, now
 
-    def published_before(self, name: str, published: int) -> None:
-        """Take what a driver has found of the stream of one that was killed before it.
+    def count_published_before(self, name: str, published: int) -> None:
+        """Count what a driver that was killed had published, as its successor reports it.
 
         Parameters
         ----------
@@ -454,10 +456,10 @@ class Collector:
             self._lost_before += published  # nobody here has ever heard of it
             self._counted.add(name)
 
-    def first_lap(self) -> tuple[Samples, NominalPath] | None:
-        """Return the samples so far, and the part of the path they are of, after one lap; once.
+    def take_first_lap(self) -> tuple[Samples, NominalPath] | None:
+        """Return samples and path of the first lap, once it is driven and only once.
 
-        Of a run of several parts after each of them but the last.
+        Of a run of several parts: those so far, after each part but the last.
         """
         if self.taken or self.path is None:
             return None
@@ -479,20 +481,20 @@ class Collector:
         self._parts_taken = finished
         return self.buffer.snapshot(stop=self.watcher.starts[-1]), path.first_parts(finished)
 
-    def end_to_judge(self) -> Samples | None:
-        """Return the samples of a run that may be over if they should be looked at; once."""
+    def take_end_to_judge(self) -> Samples | None:
+        """Return the samples of a run that may be over, once per standstill; otherwise None."""
         if self.taken or not self.watcher or not self.watcher.worth_judging:
             return None
         self.watcher.judge()
         return self.buffer.snapshot(stop=self.watcher.end)
 
-    def end_here(self) -> None:
-        """The run is over with the samples that were looked at; those after are in none."""
+    def end_run(self) -> None:
+        """End the run at the standstill that was evaluated; later samples are dropped."""
         assert self.watcher is not None and self.watcher.end is not None, 'looked at'
         self.buffer.cut(self.watcher.end)
 
-    def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
-        """State why the run is complete; empty if it is not."""
+    def reason_to_end(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
+        """Return why the run is complete, in words; empty if it is not."""
         if self.taken or self.path is None or not len(self.buffer) or self.undecided(now):
             return ''
         if at_stream_end and self._stream.finished and self._stream.over(now):

@@ -35,7 +35,7 @@ def tell(
         return Finding(Level.OK, f'{count} samples of the present run', values)
 
     def losses() -> Finding:
-        lost = session.collector.lost_for_sure(time.monotonic())
+        lost = session.collector.count_surely_lost(time.monotonic())
         restarts = session.collector.restarts
         values = {
             'lost': lost,

@@ -96,7 +96,7 @@ class PathReceiver:
                 return
             stamp_ns = ns_from_time(message.header.stamp)
             data = encode_axes(part.axes, part.positions, stamp_ns, part.target)
-            heard = intake.part(part, self.machine, data, stamp_ns)
+            heard = intake.take_part(part, self.machine, data, stamp_ns)
         except OtfError as error:
             log.error(f'{self._axes} of {sender} ignored: {error}')
             return
@@ -122,7 +122,7 @@ class PathReceiver:
             log.error(f'{self._topic} of {sender} ignored: {error}')
             return
         data = serialize_message(convert.path_for_journal(message))
-        fate = self._session.intake.path(path, data)
+        fate = self._session.intake.take_path(path, data)
         collector, points = self._session.collector, len(message.poses)
         if fate == PathTaken.USED:
             log.info(f'new path of {points} points, for {len(collector.buffer)} samples so far')
@@ -174,7 +174,7 @@ def _take(node: Node, intake: Intake, spec: SignalSpec, message: Any) -> None:
     now = node.get_clock().now().nanoseconds or time.time_ns()  # a bag that is played has a clock
     stamp = now if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
     value = float(getattr(message, PLAIN[spec.type]))
-    intake.signal(spec, stamp, value, serialize_message(message))
+    intake.take_signal(spec, stamp, value, serialize_message(message))
 
 
 def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
@@ -189,7 +189,7 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
         GAP.type: message_text('otf_msgs', 'TrackerGap'),
     }
     intake.journal = Journal(place, texts, [topic_of(s) for s in intake.signals.specs])
-    said = intake.take_up(
+    said = intake.resume_run(
         lambda data: status_of(deserialize_message(data, TrackerStatus)),
         lambda data: stream_before(deserialize_message(data, TrackerGap)),
     )

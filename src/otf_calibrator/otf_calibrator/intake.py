@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arrives: judged, written to the journal, collected; and taken up again after a crash."""
+"""Incoming samples and messages: screened, journalled, collected, and resumed after a crash."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
 
 A = TypeVar('A')
-TAKEN_UP = 600.0
+RESUMED_WITHIN = 600.0
 """s; a run that was written longer ago is not the running measurement."""
 MOST_VALUES = 200_000
 """Values of each signal that are kept."""
@@ -133,17 +133,17 @@ class Intake:
         self._size = np.zeros(0, np.int64)  # of the run with each of them
         self._at = self._held_at = 0
 
-    def path(self, path: NominalPath, message: bytes) -> PathTaken:
-        """Take a path and its message; the journal has that of the run only."""
+    def take_path(self, path: NominalPath, message: bytes) -> PathTaken:
+        """Use a path; its message goes to the journal if it is that of the run."""
         fate = self._collector.set_path(path, message)
         if fate == PathTaken.USED and self.journal:
             self.journal.message(PATH, message)
         return fate
 
-    def part(
+    def take_part(
         self, part: AxisPath, machine: Machine, message: bytes, stamp_ns: int
     ) -> PartReception:
-        """Take a part of a run of a machine with rotary axes, and its message.
+        """Use a part of a run of a machine with rotary axes.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class Intake:
         return heard
 
     def _use_parts(self, *, further: bool) -> None:
-        """The parts of the plan are those of the run."""
+        """Use the parts of the plan for the run."""
         self._collector.set_parts(self._track(), further=further)
         if self.journal:
             self.journal.message(AXES, *self._parts.plan.messages)
@@ -170,7 +170,7 @@ class Intake:
         return nominal_track(self.machine, self._parts.plan.parts)
 
     def follow_the_other_path(self) -> None:
-        """The samples since another path came follow that one: they are a run of their own."""
+        """Begin a run with the samples since another path was published: they follow that one."""
         self._write_known()
         if self.journal and not (self._collector.other and self._collector.other.since):
             self.journal.end(
@@ -183,14 +183,14 @@ class Intake:
         self._take_again(rest)
 
     def _take_again(self, samples: Samples) -> None:
-        """Count and journal samples that begin a run after another one was set aside."""
+        """Count and journal the first samples of a run that follows one set aside."""
         if len(samples):
             self._collector.screening.good(samples.stamp_ns, samples.xyz)
             if self.journal:
                 self.journal.points(samples.stamp_ns, samples.xyz, POINT.frame)
 
-    def gap(self, stream: str, published: int, message: bytes) -> None:
-        """Take a break of the stream, as the driver states it; again after a restart.
+    def take_gap(self, stream: str, published: int, message: bytes) -> None:
+        """Record a gap of the stream that the driver reports; it repeats it after a restart.
 
         Parameters
         ----------
@@ -203,14 +203,14 @@ class Intake:
             return
         self._gaps.add(message)
         if stream:
-            self._collector.published_before(stream, published)
+            self._collector.count_published_before(stream, published)
         if self.journal:
             self.journal.event(GAP, message)
 
-    def sorted_out(
+    def separate_publishers(
         self, messages: Sequence[A], numbers: Sequence[int | None]
     ) -> tuple[list[A], int, list[A]]:
-        """Tell apart the samples of the run and those of a second publisher.
+        """Separate the samples of the run from those of a second publisher.
 
         Parameters
         ----------
@@ -236,19 +236,19 @@ class Intake:
         """Whether samples are held of a publisher that may be the successor of the one before."""
         return self._choice.waiting
 
-    def held(self) -> list[Any]:
-        """Return these samples, at the end."""
-        return self._choice.rest()
+    def release_held(self) -> list[Any]:
+        """Return the samples held; for the end of the node."""
+        return self._choice.release_held()
 
-    def of_another_publisher(self, batch: Batch) -> None:
-        """Keep samples of a second publisher apart."""
+    def keep_apart(self, batch: Batch) -> None:
+        """Journal samples of a second publisher apart from the run."""
         for frame, (stamp_ns, xyz) in batch.points.items():
             self._apart += 0 if self._collector.taken else len(stamp_ns)
             if self.journal and self.journal.folder:
                 self.journal.points(stamp_ns, xyz, frame, OTHER_POINT)
 
-    def status(self, status: Status, message: bytes) -> None:
-        """Take a status of the driver."""
+    def take_status(self, status: Status, message: bytes) -> None:
+        """Process a status of the driver."""
         now = time.monotonic()
         self._collector.announce(
             status.name, status.published, status.streaming, status.finished, now, status.last_ns
@@ -256,19 +256,19 @@ class Intake:
         if self.journal:
             self.journal.message(STATUS, message)
 
-    def signal(self, spec: SignalSpec, stamp_ns: int, value: float, message: bytes) -> None:
-        """Take a value of a signal and its message."""
+    def take_signal(self, spec: SignalSpec, stamp_ns: int, value: float, message: bytes) -> None:
+        """Record a value of a signal."""
         self.signals.add(spec, stamp_ns, value)
         if self.journal:
             self.journal.message(topic_of(spec), message)
 
-    def samples(self, batch: Batch, may_end: bool = True) -> None:
-        """Take samples; those of other frames are only counted.
+    def take_samples(self, batch: Batch, may_end: bool = True) -> None:
+        """Collect samples; those of other frames are only counted.
 
         Parameters
         ----------
         may_end : bool
-            A standstill is looked at soon: what comes after it is not of the run until then.
+            Samples after a standstill are held back until it is known whether the run ends there.
         """
         collector = self._collector
         collector.missed += batch.missed
@@ -282,15 +282,15 @@ class Intake:
                     self.journal.points(stamp_ns, xyz, frame)
 
     def set_aside(self, why: str) -> None:
-        """End the run in the journal; the collector calls this before its samples are gone."""
+        """End the run in the journal; the collector calls this before it drops its samples."""
         collector = self._collector
         self._write_known()
         state = 'complete' if collector.taken else f'set aside: {why}'
         folder = self.journal.end(state) if self.journal else None
         self._apart = 0
-        if collector.run_over() and self.journal:
+        if collector.use_newest_path() and self.journal:
             self.journal.message(PATH, collector.path_message)
-        if self._parts.run_over():
+        if self._parts.use_next_plan():
             collector.path = self._track()
             if self.journal:
                 self.journal.message(AXES, *self._parts.plan.messages)
@@ -298,46 +298,46 @@ class Intake:
             place = f'; they are in {folder}' if folder else ''
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
 
-    def of_another(self, until_ns: int, why: str) -> None:
-        """Set samples up to a stamp aside: they were of another machine's run."""
-        rest = self._collector.of_another(until_ns, why)
+    def set_aside_until(self, until_ns: int, why: str) -> None:
+        """Set samples up to a stamp aside: they belong to the run of another machine."""
+        rest = self._collector.set_aside_until(until_ns, why)
         if rest is not None:
             self._take_again(rest)
 
     def decide(self, may_end: bool = True) -> None:
-        """Look whether it is known by now to which run the latest samples belong."""
+        """Assign the latest samples to a run if it is known by now to which."""
         self._collector.decide(time.monotonic())
         self._write_known(may_end)
 
-    def end_here(self) -> None:
-        """The run is over at the standstill that was looked at; what came after is in none."""
+    def end_run(self) -> None:
+        """End the run at the standstill that was evaluated; later samples are dropped."""
         self._write_known(may_end=True)
-        self._collector.end_here()
+        self._collector.end_run()
         self._stamp_ns, self._xyz, self._size = self._stamp_ns[:0], self._xyz[:0], self._size[:0]
         self._at = self._held_at = 0
 
     def forget(self) -> str:
-        """Begin a run anew; say where the samples so far are kept."""
+        """Drop the run; return where its samples are kept, in words."""
         self._write(self._at)
         folder = self.journal.end('set aside: reset') if self.journal else None
         self._collector.reset()
         self._apart = 0
-        if self._parts.run_over():
+        if self._parts.use_next_plan():
             self._use_parts(further=False)
         return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
-        """Record in the journal that a run was calibrated; one that goes on stays as it is."""
+        """Record in the journal that a run was calibrated, unless it continues."""
         if self.journal and request.journal and request.final:
             self.journal.settle(request.journal, f'calibrated: {results or "no files"}')
 
-    def kept(self) -> str:
+    def journal_words(self) -> str:
         """State where the samples of the present run are."""
         folder = self.journal.folder if self.journal else None
         return f'; the samples are in {folder}' if folder else ''
 
     def remarks(self) -> tuple[str, ...]:
-        """What the reader of a result should know of the samples, beside what was left out."""
+        """Remarks on the samples for the reader of a result, except on rejected ones."""
         said = self._collector.restarts.remarks
         if not self._apart:
             return tuple(said)
@@ -349,7 +349,7 @@ class Intake:
         )
 
     def troubles(self) -> list[str]:
-        """What the user should know of the samples and the journal at present."""
+        """Present problems of samples and journal, in words."""
         said = [self.journal.trouble] if self.journal and self.journal.trouble else []
         collector = self._collector
         if collector.missed:
@@ -357,15 +357,15 @@ class Intake:
         return [*said, *self.remarks(), *collector.remarks, *collector.screening.remarks()]
 
     def close(self) -> None:
-        """Write what has come to the journal."""
+        """Write all samples received to the journal and close it."""
         self._write(self._at)
         if self.journal:
             self.journal.close()
 
-    def take_up(
+    def resume_run(
         self, status: Callable[[bytes], Status], gap: Callable[[bytes], tuple[str, int]]
     ) -> str:
-        """Go on with the run of a calibrator that ended without finishing it; say what was found.
+        """Continue the run of a calibrator that ended early; return what was found, in words.
 
         Parameters
         ----------
@@ -375,7 +375,7 @@ class Intake:
         if self.journal is None:
             return ''
         try:
-            recorded, others = self.journal.take_up(TAKEN_UP)
+            recorded, others = self.journal.take_up(RESUMED_WITHIN)
         except InputError as error:
             return f'an unfinished run cannot be resumed: {error}'
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in others]
@@ -397,10 +397,10 @@ class Intake:
                         wrong = wrong or self._restore_part(content)
                         journal.keep(AXES, *self._parts.plan.messages)
                     elif topic == GAP:
-                        self.gap(*gap(content), content)
+                        self.take_gap(*gap(content), content)
                     else:
-                        self.status(status(content), content)
-                self._collector.taken_up()
+                        self.take_status(status(content), content)
+                self._collector.resume_run()
             self.journal = journal
             watcher, count = self._collector.watcher, len(self._collector.buffer)
             if watcher is not None and watcher.end == count:
@@ -413,7 +413,7 @@ class Intake:
         return '; '.join(said)
 
     def _restore_part(self, message: bytes) -> str:
-        """Take a part of a run that is taken up; say what is wrong with it, empty if nothing."""
+        """Restore a part of a resumed run; return what is wrong with it, empty if nothing."""
         frame, names, positions = decode_axes(message)
         part = AxisPath(names, positions, frame or TOOL)
         try:
@@ -426,7 +426,7 @@ class Intake:
         return ''
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
-        """Signals of a run that is taken up."""
+        """Signals of a resumed run."""
         signals = read_signals(folder, (), self.signals.specs)
         return {s: signals[s.name] for s in self.signals.specs if s.name in signals}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a run is lost: by what the driver states of its stream, and by stamps over restarts.
+"""Lost samples of a run: by the driver's count of its stream, and by the stamps over restarts.
 
 The driver states how many samples it has published, and the stamp of the last of them. Samples
 arrive in their order: once one with a later stamp is there, those up to this stamp that are not
@@ -45,14 +45,14 @@ class Stream:
     _stated: tuple[int, int] | None = None
 
     def arrive(self, stamp_ns: int) -> None:
-        """Take a sample."""
+        """Count a sample that has arrived."""
         if self._stated and stamp_ns > self._stated[1]:
             self._count(self._stated[0], self.received)
         self.received += 1
         self._stamps.append(stamp_ns)
 
     def announce(self, published: int, last_ns: int) -> None:
-        """Take a number of samples, and the stamp of the last one, ns; 0 where none is stated."""
+        """Process the number of published samples and the stamp (ns) of the last; 0: not stated."""
         self.announced, self._stated = published, None
         later = sum(1 for _ in takewhile(lambda stamp: stamp > last_ns, reversed(self._stamps)))
         if last_ns and later < len(self._stamps):
@@ -62,7 +62,7 @@ class Stream:
                 self._stated = published, last_ns
 
     def _count(self, published: int, received: int) -> None:
-        """Take how many of so many samples have arrived."""
+        """Update the number of missing samples."""
         self.missing, self._stated = max(0, published - self.unknown - received), None
 
     @property
@@ -77,7 +77,7 @@ class Stream:
 
 
 class Restarts:
-    """What the stamps leave out where driver or calibrator were started again in a run.
+    """Gaps in the stamps where driver or calibrator were restarted during a run.
 
     Attributes
     ----------
@@ -92,11 +92,11 @@ class Restarts:
         self._expected = False
 
     def expect(self) -> None:
-        """The next sample is the first after a restart."""
+        """Expect a gap before the next sample, which is the first after a restart."""
         self._expected = True
 
     def sample(self, stamp_ns: int, buffer: SampleBuffer) -> None:
-        """Take the stamp of a sample, ns, and the samples before it."""
+        """Measure the gap between a sample with stamp in ns and the samples before it."""
         if not self._expected:
             return
         self._expected = False

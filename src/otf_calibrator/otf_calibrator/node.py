@@ -89,9 +89,9 @@ class Calibrator(Node):
 
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
-        held = self._session.intake.held()
+        held = self._session.intake.release_held()
         if held:
-            self._session.intake.of_another_publisher(Batch(convert.points_from_messages(held)))
+            self._session.intake.keep_apart(Batch(convert.points_from_messages(held)))
         self._session.close()
         self._action.close()
 
@@ -99,16 +99,16 @@ class Calibrator(Node):
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
 
     def _on_status(self, message: TrackerStatus) -> None:
-        self._session.intake.status(status_of(message), serialize_message(message))
+        self._session.intake.take_status(status_of(message), serialize_message(message))
 
     def _on_gap(self, message: TrackerGap) -> None:
-        self._session.intake.gap(*stream_before(message), serialize_message(message))
+        self._session.intake.take_gap(*stream_before(message), serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         intake = self._session.intake
-        used, missed, beside = intake.sorted_out(messages, numbers)
+        used, missed, beside = intake.separate_publishers(messages, numbers)
         if beside:
-            intake.of_another_publisher(Batch(convert.points_from_messages(beside)))
+            intake.keep_apart(Batch(convert.points_from_messages(beside)))
         if used and self._session.take(Batch(convert.points_from_messages(used), missed)):
             self._tick()
 
@@ -118,18 +118,18 @@ class Calibrator(Node):
         self._watch.look()
         self._paths.show()
         self._session.collector.publishers = self._watch.publishers
-        if job := self._session.finished():
+        if job := self._session.take_finished():
             self._outcomes.finish(job)
             self._paths.show(places_of(job))
-        if outcome := self._session.saved():
+        if outcome := self._session.take_saved():
             self._outcomes.complete(outcome)
-        if started := self._session.due():
+        if started := self._session.start_due():
             self.get_logger().info(started)
         if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._outcomes.results.publish_provisional(early, method))
             self._paths.show(places_of(early))
-        if diagnosed := self._session.diagnosed():
+        if diagnosed := self._session.take_diagnosed():
             self._outcomes.publish_diagnosis(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)
         self._action.look()

@@ -52,26 +52,26 @@ class PartsPlan:
     _one_by_one: bool = False
 
     def add(self, part: AxisPath, message: bytes, stamp_ns: int, now: float) -> None:
-        """Take the next part."""
+        """Append the next part."""
         self._one_by_one |= bool(self.parts) and now - self._came >= TOGETHER
         self.parts.append(part)
         self.messages.append(message)
         self._stamps.add(stamp_ns)
         self._came = now
 
-    def comes_again(self, stamp_ns: int, now: float) -> None:
-        """Take the stamp, ns, and the time, s, of a part that came once more."""
+    def mark_repeated(self, stamp_ns: int, now: float) -> None:
+        """Record stamp (ns) and time (s) of a part that was received again."""
         self._stamps, self._came = {stamp_ns}, now
 
-    def goes_on(self, stamp_ns: int, now: float) -> bool:
-        """Return whether a part that comes now is of the same sending."""
+    def continues_with(self, stamp_ns: int, now: float) -> bool:
+        """Return whether a part received now belongs to this plan."""
         if stamp_ns in self._stamps:
             return True
         own_stamps = len(self._stamps) == len(self.parts)
         return bool(self.parts) and own_stamps and now - self._came < TOGETHER
 
-    def long_ago(self, now: float) -> bool:
-        """Return whether its last part came some time ago."""
+    def is_complete(self, now: float) -> bool:
+        """Return whether no further part is expected: the last one was received some time ago."""
         return now - self._came >= TOGETHER
 
     @property
@@ -81,7 +81,7 @@ class PartsPlan:
 
 
 class PartsCollector:
-    """Takes parts as they arrive.
+    """Assembles plans from their parts.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class PartsCollector:
     def take(
         self, part: AxisPath, message: bytes, stamp_ns: int, now: float, driving: bool
     ) -> PartReception:
-        """Take a part.
+        """Process a part.
 
         Parameters
         ----------
@@ -110,17 +110,17 @@ class PartsCollector:
             A run is being driven.
         """
         plan, again, self._again = self.plan, self._again, 0
-        if self._next.goes_on(stamp_ns, now):
+        if self._next.continues_with(stamp_ns, now):
             self._next.add(part, message, stamp_ns, now)
             return PartReception.NEXT
         if again or self._begins_again(part, stamp_ns, now, driving):
             if _same(part, plan.parts[again]):
-                plan.comes_again(stamp_ns, now)
+                plan.mark_repeated(stamp_ns, now)
                 self._again = (again + 1) % len(plan.parts)
                 return PartReception.KNOWN
             before = PartsPlan(plan.parts[:again], plan.messages[:again])
-            before.comes_again(stamp_ns, now)
-        elif plan.goes_on(stamp_ns, now) or (driving and plan.open):
+            before.mark_repeated(stamp_ns, now)
+        elif plan.continues_with(stamp_ns, now) or (driving and plan.open):
             plan.add(part, message, stamp_ns, now)
             return PartReception.ADDED
         else:
@@ -139,17 +139,17 @@ class PartsCollector:
             return False
         self._resumed = False
         if resumed or not driving:
-            return resumed or not plan.goes_on(stamp_ns, now) or plan.long_ago(now)
+            return resumed or not plan.continues_with(stamp_ns, now) or plan.is_complete(now)
         one_by_one = plan.open and len(plan.parts) > 1
-        return not one_by_one and not plan.goes_on(stamp_ns, now)
+        return not one_by_one and not plan.continues_with(stamp_ns, now)
 
     def restore(self, part: AxisPath, message: bytes, now: float) -> None:
-        """Take a part of a run that is taken up: the planner will send it again."""
+        """Restore a part of a resumed run: the planner will send it again."""
         self.plan.add(part, message, 0, now)
         self._resumed = True
 
-    def run_over(self) -> bool:
-        """Use the plan that came during the run, if one did; tell whether."""
+    def use_next_plan(self) -> bool:
+        """Use the plan that was received during the run; return whether there is one."""
         if not self._next.parts:
             return False
         self.plan, self._next, self._again = self._next, PartsPlan(), 0

@@ -135,7 +135,7 @@ class Choice:
         """Whether messages are held."""
         return bool(self._held)
 
-    def rest(self) -> list[Any]:
+    def release_held(self) -> list[Any]:
         """Return what is held, at the end."""
         held, self._held = self._held, []
         return [message for _, (message, _) in held]
@@ -146,7 +146,7 @@ class Choice:
             if not _among(publisher, self._others):
                 self._others.append(publisher)
         del self._others[:-PUBLISHERS]
-        return self.rest()
+        return self.release_held()
 
     def _succeed(self, now: float) -> list[Sent]:
         """The publisher held longest is the successor of the one before; return its messages."""

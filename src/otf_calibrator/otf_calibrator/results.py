@@ -55,7 +55,7 @@ class SharedTracker:
     def _on_other(self, message: Header) -> None:
         if message.frame_id != self._path:
             why = f'they belong to the run along {message.frame_id}'
-            self._intake.of_another(ns_from_time(message.stamp), why)
+            self._intake.set_aside_until(ns_from_time(message.stamp), why)
 
 
 class ResultPublishers:
@@ -191,7 +191,7 @@ class OutcomePublisher:
             return
         if not isinstance(error, OtfError):
             self._log.error(''.join(traceback.format_exception(error)))
-        text = self.results.publish_failure(error) + self._session.intake.kept()
+        text = self.results.publish_failure(error) + self._session.intake.journal_words()
         if isinstance(error, Cancelled):
             self._state.cancelled(text, self._session)
         else:

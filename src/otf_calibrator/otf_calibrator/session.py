@@ -59,12 +59,12 @@ class FirstLooks:
         """Whether a look that shows nothing is nothing to worry about yet."""
         return not self._found and self._looks <= UNREPORTED_LOOKS
 
-    def found(self) -> None:
-        """The place of the tracker is known, or soon will be: no further look at this run."""
+    def mark_found(self) -> None:
+        """Record that the place of the tracker is known: no further look at this run."""
         self._found = True
 
-    def due(self, collector: Collector, now: float) -> bool:
-        """Return whether to look now, a time in s; counts it then."""
+    def is_due(self, collector: Collector, now: float) -> bool:
+        """Return whether to look at time ``now`` (s); a look is counted."""
         if collector.path is None or collector.taken or not collector.travelled:
             return False
         if isinstance(collector.path, PartsTrack):
@@ -148,15 +148,15 @@ class Session:
         return self.collector.run, len(self.collector.buffer)
 
     def take(self, batch: Batch) -> bool:
-        """Take samples; tell whether they may have ended the run, or show that it may end."""
-        self.intake.samples(batch, not self.busy)
+        """Collect samples; return whether the run may have ended with them."""
+        self.intake.take_samples(batch, not self.busy)
         collector, watcher = self.collector, self.collector.watcher
         if watcher is None or collector.taken:
             return False
         return watcher.worth_judging or (self._verdict is not None and watcher.stood)
 
     def calibrate(self) -> tuple[bool, str]:
-        """Calibrate the samples so far; tell whether that has started, or what to do first.
+        """Calibrate the samples so far; return whether that has started, and a message.
 
         The run goes on with what comes after, unless it was over. Samples on their way are waited
         for.
@@ -172,14 +172,14 @@ class Session:
             return True, 'calibration starts at once; follow calibrator/state'
         return True, self._start_asked() + '; follow calibrator/state'
 
-    def due(self) -> str:
-        """Start what was asked for, or a run that is complete; say what, empty if nothing."""
+    def start_due(self) -> str:
+        """Start a calibration that was requested or is due; return what was started, in words."""
         self.intake.decide(not self.busy)
         since = self._waits_since
         if since is None:
             if not self.busy:
                 self._judge_paths()
-            reason = self.complete()
+            reason = self.reason_to_end()
             return self.start(reason) if reason else ''
         if self.collector.on_the_way(time.monotonic(), since):
             return ''
@@ -202,7 +202,7 @@ class Session:
         return self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
 
     def start(self, reason: str) -> str:
-        """Calibrate the samples of a complete run; return what was started."""
+        """Calibrate the samples of a complete run; return what was started, in words."""
         self.intake.decide(may_end=False)  # it has all that is here
         started = self._start(reason, final=True)
         self.collector.taken = True
@@ -228,7 +228,7 @@ class Session:
             samples,
             path,
             *self._settings(),
-            collector.lost_for_sure(time.monotonic()),
+            collector.count_surely_lost(time.monotonic()),
             (*collector.remarks, *self.intake.remarks(), *not_driven, *remarks),
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
@@ -238,27 +238,27 @@ class Session:
         )
 
     def cancel(self) -> None:
-        """End a calibration under way as soon as it can be; its samples stay."""
+        """Cancel a calibration under way at its next step; its samples are kept."""
         if self._waits_since is not None:
             self._withdrawn = True  # not before its samples are here, which would be left out
         elif self.busy:
             self.worker.cancel()
 
     def look_ahead(self) -> Future[Ahead] | None:
-        """Align what was driven early on, solve it after the first lap; return what has ended.
+        """Align the first legs, calibrate the first lap or part; return a look that has ended.
 
-        A look that shows nothing yet is not told of.
+        Early looks that show nothing yet are not reported.
         """
         collector = self.collector
         under_way = self._ahead is not None and not self._ahead.done()
-        lap = None if self.busy or under_way else collector.first_lap()
+        lap = None if self.busy or under_way else collector.take_first_lap()
         if lap:
-            self._first_looks.found()
+            self._first_looks.mark_found()
             self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
         elif (
             self._ahead is None
             and not self.busy
-            and self._first_looks.due(collector, time.monotonic())
+            and self._first_looks.is_due(collector, time.monotonic())
         ):
             look = partial(first_sight, path=collector.path, travelled=collector.travelled)
             look = partial(look, config=self._settings()[1])
@@ -267,19 +267,19 @@ class Session:
             return None
         ahead, self._ahead = self._ahead, None
         if ahead.exception() is None:
-            self._first_looks.found()
+            self._first_looks.mark_found()
         elif self._first_looks.patient:
             return None
         return ahead
 
     def forget(self) -> tuple[bool, str]:
-        """Begin a run anew; tell what was forgotten."""
+        """Drop the run; return True and what was dropped, in words."""
         count, place = len(self.collector.buffer), self.intake.forget()
         self.abandon()
         return True, f'{count} samples discarded{place}; ready for a run'
 
-    def finished(self) -> Future[CalibrationOutput] | None:
-        """Return a calibration that has come to its end, once."""
+    def take_finished(self) -> Future[CalibrationOutput] | None:
+        """Return a calibration that has ended, once."""
         if not self._job or not self._job.done():
             return None
         job, self._job = self._job, None
@@ -289,15 +289,15 @@ class Session:
             self.intake.settle(self._last.request, self._last.folder)
         return job
 
-    def saved(self) -> CalibrationOutput | None:
-        """Return a calibrated run whose samples are saved beside its results, once."""
+    def take_saved(self) -> CalibrationOutput | None:
+        """Return a calibrated run once its samples are saved beside its results."""
         if not self._saving or not self._saving.done():
             return None
         saving, self._saving = self._saving, None
         return saving.result()
 
     def diagnose(self) -> tuple[bool, str]:
-        """Start to diagnose the last calibrated run; tell whether it has, or what to do first."""
+        """Diagnose the last calibrated run; return whether that has started, and a message."""
         if self.diagnosis:
             return False, 'a diagnosis is under way; wait for calibrator/gap_report'
         if self.busy:
@@ -315,8 +315,8 @@ class Session:
         self._diagnosed = self._last
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
-    def diagnosed(self) -> tuple[CalibrationOutput, Answer] | None:
-        """Return the run whose diagnosis has come to its end, and what it gave, once."""
+    def take_diagnosed(self) -> tuple[CalibrationOutput, Answer] | None:
+        """Return a run whose diagnosis has ended, and the answer, once."""
         answer = self.diagnosis.finished() if self.diagnosis else None
         if answer is None or self.diagnosis is None:
             return None
@@ -325,26 +325,26 @@ class Session:
         return self._diagnosed, answer
 
     def abandon(self) -> None:
-        """End a diagnosis under way, if there is one."""
+        """Stop a diagnosis under way, if there is one."""
         if self.diagnosis:
             self.diagnosis.close()
             self.diagnosis = None
 
     def close(self) -> None:
-        """End what is under way; files are whole or not there, the samples in the journal."""
+        """Stop all work; files are complete or absent, the samples are in the journal."""
         self.abandon()
         self.intake.close()
         self.worker.close()
 
-    def complete(self) -> str:
-        """State why the run is complete and can be calibrated; empty if it is not."""
+    def reason_to_end(self) -> str:
+        """Return why the run is complete and can be calibrated; empty if it is not."""
         if self.busy or self.answered or self.collector.undecided(time.monotonic()):
             return ''
         files, collector, watcher = self._settings()[0], self.collector, self.collector.watcher
         if self._at_the_end():
-            self.intake.end_here()
+            self.intake.end_run()
             return 'standstill at the end point'
-        if not self._verdict and watcher and (samples := collector.end_to_judge()):
+        if not self._verdict and watcher and (samples := collector.take_end_to_judge()):
             if files.finish_at_standstill:
                 if watcher.share >= NEARLY:
                     self.worker.give_way()
@@ -355,13 +355,13 @@ class Session:
         if self._verdict and watcher and watcher.stood:
             return ''  # whatever else ends it, it may end there
         now = time.monotonic()
-        reason = collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
+        reason = collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
         return '' if reason and self._judge_paths(at_the_end=True) else reason
 
     def _judge_paths(self, at_the_end: bool = False) -> bool:
-        """Find out which of two paths is driven, and go on with that; tell whether it is asked."""
+        """Compare the samples with both paths; return whether the comparison is under way."""
         if self._which is None:
-            run = self.collector.two_paths(at_the_end)
+            run = self.collector.paths_to_compare(at_the_end)
             if run is not None:
                 look = partial(_follows_the_other, run, self._settings()[1])
                 self._which = self.collector.run, self.worker.ask(look, run.samples)
@@ -373,7 +373,7 @@ class Session:
         return self._which is not None
 
     def _at_the_end(self) -> bool:
-        """Return whether the target has stood at the end point for long enough, once."""
+        """Return whether the run has ended at a standstill at the end point, once."""
         if not self._verdict or not self._verdict.done():
             return False
         watcher = self.collector.watcher
@@ -393,5 +393,5 @@ class Session:
 
 
 def _follows_the_other(run: TwoPaths, config: CalibrationConfig, samples: Samples) -> bool:
-    """Ask for a worker, which hands over samples."""
+    """Compare with both paths, as a question to the worker, which passes the samples."""
     return follows_the_other(run, config)

@@ -116,7 +116,7 @@ class StatePublisher:
             progress=progress,
             time_left=time_left,
             samples=len(collector.buffer),
-            samples_lost=collector.lost_for_sure(now),
+            samples_lost=collector.count_surely_lost(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             **_part(collector),
