@@ -52,7 +52,7 @@ class Stream:
         self._stamps.append(stamp_ns)
 
     def announce(self, published: int, last_ns: int) -> None:
-        """Process the number of published samples and the stamp (ns) of the last; 0: not stated."""
+        """Process the number of published samples and the stamp of the last, ns; 0: not stated."""
         self.announced, self._stated = published, None
         later = sum(1 for _ in takewhile(lambda stamp: stamp > last_ns, reversed(self._stamps)))
         if last_ns and later < len(self._stamps):
