@@ -48,6 +48,10 @@ from otf_core.solving.roughness import expected_precision
 from otf_core.solving.solution import solve
 from otf_core.solving.whitener import Whitener
 
+WAVES = 0.05
+"""Length of the waves that motions are assumed to have, as a share of the range: shorter than the
+usual ones, since machines with kinks at their nodes do not allow more to be taken from the
+neighbours of a node (docs/five-axes.md, Expected uncertainty)."""
 STILL = 1e-4
 """Travel of the reflector per travel of the axes below which nothing is stated across it."""
 
@@ -196,7 +200,7 @@ class Judge:
         self.unknowns = layout(machine, smooth_bases(machine, self.nodes), 1, self.free)
         self.places = nominal_places(machine)
         self.pose = RigidTransform(np.eye(3), np.asarray(place, dtype=float))
-        self.prior = expected_precision(self.unknowns, self.limit, judged.error_size)
+        self.prior = expected_precision(self.unknowns, self.limit, judged.error_size, WAVES)
         self.known = place_equations(machine, self.unknowns, self.places)
 
     def equations(self, part: PlannedPart) -> NormalEquations:

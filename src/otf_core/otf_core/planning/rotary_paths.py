@@ -39,9 +39,10 @@ CREEP = 0.06
 CREEP_CORNER = np.radians(1.0)
 """rad between corners of a chain in which linear axes follow a rotation."""
 CREEP_PLACES = ((0.5, 0.1, 0.4), (-0.3, 0.45, 0.15), (-0.25, -0.4, 0.6), (0.1, 0.2, 0.85))
-"""Places of the creeping reflector: X, Y in shares of ``REACH`` and its height in shares of it."""
-REACH = 0.2
-"""m; radius about a rotary axis within which the reflector creeps."""
+"""Places of the creeping reflector: X, Y and height in shares of a reach."""
+REACHES = (0.4, 0.2)
+"""m; the places lie within half of it of a rotary axis: of the first one if the linear axes follow
+all of the rotation there, since angular positioning is seen better the farther from the axis."""
 LEAST_REACHED = 0.5
 """Share of a chain that the linear axes must reach."""
 LEAST_TILT = 0.3
@@ -267,14 +268,20 @@ def creeps(
     paths, refused = [], []
     table = axis in machine.chain.table_side
     # places about an axis of the tool side differ in the positions of the linear axes alone
-    for x, y, z in CREEP_PLACES if table else CREEP_PLACES[:2]:
-        at = REACH * np.array([x, y, z])
-        start = np.array(own.centre) + at if table else nominal + 0.5 * at
+    whole = 2 * len(turning[axis]) - 1
+    for place in CREEP_PLACES if table else CREEP_PLACES[:2]:
         for drift in (size * across, size * side / np.linalg.norm(side)):
-            try:
-                paths.append(creep(machine, turning, start - 0.5 * drift, drift, target))
-            except ConfigError as error:
-                refused.append(error)
+            for reach in REACHES if table else REACHES[1:]:
+                at = reach * np.array(place)
+                start = np.array(own.centre) + at if table else nominal + 0.5 * at
+                try:
+                    path = creep(machine, turning, start - 0.5 * drift, drift, target)
+                except ConfigError as error:
+                    refused.append(error)
+                    continue
+                if len(path) == whole or reach == REACHES[-1]:
+                    paths.append(path)
+                    break
     if not paths:
         raise refused[0]
     return paths

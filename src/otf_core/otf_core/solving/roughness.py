@@ -38,7 +38,9 @@ from otf_core.solving.normal import NormalEquations
 from otf_core.solving.solution import Positive
 from otf_core.solving.unknowns import Basis, Unknowns, reference_position
 
-START = (np.log(0.1), np.log(0.15), np.log(0.01))
+USUAL_WAVES = 0.15
+"""Length l of the waves of a usual motion, as a share of the range."""
+START = (np.log(0.1), np.log(USUAL_WAVES), np.log(0.01))
 """Logarithms of s^2 and k in units of the squared limit, and of l, to start from."""
 SIGMA_ABOUT_MEDIAN = (3.0, 1.0, 3.0)
 """Standard deviation of these logarithms about the median of the motions of one unit."""
@@ -308,7 +310,9 @@ def precision_like_others(
     return Positive(CoefficientPrior(motion, basis).at(np.median(like, axis=0))[0]).inverse
 
 
-def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
+def expected_precision(
+    unknowns: Unknowns, limit: float, size: float, waves: float = USUAL_WAVES
+) -> Array:
     """Precision of the free unknowns for motions of a usual smoothness, before any data.
 
     Parameters
@@ -319,6 +323,8 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
         m; mean volumetric error. It is the length of a vector of three sums of some four motions
         of one size, which is the standard deviation of a motion (m and rad) and half of that of
         its slope over the range.
+    waves : float
+        Length of the waves, as a share of the range.
 
     Returns
     -------
@@ -327,7 +333,7 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
     precision = TRACE * np.eye(unknowns.free)
     size = size / np.sqrt(IN_A_VECTOR)
     own = 2.0 * np.log(size / limit)
-    logs = np.array([own, START[1], own + START[2] - START[0]])
+    logs = np.array([own, np.log(waves), own + START[2] - START[0]])
     for motion, part in unknowns.free_blocks.items():
         if not isinstance(motion, ErrorMotion):
             continue
