@@ -17,11 +17,16 @@ from scipy import linalg
 from otf_core.arrays import Array
 from otf_core.calibration.axis_budget import ObservedParts
 from otf_core.calibration.axis_calibration import AxisCalibration
-from otf_core.diagnosis.engine.gap_sizes import replace_louder
-from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.residual_rows import NOISE_RANGE, Rows
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.noise.standstill import find_standstills, noise_model
+from otf_core.noise.standstill import (
+    MIN_TOTAL,
+    find_standstills,
+    level_scatter,
+    noise_model,
+    standstill_noise,
+)
 from otf_core.pieces.runs import Recording
 from otf_core.rotary.axis_solution import SolvedAxisRun, tables_of
 from otf_core.rotary.rows import AxisRows, piece_state
@@ -74,19 +79,32 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
         ),
         limit=limit,
         use=free_columns(joint.unknowns, seen),
+        noise_range=_noise_range(recordings, speed),
     )
+
+
+def _noise_range(recordings: Sequence[Recording], speed: float) -> tuple[float, float]:
+    """Variances over those of the standstills; the wider, the less standstill there is."""
+    low, high = NOISE_RANGE
+    for samples in (r.samples for r in recordings):
+        still = float(np.diff(find_standstills(samples, speed), axis=1).sum()) * samples.step
+        high = max(high, level_scatter(max(still, MIN_TOTAL)) ** 2)
+    return low, high
 
 
 def _floor(recording: Recording, speed: float, solved: SolvedAxisRun) -> NoiseModel:
     """Noise that the simulation of a recording has.
 
-    That of the standstills, as specified up to what passes as that; or less where all that the
-    residuals hold is less: stops of a second tell the slow part to some ten percent only.
+    That of the standstills where they are louder than specified, however little; or less where all
+    that the residuals hold is less: stops of a second tell the slow part to some ten percent only.
     """
     samples, spec = recording.samples, recording.machine.tracker
     runs = find_standstills(samples, speed)
     mean = float(np.mean(runs[:, 1] - runs[:, 0])) * samples.step if len(runs) else 0.0
-    noise = replace_louder(noise_model(samples, spec, speed), recording, speed)
+    noise, measured = noise_model(samples, spec, speed), standstill_noise(samples, runs)
+    if measured is not None:
+        pairs = zip(noise, measured.noise, strict=True)
+        noise = NoiseModel(*(max(pair, key=lambda c: c.level) for pair in pairs))
     noise = with_slow_part(noise, solved.noise, mean)
     expected = Whitener.of(cast(Any, solved.system), cast(Any, solved.run.pieces), noise).expected
     less = np.sum(solved.whitener.expected**2) < np.sum(expected**2)

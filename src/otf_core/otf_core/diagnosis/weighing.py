@@ -147,8 +147,6 @@ MATERIAL_SHARE = 0.12
 """Least share of a further cause in the gap, as amplitude."""
 FREE_OF_STRUCTURE = 1.2
 """Correlation of neighbouring pieces below which residuals count as noise."""
-NOISE_RANGE = (0.7, 1.4)
-"""Variances by which the twin's noise may be corrected."""
 
 
 @dataclass(frozen=True)
@@ -312,7 +310,8 @@ def noise_level(rows: Rows, causes_found: Sequence[Cause]) -> float:
     residual = _less_causes(rows, causes_found)
     structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - len(rows.use))
-    if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
+    low, high = rows.noise_range
+    if structure > FREE_OF_STRUCTURE or not low < variance < high:
         return 1.0
     return float(np.sqrt(variance))
 

@@ -593,15 +593,22 @@ def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> Me
     return MeasuredNoise(noise, heaviness, len(windows), sum(len(w) for w in windows), left_out)
 
 
+def level_scatter(duration: float) -> float:
+    """Factor within which standstills of some duration (s) in all show the level of slow noise.
+
+    T seconds hold T / tau independent squares of noise correlated over tau, so the logarithm of
+    the level has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    """
+    return float(np.exp(2.0 * np.sqrt(0.5 * SLOW_TIME / duration)))
+
+
 def _near(samples: Samples, seen: MeasuredNoise) -> tuple[float, float]:
     """Measured over specified levels that do not contradict.
 
-    T seconds hold T / tau independent squares of noise correlated over tau, so the logarithm of
-    its level has the standard deviation sqrt(tau / (2 T)); twice that counts.
     A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
     duration = seen.samples * samples.step
-    scatter = np.exp(2.0 * np.sqrt(0.5 * SLOW_TIME / duration))
+    scatter = level_scatter(duration)
     shown = np.sqrt(-np.expm1(-duration / seen.windows / SLOW_TIME))
     return min(INDISTINCT_RATIOS[0], 1.0 / scatter, shown), max(INDISTINCT_RATIOS[1], scatter)
 

@@ -194,6 +194,10 @@ OF_THE_PATH = ('touched', 'factor', 'slack', 'ridge', 'sample_states')
 """What rows hold of the path and the functions of the motions, whatever the deviations."""
 
 
+NOISE_RANGE = (0.7, 1.4)
+"""``Rows.noise_range`` where standstills are long."""
+
+
 @dataclass(frozen=True)
 class Rows:
     """Rows of all runs, one run after the other, component by component.
@@ -221,6 +225,8 @@ class Rows:
     runs : tuple of Run
         What was observed, with its samples; empty for a plan. Effects that differ from sample to
         sample are then taken at the pieces.
+    noise_range : tuple of two floats
+        Variances over those of the standstills that a residual without structure has by noise.
     """
 
     observed: tuple[Observed, ...]
@@ -233,6 +239,7 @@ class Rows:
     limit: float
     use: Index
     runs: tuple[Run, ...] = ()
+    noise_range: tuple[float, float] = NOISE_RANGE
 
     def without(self, moved: Array) -> Rows:
         """The same with displacements across the path (r,), m, taken off the deviations."""
