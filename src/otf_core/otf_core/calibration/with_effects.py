@@ -211,15 +211,20 @@ def estimates(
         Displacement per unit of each where it acts.
     """
     tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
-    columns = []
-    for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
-        state = piece_state(run, solved, joint.unknowns.knots, tables)
-        places = _places(replace(run, pose=solved.pose), state, effects)
-        parts = (places.columns(e.effect, partial(e.columns, run=number), e.size) for e in effects)
-        columns.append(components_across(solved, np.concatenate(list(parts), axis=2)))
-    products = beside_tables(joint, columns)
-    size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
     bounds = np.cumsum([0, *(e.size for e in effects)])
+    columns, places = [], []
+    for number, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
+        acting = [e.acting(number) for e in effects]
+        places.append(np.concatenate([a + own for a, own in zip(bounds, acting, strict=False)]))
+        columns.append(np.empty((*solved.system.deviation.shape, len(places[-1]))))
+        state = piece_state(run, solved, joint.unknowns.knots, tables)
+        at, end = _places(replace(run, pose=solved.pose), state, effects), 0
+        for e, own in zip(effects, acting, strict=True):
+            moves = at.columns(e.effect, partial(e.columns, run=number), len(own))
+            start, end = end, end + len(own)
+            columns[-1][..., start:end] = components_across(solved, moves)
+    products = beside_tables(joint, columns, places, bounds[-1])
+    size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns), places=places)
     prior = np.concatenate([
         e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     ])  # fmt: skip

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.diagnosis.engine.evidence import Estimate
+from otf_core.diagnosis.engine.evidence import Estimate, products_of
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.effects import EVERY, AppliedEffect, BelongsTo, State
@@ -172,11 +172,10 @@ def _of_shapes(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> Array:
     of its shape, which the search knows to within w: C E's (s's - s'E C E's + w^-2)^-1 s'E C.
     """
     total = np.zeros_like(fit.covariance)
-    columns = np.concatenate([c.option.own for c in causes], axis=1)
     for cause, own in zip(causes, places_of(causes), strict=True):
         if cause.option.effect.refine:
             slope = _slope(cause, fit.value[own], rows)
-            cross = columns.T @ slope
+            cross = products_of([c.option for c in causes], slope)[1]
             moved = fit.covariance @ cross
             known = slope @ slope - cross @ moved
             total += np.outer(moved, moved) / (known + cause.option.effect.refine_width**-2)

@@ -45,6 +45,7 @@ from otf_core.diagnosis.engine.diagnosed_rows import (
 from otf_core.diagnosis.engine.gap_sizes import Twin, simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
+    Cause,
     SearchResult,
     Visibility,
     search_catalogue,
@@ -71,6 +72,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding, incomplete_path
 from otf_core.pieces.runs import Recording, Run, reduce_recording
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
+from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.unknowns import Basis
 from otf_core.threads import limit_to_one_thread
 
@@ -128,7 +130,9 @@ def diagnose(
         )
     solved = solve_recordings(recordings, config, progress)
     with Ahead() as ahead:
-        ahead.begin(assemble, solved.solution, config, solved.findings)
+        for joint in (solved.solution.joint, solved.solution.plain[1]):
+            joint.let_go()  # as large as what comes
+        ahead.begin(_assemble, solved.solution, config, solved.findings)
         length = _piece_length(solved.runs, config)
         without_reversal = _without_reversal(recordings, solved, config, length)
         pieced = replace(config, piece_length=length)
@@ -139,10 +143,11 @@ def diagnose(
         progress('diagnosing', 0.7)
         weighed = _weigh(searched, explained, pieced, exclude)
         progress('diagnosing', 0.95)
-        plain = ahead(assemble, solved.solution, config, solved.findings)
+        plain = ahead(_assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
     causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
-    examined, found = solved.without_solution(), searched.found
+    examined, found = solved.without_solution(), replace(searched.found, causes=())
+    weighed = weighed.without_columns()
     del ahead, solved, without_reversal, searched, explained  # as large as what comes
     collect()
     corrected = calibrate_without_causes(examined, causes, config) if weighed.fitted else None
@@ -150,6 +155,14 @@ def diagnose(
         recordings, examined, found, weighed,
         lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
     )  # fmt: skip
+
+
+def _assemble(
+    solution: ReversalSolution[Run], config: CalibrationConfig, findings: Sequence[Finding]
+) -> CalibrationResult:
+    """Return the result of a solution that was let go."""
+    solution.joint.hold()
+    return assemble(solution, config, findings)
 
 
 def _diagnose_axes(
@@ -281,6 +294,9 @@ def _search(
     nodes, solution = observed.nodes, observed.solution
     progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
+    rows.prepare()
+    for joint in (solution, rows.done):
+        joint.let_go()
     collect()
     straight = partial(straight_rows, joint=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
@@ -316,6 +332,20 @@ class _Weighed:
     where: Where
     shape: str
     shown: tuple[RunView, ...]
+
+    def without_columns(self) -> _Weighed:
+        """The same without the memory of columns of effects."""
+
+        def light(cause: Cause) -> Cause:
+            return replace(cause, option=cause.option.without_columns())
+
+        judged, nameless = self.judged, self.judged.nameless
+        causes = tuple(light(cause) for cause in judged.explained.causes)
+        explained = replace(judged.explained, causes=causes, small=())
+        nameless = None if nameless is None else replace(nameless, structures=())
+        fitted = tuple(replace(part, cause=light(part.cause)) for part in self.fitted)
+        judged = replace(judged, explained=explained, nameless=nameless)
+        return replace(self, judged=judged, fitted=fitted)
 
 
 def _weigh(

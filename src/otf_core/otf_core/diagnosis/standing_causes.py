@@ -30,8 +30,10 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     NEEDED_EVIDENCE,
     Cause,
+    displacement_of,
     fit_jointly,
     noise_variance,
+    trace_of,
 )
 
 LEAST_BESIDES = 0.15
@@ -181,11 +183,9 @@ def _weakest(rows: Rows, standing: StandingCauses, least_um: float) -> Cause | N
 
 def _displacement(rows: Rows, causes: Sequence[Cause]) -> Array:
     """Displacement across the path by causes fitted together, shape (r,), m."""
-    plain = np.concatenate([c.option.plain for c in causes], axis=1)
-    return np.asarray(plain @ fit_jointly(causes, rows).value)
+    return displacement_of(causes, fit_jointly(causes, rows).value)
 
 
 def _variance(rows: Rows, causes: Sequence[Cause]) -> float:
     """Variance of the noise that causes leave."""
-    own = np.concatenate([c.option.own for c in causes], axis=1)
-    return noise_variance(rows, rows.residual - own @ fit_jointly(causes, rows).value)
+    return noise_variance(rows, rows.residual - trace_of(causes, rows))

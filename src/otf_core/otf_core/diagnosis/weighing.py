@@ -39,6 +39,7 @@ from otf_core.diagnosis.engine.gap_sizes import (
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     Cause,
+    displacement_of,
     fit_jointly,
     noise_variance,
     places_of,
@@ -621,9 +622,8 @@ def _without_small(rows: Rows, explained: Explanation) -> Rows:
         return rows
     every = [*explained.causes, *explained.small]
     value, places = fit_jointly(every, rows).value, places_of(every)
-    small = list(zip(every, places, strict=True))[len(explained.causes) :]
-    moved = sum((c.option.plain @ value[place] for c, place in small), np.zeros(len(rows.fold)))
-    return rows.without(moved)
+    first = places[len(explained.causes)].start
+    return rows.without(displacement_of(explained.small, value[first:]))
 
 
 def _standing(

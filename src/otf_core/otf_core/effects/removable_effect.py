@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Effect, State
 from otf_core.effects.stated_effect import FILE, FOUND
@@ -68,13 +68,17 @@ class RemovableEffect:
         parameters = {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
         return self.effect.displacement(state, parameters)
 
-    def columns(self, state: State, run: int) -> Array:
-        """Derivatives of the displacement by all parameters, shape (n, 3, size)."""
-        terms = self.effect.terms(state, self.effect.complete_shape(self.shape))
-        place = [terms.names.index(name) for name in self.names]
+    def acting(self, run: int) -> Index:
+        """Places of the parameters that act in a run: not those of others."""
         count, own = len(self.names), run if len(self.values) > 1 else 0
-        columns = np.zeros((len(state), 3, self.size))
-        columns[:, :, own * count : (own + 1) * count] = terms.columns[:, :, place]
+        return np.asarray(np.r_[own * count : (own + 1) * count, self.values.size : self.size])
+
+    def columns(self, state: State, run: int) -> Array:
+        """Derivatives of the displacement by the parameters that act, shape (n, 3, k)."""
+        terms = self.effect.terms(state, self.effect.complete_shape(self.shape))
+        place, count = [terms.names.index(name) for name in self.names], len(self.names)
+        columns = np.empty((len(state), 3, count + len(self.widths)))
+        columns[:, :, :count] = terms.columns[:, :, place]
         for k, (name, width) in enumerate(self.widths.items()):
             step = DIFFERENCE * width
             low, high = (
@@ -82,7 +86,7 @@ class RemovableEffect:
                 for s in (-step, step)
             )
             change = high.displacement(state, run) - low.displacement(state, run)
-            columns[:, :, self.values.size + k] = change / (2.0 * step)
+            columns[:, :, count + k] = change / (2.0 * step)
         return columns
 
     def moved(self, step: Array) -> RemovableEffect:

@@ -126,11 +126,12 @@ def _found(
     pose = solved.system.rows.fixed[pose_block(solved.run.station)]
     drift = [pose * time[None, :, None] ** k for k in range(1, DRIFT + 1)]
     columns = np.concatenate([*drift, *(s.columns for s in steps)], axis=2)
-    others = [
-        columns if k == number else np.zeros((*s.residual.shape, columns.shape[2]))
+    count = columns.shape[2]
+    every = [
+        columns if k == number else np.zeros((*s.residual.shape, 0))
         for k, s in enumerate(joint.runs)
     ]
-    sums = beside_tables(cast(Any, joint), others)
+    sums = beside_tables(cast(Any, joint), every, [np.arange(c.shape[2]) for c in every], count)
     white = solved.whitener.whiten(solved.residual)
     ratio = max(1.0, float(np.mean(white**2)))
     ends = np.cumsum([DRIFT * pose.shape[2], *(s.columns.shape[2] for s in steps)])

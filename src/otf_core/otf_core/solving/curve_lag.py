@@ -38,18 +38,21 @@ def lags(runs: Sequence[Observed], joint: JointSolution) -> list[tuple[float, fl
     """
     if not any(len(run.pieces.bend) for run in runs):
         return [(0.0, 0.0)] * len(runs)
-    columns = [np.zeros((*s.system.deviation.shape, len(runs))) for s in joint.runs]
-    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
-        if len(run.pieces.bend):
-            columns[k][..., k : k + 1] = components_across(solved, run.pieces.bend[:, :, None])
-    products, estimates = beside_tables(joint, columns), []
+    columns = [
+        components_across(solved, run.pieces.bend[:, :, None])
+        if len(run.pieces.bend)
+        else np.zeros((*solved.system.deviation.shape, 1))
+        for run, solved in zip(runs, joint.runs, strict=True)
+    ]
+    places = [np.array([k]) for k in range(len(runs))]
+    products, estimates = beside_tables(joint, columns, places, len(runs)), []
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         own = float(products.normal[k, k])
         if own <= ROUNDING * products.square[k]:
             estimates.append((0.0, 0.0))
             continue
-        column = columns[k][..., k] - solved.system.rows.times(products.change[:, k])
-        weights = products.weighted[k][..., k]
+        column = columns[k][..., 0] - solved.system.rows.times(products.change[:, k])
+        weights = solved.whitener.weighted(columns[k][..., 0])
         white = solved.whitener.whiten(solved.residual)
         scale = max(1.0, float(np.sqrt(np.mean(white**2))))
         lag = float(products.right[k]) / own

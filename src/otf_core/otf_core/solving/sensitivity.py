@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, State
 from otf_core.effects.state import state_on_path
 from otf_core.model.courses import Courses
@@ -152,8 +152,6 @@ class BesideTables:
     ----------
     change : ndarray, shape (full, k)
         S.
-    weighted : list of ndarray, shape (c, p, k)
-        W c of every run.
     square : ndarray, shape (k,)
         Diagonal of c^T W c.
     normal : ndarray, shape (k, k)
@@ -163,26 +161,36 @@ class BesideTables:
     """
 
     change: Array
-    weighted: list[Array]
     square: Array
     normal: Array
     right: Array
 
 
-def beside_tables(joint: JointSolution, columns: Sequence[Array]) -> BesideTables:
-    """Sum up the products of columns (c, p, k) of every run."""
-    cross = project_columns(joint, columns)
+def beside_tables(
+    joint: JointSolution, columns: Sequence[Array], places: Sequence[Index], count: int
+) -> BesideTables:
+    """Sum up the products of ``count`` columns.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray, shape (c, p, m)
+        Of every run, those that act in it.
+    places : sequence of ndarray of int64, shape (m,)
+        Their places among all.
+    """
+    cross, whole = np.zeros((joint.unknowns.full, count)), np.zeros((count, count))
+    right = np.zeros(count)
+    for part, place, solved in zip(columns, places, joint.runs, strict=True):
+        if not len(place):
+            continue
+        cross[:, place] += _pulled(solved, part)
+        flat, weighted = (
+            a.reshape(-1, len(place)) for a in (part, solved.whitener.weighted(part))
+        )
+        whole[np.ix_(place, place)] += flat.T @ weighted
+        right[place] += weighted.T @ solved.residual.ravel()
     change = joint.solution.covariance @ cross
-    normal, right, weighted = -cross.T @ change, np.zeros(cross.shape[1]), []
-    square = np.zeros(cross.shape[1])
-    for part, solved in zip(columns, joint.runs, strict=True):
-        weighted.append(solved.whitener.weighted(part))
-        flat, of_flat = (a.reshape(-1, part.shape[2]) for a in (part, weighted[-1]))
-        product = flat.T @ of_flat
-        normal += product
-        square += np.diag(product)
-        right += of_flat.T @ solved.residual.ravel()
-    return BesideTables(change, weighted, square, normal, right)
+    return BesideTables(change, np.diag(whole), whole - cross.T @ change, right)
 
 
 def name_in_run(name: str, run: int) -> str:
@@ -190,21 +198,28 @@ def name_in_run(name: str, run: int) -> str:
     return f'{name} (run {run + 1})' if run else name
 
 
-def column_size(*parts: Array) -> Array:
+def column_size(*parts: Array, places: Sequence[Index] = ()) -> Array:
     """Root mean square of columns over the rows where they act at all, shape (k,).
 
     Parameters
     ----------
-    parts : ndarray, shape (r, k)
+    parts : ndarray, shape (r, m)
         One below the other.
+    places : sequence of ndarray of int64, shape (m,)
+        Places of the columns of every part among all; if not given, each holds all.
     """
+    places = places or [np.arange(part.shape[1]) for part in parts]
     step = max(1, VALUES_PER_BLOCK // max(1, parts[0].shape[1]))
+    total, most, count = np.zeros((3, 1 + max(int(own.max(initial=-1)) for own in places)))
 
-    def squares() -> Iterator[Array]:
-        for part in parts:
-            yield from (part[low : low + step] ** 2 for low in range(0, len(part), step))
+    def squares() -> Iterator[tuple[Index, Array]]:
+        for part, own in zip(parts, places, strict=True):
+            yield from ((own, part[low : low + step] ** 2) for low in range(0, len(part), step))
 
-    total, most = zip(*((np.ones(len(s)) @ s, s.max(axis=0)) for s in squares()), strict=True)
-    least = MIN_ACTING_SHARE**2 * np.maximum(np.max(most, axis=0), MIN_SQUARE)
-    count = np.sum([np.ones(len(s)) @ (s > least) for s in squares()], axis=0)
-    return np.asarray(np.sqrt(np.sum(total, axis=0) / np.maximum(count, 1.0)))
+    for own, square in squares():
+        total[own] += np.ones(len(square)) @ square
+        most[own] = np.maximum(most[own], square.max(axis=0))
+    least = MIN_ACTING_SHARE**2 * np.maximum(most, MIN_SQUARE)
+    for own, square in squares():
+        count[own] += np.ones(len(square)) @ (square > least[own])
+    return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))

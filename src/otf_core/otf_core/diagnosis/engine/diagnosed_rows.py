@@ -37,11 +37,18 @@ from otf_core.arrays import Array
 from otf_core.aside import share_out
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.effect_products import Candidates, tried_shapes
-from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
+from otf_core.diagnosis.engine.evidence import (
+    TOGETHER,
+    Option,
+    likeliest_width,
+    motions_of,
+    products_of,
+)
 from otf_core.diagnosis.engine.gap_sizes import with_measured_noise
 from otf_core.diagnosis.engine.residual_rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import (
     Cause,
+    displacement_of,
     effects_without,
     fit_jointly,
     places_of,
@@ -207,7 +214,7 @@ def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
     systems, price = [s.system for s in joint.runs], 0.0
     if causes:
         fitted = fit_jointly(causes, rows).value
-        moved = np.concatenate([c.option.plain for c in causes], axis=1) @ fitted
+        moved = displacement_of(causes, fitted)
         parts = zip(systems, rows.by_run(moved), strict=True)
         systems = [replace(s, deviation=s.deviation - part) for s, part in parts]
         price = _price(causes, fitted, rows.residual)
@@ -228,15 +235,16 @@ def _price(causes: Sequence[Cause], fitted: Array, residual: Array) -> float:
     options = [c.option for c in causes]
     width = np.concatenate([o.width if len(o.width) else _width(o, residual) for o in options])
     unit = width / np.concatenate([o.size for o in options])
-    white = np.concatenate([o.own for o in options], axis=1) * unit
-    _, volume = np.linalg.slogdet(np.eye(len(unit)) + white.T @ white)
+    normal = products_of(options, residual)[0] * np.outer(unit, unit)
+    _, volume = np.linalg.slogdet(np.eye(len(unit)) + normal)
     return 0.5 * float(np.sum((fitted / unit) ** 2) + volume)
 
 
 def _width(option: Option, residual: Array) -> Array:
     """Standard deviation of the displacement by each coefficient that is most likely, m."""
-    products = option.own.T @ option.own, option.own.T @ residual
-    return likeliest_width(*products, option.size, 1.0, np.zeros(len(option.take)))
+    return likeliest_width(
+        *products_of([option], residual), option.size, 1.0, np.zeros(len(option.take))
+    )
 
 
 def _candidates(rows: Rows, effects: Sequence[Effect]) -> Candidates:

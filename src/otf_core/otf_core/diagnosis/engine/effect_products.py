@@ -270,8 +270,7 @@ def _shared(sources: Sequence[MeasuredColumns], pulled: WhitenedColumns) -> list
 
 def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[ShapeProducts]:
     """Reduce the columns of shapes of an effect to their products."""
-    pulled = rows.pulled_residual
-    return [t for some in _batches(rows, effect, shapes) for t in _reduced(rows, some, pulled)]
+    return [t for some in _batches(rows, effect, shapes) for t in _reduced(rows, some)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,13 +303,13 @@ def _batches(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> Iterator[li
         yield batch
 
 
-def _reduced(rows: Rows, batch: Sequence[_Shape], pulled: WhitenedColumns) -> list[ShapeProducts]:
+def _reduced(rows: Rows, batch: Sequence[_Shape]) -> list[ShapeProducts]:
     """Products of the columns of a batch; run by run where each has coefficients of its own."""
     effect, runs = batch[0].effect, range(len(rows.states))
     groups = [[k] for k in runs] if effect.own_per_run else [list(runs)]
-    reduced = [_group(rows, batch, group, pulled) for group in groups]
+    reduced = [_group(rows, batch, group) for group in groups]
     pairs = zip(batch, zip(*reduced, strict=True), strict=True)
-    return [_joined(rows, one, parts, pulled) for one, parts in pairs]
+    return [_joined(rows, one, parts) for one, parts in pairs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,18 +322,16 @@ class _Sums:
     right: Array
 
 
-def _group(
-    rows: Rows, batch: Sequence[_Shape], group: Sequence[int], pulled: WhitenedColumns
-) -> list[_Sums]:
+def _group(rows: Rows, batch: Sequence[_Shape], group: Sequence[int]) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
-    pull = rows.by_run(pulled.plain)
     plain = [_stack_columns([_columns(rows, one, k) for one in batch]) for k in group]
     size = column_size(*plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     square = np.zeros((len(size), len(size)))
     for k, columns in zip(group, plain, strict=True):
-        values = columns.reshape(*pull[k].shape[:2], -1)
-        right += columns.T @ pull[k].reshape(-1)
+        residual = rows.unwhitened_residual[k]
+        values = columns.reshape(*residual.shape, -1)
+        right += columns.T @ residual.reshape(-1)
         add_products(rows, k, values, cross, square)
     places = [s.place for s in batch]
     return [_Sums(size[p], square[p, p], cross[:, p], right[p]) for p in places]
@@ -349,14 +346,12 @@ def _stack_columns(parts: Sequence[Array]) -> Array:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
-def _joined(
-    rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: WhitenedColumns
-) -> ShapeProducts:
+def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums]) -> ShapeProducts:
     """Products with what tables and poses can follow left out."""
     size = np.concatenate([p.size for p in parts])
     square = linalg.block_diag(*(p.square for p in parts))
     cross = np.concatenate([p.cross for p in parts], axis=1)
-    right = np.concatenate([p.right for p in parts]) - pulled.inner[:, 0] @ cross
+    right = np.concatenate([p.right for p in parts]) - rows.pulled_residual.inner[:, 0] @ cross
     half = linalg.solve_triangular(rows.factor, cross, lower=True)
     normal = square - half.T @ (half + rows.slack @ half)
     whole, source = (
@@ -454,9 +449,7 @@ class Pool:
 
     def joined(self, option: Option) -> Pool:
         """Take the columns of an option into the basis."""
-        own = option.own
-        rest = own - self.basis @ (self.basis.T @ own)
-        added = orthonormal(rest, own)
+        added = orthonormal(less_basis(self.basis, option.own), option.own)
         if not added.shape[1]:
             return self
         amount, pulled = added.T @ self.rows.residual, self.rows.pulled(added)
@@ -482,10 +475,10 @@ class Pool:
         if back.shape[1]:
             again = back.T @ self.amount
             remaining = {n: [t.beside(back, again) for t in g] for n, g in remaining.items()}
-        basis = self.basis @ turned
-        return ProductsBeside(
-            self.rows, remaining, basis, self.rows.residual - basis @ (turned.T @ self.amount)
-        )
+        basis, amount = self.basis, self.amount
+        if back.shape[1]:
+            basis, amount = basis @ turned, turned.T @ amount
+        return ProductsBeside(self.rows, remaining, basis, self.rows.residual - basis @ amount)
 
 
 def _without(groups: Candidates, pulled: WhitenedColumns, amount: Array) -> Candidates:
@@ -500,6 +493,13 @@ def _other_axes(tried: ShapeProducts, axes: Sequence[str]) -> ShapeProducts:
     """Keep the options of single axes that are not among these."""
     takes = [take for take in tried.takes if tried.axes(take)]
     return tried.only([take for take in takes if not set(tried.axes(take)) & set(axes)])
+
+
+def less_basis(basis: Array, columns: Array) -> Array:
+    """Columns (r, k) less what an orthonormal basis (r, q) can follow; no copy if it is empty."""
+    if not basis.shape[1]:
+        return columns
+    return np.asarray(columns - basis @ (basis.T @ columns))
 
 
 def orthonormal(columns: Array, whole: Array) -> Array:

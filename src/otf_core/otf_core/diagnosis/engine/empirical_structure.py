@@ -44,8 +44,8 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     NEEDED_EVIDENCE,
     Cause,
-    fit_jointly,
     noise_variance,
+    trace_of,
 )
 from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
@@ -406,8 +406,7 @@ def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
         Fitted to the same rows.
     """
     rows = structures.rows
-    own = np.concatenate([c.option.own for c in causes], axis=1)
-    trace = own @ fit_jointly(causes, rows).value
+    trace = trace_of(causes, rows)
     variance = noise_variance(rows, rows.residual - trace)
     likeliest = sorted(structures.ranked, key=lambda t: -structures.score(t, variance))
     for tried in likeliest[:RIVALS]:

@@ -17,7 +17,7 @@ over as well; they are estimated with the spread and the power that the data mak
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -82,6 +82,11 @@ class Option:
         """Machine axes of the terms that take part."""
         return tuple(sorted({self.terms.axes[i] for i in self.take} - {''}))
 
+    def without_columns(self) -> Option:
+        """The same without the memory of its columns."""
+        none = np.zeros((0, len(self.take)))
+        return replace(self, white=none, own=none, plain=none)
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -145,14 +150,22 @@ def joint_evidence(options: Sequence[Option], residual: Array, variance: float) 
     """
     if not options:
         return 0.0
-    own = np.concatenate([o.own for o in options], axis=1)
     size = np.concatenate([o.size for o in options])
-    normal, right = own.T @ own, own.T @ residual
+    normal, right = products_of(options, residual)
     widths = [np.concatenate([o.widths for o in options])] * len(SPREADS)
     widths = [
         np.where(np.isfinite(w), w, spread) for w, spread in zip(widths, SPREADS, strict=True)
     ]
     return average([_evidence(normal, right, _per_unit(w, size), variance) for w in widths])
+
+
+def products_of(
+    options: Sequence[Option], residual: Array, rows: slice | NDArray[np.bool_] = slice(None)
+) -> tuple[Array, Array]:
+    """E'E, shape (k, k), and E'y, shape (k,), of options together, by some of the rows."""
+    parts, y = [o.own[rows] for o in options], residual[rows]
+    normal = np.block([[one.T @ other for other in parts] for one in parts])
+    return normal, np.concatenate([part.T @ y for part in parts])
 
 
 def likeliest_width(

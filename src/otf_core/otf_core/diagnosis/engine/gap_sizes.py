@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.evidence import estimate, estimate_of
+from otf_core.diagnosis.engine.evidence import estimate, estimate_of, products_of
 from otf_core.diagnosis.engine.residual_rows import Rows
-from otf_core.diagnosis.engine.search import Cause
+from otf_core.diagnosis.engine.search import Cause, displacement_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
 from otf_core.model.frames import RigidTransform
@@ -78,18 +78,18 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     """
     if not causes:
         return plain_residuals(rows)
-    plain = np.concatenate([c.option.plain for c in causes], axis=1)
-    own = np.concatenate([c.option.own for c in causes], axis=1)
-    size = np.concatenate([c.option.size for c in causes])
-    width = np.concatenate([c.option.widths for c in causes])
+    options = [c.option for c in causes]
+    size = np.concatenate([o.size for o in options])
+    width = np.concatenate([o.widths for o in options])
     judged = [k for k in range(FOLDS) if (rows.fold == k).any()] if held_out else [-1]
-    masks = [rows.fold == k for k in judged] if held_out else [np.ones(len(own), np.bool_)]
-    products = [(own[m].T @ own[m], own[m].T @ rows.residual[m]) for m in masks]
+    masks = [rows.fold == k for k in judged] if held_out else [np.ones(len(rows.fold), np.bool_)]
+    products = [products_of(options, rows.residual, mask) for mask in masks]
     normal, right = (np.stack(part) for part in zip(*products, strict=True))
     if held_out:  # all legs less those of the fold
         normal, right = normal.sum(axis=0) - normal, right.sum(axis=0) - right
     fits = [estimate_of(n, r, size, width).value for n, r in zip(normal, right, strict=True)]
-    residual = rows.left(rows.plain_deviation[:, None] - plain @ np.stack(fits, axis=1))
+    moved = displacement_of(causes, np.stack(fits, axis=1))
+    residual = rows.left(rows.plain_deviation[:, None] - moved)
     values = np.zeros(len(rows.deviation))
     for column, mask in zip(residual.T, masks, strict=True):
         values[mask] = column[mask]

@@ -176,16 +176,15 @@ class WhitenedColumns:
 
     Attributes
     ----------
-    white, plain : ndarray, shape (r, q)
-        Q, and W' Q.
+    white : ndarray, shape (r, q)
+        Q.
     turned : tuple of ndarray, shape (p, 3, q)
-        The same of every run along X, Y and Z, for displacements as they are.
+        W' Q of every run along X, Y and Z, for displacements as they are.
     inner : ndarray, shape (b, q)
         N^-1 A' Q.
     """
 
     white: Array
-    plain: Array
     turned: tuple[Array, ...]
     inner: Array
 
@@ -378,22 +377,27 @@ class Rows:
     def pulled(self, white: Array) -> WhitenedColumns:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
         parts = zip(self.whiteners, self.by_run(white), self.done.runs, strict=True)
-        plain, turned = [], []
-        for whitener, part, solved in parts:
-            pulled = whitener.whiten_transposed(part)
-            plain.append(pulled.reshape(-1, white.shape[1]))
-            turned.append(np.einsum('cpi,cpq->piq', solved.system.axes, pulled))
+        turned = tuple(
+            np.einsum('cpi,cpq->piq', solved.system.axes, whitener.whiten_transposed(part))
+            for whitener, part, solved in parts
+        )
         inner = linalg.cho_solve((self.factor, True), self.pull(white))
-        return WhitenedColumns(white, np.concatenate(plain), tuple(turned), inner)
+        return WhitenedColumns(white, turned, inner)
 
     @cached_property
     def pulled_residual(self) -> WhitenedColumns:
         """The residual, set up for such products."""
         return self.pulled(self.residual[:, None])
 
+    @cached_property
+    def unwhitened_residual(self) -> list[Array]:
+        """W' times the residual, shape (c, p) of every run."""
+        parts = zip(self.whiteners, self.by_run(self.residual), strict=True)
+        return [whitener.whiten_transposed(part) for whitener, part in parts]
+
     def prepare(self) -> None:
         """Make what columns are compared with; afterwards several threads may do so."""
-        self.pulled_residual, self.slack, self.touched  # noqa: B018
+        self.pulled_residual, self.unwhitened_residual, self.slack, self.touched  # noqa: B018
         if self.runs:
             self.sample_states  # noqa: B018
 

@@ -17,6 +17,7 @@ from otf_core.diagnosis.engine.effect_products import (
     Pool,
     ProductsBeside,
     ShapeProducts,
+    less_basis,
     orthonormal,
     tried_shapes,
 )
@@ -26,9 +27,11 @@ from otf_core.diagnosis.engine.evidence import (
     Option,
     average,
     estimate,
+    estimate_of,
     joint_evidence,
     log_evidence,
     motions_of_takes,
+    products_of,
 )
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.signal_lag import (
@@ -342,12 +345,7 @@ def _part(cause: Cause) -> tuple[str, tuple[str, ...]]:
 def _joint(readings: Sequence[Sequence[Cause]], rows: Rows) -> Array:
     """Evidence of sets of causes for the same noise, that which the best of them leaves."""
     options = [[c.option for c in causes] for causes in readings]
-    residuals = [
-        rows.residual
-        - np.concatenate([o.own for o in part], axis=1) @ fit_jointly(causes, rows).value
-        for part, causes in zip(options, readings, strict=True)
-        if causes
-    ]
+    residuals = [rows.residual - trace_of(causes, rows) for causes in readings if causes]
     variance = min((noise_variance(rows, part) for part in residuals), default=1.0)
     return np.array([joint_evidence(part, rows.residual, variance) for part in options])
 
@@ -564,17 +562,33 @@ def _score(option: Option, residual: Array, variance: float) -> float:
 
 def _free_of(basis: Array, option: Option) -> Option:
     """Leave out of an option what the causes found so far, spanned by ``basis``, can follow."""
-    if not basis.shape[1]:  # the first cause: the same, without a copy
-        return replace(option, white=option.own)
-    return replace(option, white=option.own - basis @ (basis.T @ option.own))
+    return replace(option, white=less_basis(basis, option.own))
 
 
 def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:
     """Estimate the coefficients of all causes together, jointly with tables and poses."""
-    white = np.concatenate([c.option.own for c in causes], axis=1)
-    size = np.concatenate([c.option.size for c in causes])
-    width = np.concatenate([c.option.widths for c in causes])
-    return estimate(white, size, rows.residual, width)
+    options = [c.option for c in causes]
+    size, width = (
+        np.concatenate(w) for w in ([o.size for o in options], [o.widths for o in options])
+    )
+    return estimate_of(*products_of(options, rows.residual), size, width)
+
+
+def trace_of(causes: Sequence[Cause], rows: Rows) -> Array:
+    """Whitened trace of causes fitted together beside tables and poses, shape (r,)."""
+    return _times([c.option.own for c in causes], fit_jointly(causes, rows).value)
+
+
+def displacement_of(causes: Sequence[Cause], value: Array) -> Array:
+    """Displacement across the path by causes with coefficients (k, ...), shape (r, ...), m."""
+    return _times([c.option.plain for c in causes], value)
+
+
+def _times(columns: Sequence[Array], value: Array) -> Array:
+    """Columns side by side times values (k, ...), without a copy of them."""
+    ends = np.cumsum([part.shape[1] for part in columns])
+    parts = zip(columns, np.split(value, ends[:-1]), strict=True)
+    return np.asarray(sum(part @ own for part, own in parts))
 
 
 def places_of(causes: Sequence[Cause]) -> list[slice]:
