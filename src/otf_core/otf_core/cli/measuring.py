@@ -152,7 +152,7 @@ def _answer_calibration(
     from otf_core.reports.calibration_sections.first_screen import calibration_summary
     from otf_core.reports.page import sections_to_dict, sections_to_text
 
-    sections = calibration_sections(facts)
+    sections = calibration_sections(facts) if arguments.verbose or arguments.json else []
     report = sections_to_dict(sections)
     words = calibration_summary(facts)
     if arguments.verbose:

@@ -82,7 +82,7 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     size = np.concatenate([o.size for o in options])
     width = np.concatenate([o.widths for o in options])
     judged = [k for k in range(FOLDS) if (rows.fold == k).any()] if held_out else [-1]
-    masks = [rows.fold == k for k in judged] if held_out else [np.ones(len(rows.fold), np.bool_)]
+    masks = [rows.fold == k for k in judged] if held_out else [slice(None)]
     products = [products_of(options, rows.residual, mask) for mask in masks]
     normal, right = (np.stack(part) for part in zip(*products, strict=True))
     if held_out:  # all legs less those of the fold
