@@ -195,8 +195,9 @@ def test_every_run_has_a_drift_of_its_own():
     lag = [AppliedEffect(servo, {'T_X': 1e-5})] * 2
     assert removable_effect(lag, FILE).values.tolist() == [[1e-5]]
     state = replace(probe_state(some_machine()), duration=100.0)
-    columns = removable_effect(two, FILE).columns(state, 1)
-    assert not columns[:, :, 0].any() and columns[0, 0, 1] != 0
+    effect = removable_effect(two, FILE)
+    columns = effect.columns(state, 1)
+    assert effect.acting(1).tolist() == [1] and columns.shape[2] == 1 and columns[0, 0, 0] != 0
 
 
 def test_drifts_of_two_runs_are_told_apart():
