@@ -171,8 +171,8 @@ class StatePublisher:
 
 
 def _driven(collector: Collector) -> float:
-    """Part of the path that is driven."""
-    return min(1.0, collector.travelled / collector.path.length) if collector.path else 0.0
+    """Share of the path that is driven, by time where parts differ in speed."""
+    return collector.watcher.time_share if collector.path and collector.watcher else 0.0
 
 
 def _part(collector: Collector) -> dict[str, Any]:

@@ -147,6 +147,7 @@ def test_parts_shorter_than_the_moves_by_hand_between_them_are_counted():
     corners[:, 0] = machine.axes['X'].min + np.array([0.0, 0.05])
     apart = np.eye(len(machine.axis_names))[0] * 0.2
     both = (corners, corners + apart)
+    both[1][1, machine.column('C')] = 1.0  # takes much longer than its line
     path = nominal_track(machine, [AxisPath(machine.axis_names, q) for q in both])
     assert path.part_lengths == pytest.approx([0.05, 0.05])
     watcher = run_progress.PartsWatcher(path, CONFIG)
@@ -157,3 +158,4 @@ def test_parts_shorter_than_the_moves_by_hand_between_them_are_counted():
             stamp = number * 5_000_000_000 + k * 10_000_000
             watcher.add(stamp, *(a + share * (b - a)).tolist())
         assert watcher.part == number + 1
+        assert watcher.time_share == pytest.approx((0.05, 1.0)[number], abs=0.01)

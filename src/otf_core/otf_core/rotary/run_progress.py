@@ -8,9 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.config import CalibrationConfig
+from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.errors import InputError
-from otf_core.model.axis_path import BREAK, PartsTrack
+from otf_core.model.axis_path import (
+    BREAK,
+    TRACK_STEP,
+    TRACK_TURN,
+    PartsTrack,
+    along_legs,
+    position_at,
+    seconds_of_legs,
+)
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
@@ -91,6 +99,7 @@ class PartsWatcher(PathWatcher):
         self._looked = 0
         self._worth_comparing = 0.0
         self._last_part: _LastPart | None = None
+        self._seconds: list[tuple[Array, Array]] | None = None
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
@@ -111,6 +120,21 @@ class PartsWatcher(PathWatcher):
     def share(self) -> float:
         """Share of the path that has been travelled; 0 before the last part."""
         return self.travelled / self._path.length if self.in_last_part else 0.0
+
+    @property
+    def time_share(self) -> float:
+        """Share of the driving time that is over, hand moves left out.
+
+        A path states no feed; its legs are taken to last as long as those of a plan at the usual
+        one, of which rotary axes often are the slower ones.
+        """
+        if self._seconds is None:
+            self._seconds = [_course(self._track, k) for k in range(len(self._track.parts))]
+        way, seconds = self._seconds[self.part - 1]
+        before = sum(float(own[-1]) for _, own in self._seconds[: self.part - 1])
+        whole = sum(float(own[-1]) for _, own in self._seconds)
+        now = float(np.interp(self.travelled - self._start, way, seconds))
+        return (before + now) / whole
 
     @property
     def in_last_part(self) -> bool:
@@ -172,6 +196,16 @@ class PartsWatcher(PathWatcher):
         curve = Curve.of(sight, last.path.positions)
         driven = self._driven.up_to(samples)
         return _LastPart(matched.pose, curve.points[-1], driven, curve.length)
+
+
+def _course(track: PartsTrack, number: int) -> tuple[Array, Array]:
+    """Way of the reflector, m, and time, s, at points of a part that begins at 0."""
+    part = track.parts[number]
+    q = position_at(part.positions, along_legs(part.positions, TRACK_STEP, TRACK_TURN))
+    points = Sight.of_target(track.machine, part.target).nominal(q)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    seconds = seconds_of_legs(track.machine, q, PlannerConfig.feed)
+    return np.append(0.0, steps.cumsum()), np.append(0.0, seconds.cumsum())
 
 
 def watcher_of(path: NominalPath, config: CalibrationConfig) -> PathWatcher:

@@ -93,6 +93,11 @@ class PathWatcher:
         self.end, self._looked_at, self._stood = end, False, False
 
     @property
+    def time_share(self) -> float:
+        """Share of the driving time that is over, as that of the length travelled."""
+        return min(1.0, self.travelled / self._path.length)
+
+    @property
     def standstill(self) -> float:
         """Seconds since the target last moved by a millimetre."""
         if self._still_since_ns is None:
