@@ -187,6 +187,10 @@ def test_whitened_noise_is_white_whatever_the_lengths_of_the_legs(case):
             close(moments[k].square[c, 0], np.sum(covariance**2))
             wanted = np.linalg.solve(covariance, values[c, low:high])
             close(whitener.weighted(values)[c, low:high], wanted)
+    factor = np.random.default_rng(9).uniform(0.5, 2.0, values.shape)
+    scaled = whitener.scaled(factor)
+    close(scaled.unwhiten(values), factor * whitener.unwhiten(values))
+    close(scaled.expected, factor * whitener.expected)
     again = Whitener.from_factors(whitener.bounds, whitener.factors)
     close(again.whiten(values), whitener.whiten(values))
     for one, other in zip(moments, moments_of(again), strict=True):

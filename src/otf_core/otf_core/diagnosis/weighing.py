@@ -750,7 +750,7 @@ def run_views(
             residual_before=before,
             residual_after=after,
             expected=whitener.expected,
-            factors=whitener.factors,
+            noise=whitener,
             rotary=state.machine.rotary_names,
             point=state.point,
             part=None if state.turning is None else state.turning.part,

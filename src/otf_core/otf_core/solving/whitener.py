@@ -269,6 +269,14 @@ class Whitener:
         for one in self.alike:
             one.hold()
 
+    def scaled(self, factor: Array) -> Whitener:
+        """The same for noise with a factor (c, p) on the standard deviation of every piece."""
+        alike = (
+            EqualLegs(one.legs, one.pieces, one.inverse / factor[:, one.pieces][:, :, None])
+            for one in self.alike
+        )
+        return Whitener(self.bounds, tuple(alike), self.first)
+
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
         """Lower Cholesky factors (m, m) of every leg and component, m."""

@@ -66,9 +66,8 @@ class RunView:
         Without and with the causes.
     expected : ndarray, shape (c, p), m
         Standard deviation of the noise that the simulation shows there.
-    factors : tuple of (tuple of ndarray), optional
-        Lower Cholesky factor of the noise covariance, m, of every leg and component: what
-        ``normal.Whitener`` uses. Without it, ``expected`` with a typical correlation time.
+    noise : Whitener, optional
+        Of the noise, on any scale. Without it, ``expected`` with a typical correlation time.
     rotary : tuple of str
         Axes of which ``q`` is in rad.
     point : ndarray, shape (p, 3), m, optional
@@ -91,7 +90,7 @@ class RunView:
     residual_before: Array
     residual_after: Array
     expected: Array
-    factors: tuple[tuple[Array, ...], ...] = ()
+    noise: Whitener | None = None
     rotary: tuple[str, ...] = ()
     point: Array | None = None
     part: Index | None = None
@@ -107,26 +106,20 @@ class RunView:
         return leg_bounds(self.leg)
 
     @cached_property
-    def _scaled(self) -> list[list[Array]]:
-        """Factors of the noise of every leg and component, scaled so that it is ``expected``."""
-        given = self.factors or tuple(self._typical(low, high) for low, high in self.bounds)
-        return [
-            [
-                factor * (self.expected[c, low:high] / np.linalg.norm(factor, axis=1))[:, None]
-                for c, factor in enumerate(leg)
-            ]
-            for (low, high), leg in zip(self.bounds, given, strict=True)
-        ]
-
-    @cached_property
     def whitener(self) -> Whitener:
-        """Frees rows of the correlation of the noise."""
-        return Whitener.from_factors(self.bounds, self._scaled)
+        """Frees rows of the correlation of the noise, scaled so that it is ``expected``."""
+        if self.noise is not None:
+            return self.noise.scaled(self.expected / self.noise.expected)
+        typical = [
+            [factor * own[low:high, None] for factor, own in zip(leg, self.expected, strict=True)]
+            for (low, high), leg in ((b, self._typical(*b)) for b in self.bounds)
+        ]
+        return Whitener.from_factors(self.bounds, typical)
 
     @cached_property
     def covariances(self) -> list[list[Array]]:
         """Noise covariance of every leg and component, m^2."""
-        return [[factor @ factor.T for factor in leg] for leg in self._scaled]
+        return [[factor @ factor.T for factor in leg] for leg in self.whitener.factors]
 
     def _typical(self, low: int, high: int) -> tuple[Array, ...]:
         gap = np.abs(self.time[low:high, None] - self.time[None, low:high])
