@@ -32,15 +32,7 @@ from otf_core.pieces.finding import failed_gates_of_data
 from otf_core.pieces.runs import Recording, check_same_machine, errors_of, run_id
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import AxesVolumetricError
-from otf_core.rotary.axis_reversal import (
-    NONE,
-    AxisLag,
-    AxisReversal,
-    lags,
-    reversals,
-    significant,
-    trial_of_reversal,
-)
+from otf_core.rotary.axis_reversal import AxisLag, choose_reversal, lags
 from otf_core.rotary.axis_solution import (
     AxisSolution,
     UnsettledError,
@@ -56,7 +48,8 @@ from otf_core.rotary.part_steps import LEAST, find_steps
 from otf_core.rotary.reduction import at_stops, reduce_to_pieces, reduce_to_stops
 from otf_core.rotary.rows import AxisRun
 from otf_core.rotary.tabulation import AxisTables, tabulate
-from otf_core.solving.model_choice import FINER, SMOOTH, STRAIGHT
+from otf_core.solving.model_choice import FINER, SMOOTH, STRAIGHT, Choice
+from otf_core.solving.reversal import Reversal, reversal_tables
 from otf_core.solving.unknowns import Basis, Unknowns
 from otf_core.threads import one_thread
 
@@ -101,8 +94,8 @@ class AxisCalibration:
         Lowest and highest positions of the axes.
     corners : ndarray, shape (n, 3), m
         Linear axes where pieces lie, for the hull of what was driven.
-    reversal : tuple of AxisReversal
-        Motions that differ between both senses of travel; the tables hold the mean.
+    reversal : Reversal
+        Of the motions that differ between both senses of travel; the tables hold the mean.
     lags : tuple of AxisLag
         Axes that are late behind the others.
     advice : mapping of name to str
@@ -122,7 +115,7 @@ class AxisCalibration:
     fit: AxisFit
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
-    reversal: tuple[AxisReversal, ...]
+    reversal: Reversal
     lags: tuple[AxisLag, ...]
     advice: Mapping[str, str]
     method: str
@@ -223,8 +216,8 @@ def _calibrated(
     progress('solving', 0.0)
     job = _Job(recordings, config, progress, method, nodes, tuple(stations), free)
     failed: list[str] = []
-    joint, matched, before = job.solve(matched, places, failed)
-    result = _assembled(recordings, matched, joint, config, method, (low, high), before)
+    joint, matched, choice, before = job.solve(matched, places, failed)
+    result = _assembled(recordings, matched, joint, choice, config, method, (low, high), before)
     gates = (*failed, *result.failed_gates)
     return replace(result, warnings=(*notes, *result.warnings), failed_gates=gates)
 
@@ -254,7 +247,7 @@ class _Job:
 
     def solve(
         self, matched: Sequence[MatchedRun], places: Mapping[str, Array], failed: list[str]
-    ) -> tuple[AxisSolution, list[MatchedRun], float]:
+    ) -> tuple[AxisSolution, list[MatchedRun], Choice, float]:
         """Solve twice: the second time at places that the first tables give.
 
         ``failed`` takes words on reflectors that were re-seated.
@@ -264,6 +257,8 @@ class _Job:
         done : AxisSolution
         matched : list of MatchedRun
             With its poses and places.
+        choice : Choice
+            Of the reversal model.
         before : float
             m; mean distance of the pieces from the curves at the first poses.
         """
@@ -292,9 +287,8 @@ class _Job:
             raise InputError(steps[0]) from None
         joint = choose_functions(joint, layouts, self.config.unidentifiable_above)
         joint, fitted = improve(joint, fitted=unknown, repetitions=FIRST_REPETITIONS)
-        unknowns = joint.unknowns
-        if self.config.reversal != NONE:
-            unknowns = self._with_reversal(joint)
+        layout = partial(self._layout, joint.unknowns.bases)
+        choice, unknowns = choose_reversal(joint, layout, self.config)
         tables = tables_of(machine, joint.unknowns, joint.solution.value)
         matched = self._moved(matched, joint)
         runs = self._runs(matched, joint.places, tables)
@@ -303,19 +297,13 @@ class _Job:
         joint, _ = improve(joint, fitted=fitted)
         # not before: places that are 0.1 mm off along the path look like a step
         failed.extend(find_steps(joint))
-        return joint, self._moved(matched, joint), before
+        return joint, self._moved(matched, joint), choice, before
 
     def _layout(
         self, bases: Mapping[str, Basis], reversal: Sequence[str] = (), lags: Sequence[str] = ()
     ) -> Unknowns:
         machine = self.recordings[0].machine
         return layout(machine, bases, max(self.stations) + 1, self.free, reversal, lags)
-
-    def _with_reversal(self, joint: AxisSolution) -> Unknowns:
-        """Unknowns with the constants of reversal and the lags that the data show."""
-        bases = joint.unknowns.bases
-        whole = self._layout(bases, joint.machine.motions, joint.machine.axis_names)
-        return self._layout(bases, *significant(trial_of_reversal(joint, whole), self.config))
 
     def _noise(self, recording: Recording) -> NoiseModel:
         samples, spec = recording.samples, self.recordings[0].machine.tracker
@@ -436,6 +424,7 @@ def _assembled(
     recordings: Sequence[Recording],
     matched: Sequence[MatchedRun],
     joint: AxisSolution,
+    choice: Choice,
     config: CalibrationConfig,
     method: str,
     driven: tuple[Array, Array],
@@ -492,7 +481,18 @@ def _assembled(
                 machine,
             ),
         ),
-        reversal=tuple(reversals(joint, covariance)),
+        reversal=Reversal(
+            choice.model,
+            choice.evidence,
+            reversal_tables(
+                tabulated.tables,
+                unknowns,
+                joint.solution.value,
+                covariance,
+                joint.solution.accepted,
+            ),
+            choice.held,
+        ),
         lags=tuple(lags(joint, covariance)),
         advice=advice,
         method=method,

@@ -64,6 +64,7 @@ from otf_core.diagnosis.weighing import (
     run_views,
 )
 from otf_core.effects import EVERY, ROTARY, Effect, catalogue
+from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.memory import collect, give_back
@@ -185,7 +186,8 @@ def _diagnose_axes(
     progress('diagnosing', 0.0)
     rows = rows_of_axes(recordings, plain)
     offered = catalogue(machine)
-    exclude = (*exclude, *(n for n in EVERY if n not in offered))
+    # of reversal that changes along an axis the constant part is named
+    exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
     of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
     search = search_catalogue(rows, exclude, (*of_rotary, *own), ())
     progress('diagnosing', 0.5)

@@ -174,8 +174,13 @@ def functions_of(name: str, place: Array, order: int, span: Span = (-1.0, 1.0)) 
         return switching.functions(unscaled_input(name, place, span), order)
     if not cycle_period(name):
         return np.asarray(legendre.legvander(place, order))
+    return harmonics(np.pi * place, order)
+
+
+def harmonics(phase: Array, order: int) -> Array:
+    """1, cosine, sine, cosine of twice the phase (n,) ..., shape (n, order + 1)."""
     number = np.arange(order + 1)
-    angle = np.pi * place[:, None] * ((number + 1) // 2)
+    angle = phase[:, None] * ((number + 1) // 2)
     return np.where(number % 2, np.cos(angle), np.sin(angle) + (number == 0))
 
 

@@ -220,10 +220,10 @@ def _explain_axis_tables(data: Data) -> FileSummary:
         u = typical.get(name, entry)['u']
         lines.append(f'{name} {_with_u(entry["value"], u, unit_of(name))}')
     reversal = data.get('reversal') or {}
-    found = [
-        f'{name} {_with_u(entry["value"], entry["u"], entry["unit"])}'
-        for name, entry in (reversal.get('motions') or {}).items()
-    ]
+    found = []
+    for name, entry in (reversal.get('motions') or {}).items():
+        value, u = (float(np.mean(entry[k])) for k in ('value', 'u'))
+        found.append(f'{name} {_with_u(value, u, entry["unit"])}')
     found += [
         f'lag of {axis} {1e6 * entry["value"]:.0f} us'
         for axis, entry in (reversal.get('lags') or {}).items()

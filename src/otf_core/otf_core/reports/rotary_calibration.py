@@ -48,7 +48,14 @@ from otf_core.reports.calibration_facts import (
     measurement_dates,
     stated_tables,
 )
-from otf_core.reports.calibration_sections.error_motions import role, squareness_words
+from otf_core.reports.calibration_sections.error_motions import (
+    format_reversal,
+    reversal_csv,
+    reversal_table,
+    reversal_to_dict,
+    role,
+    squareness_words,
+)
 from otf_core.reports.calibration_sections.uncertainty_budget import (
     section_of_budget,
     section_of_correlations,
@@ -83,8 +90,8 @@ from otf_core.reports.residual_files import (
     write_residuals,
     write_residuals_text,
 )
-from otf_core.rotary.axis_reversal import CONSTANT, NONE
 from otf_core.rotary.tabulation import remove_rigid_motions
+from otf_core.solving.reversal import ReversalTable
 
 GAUGE = (
     'linear axes: positioning and rotations zero at axis position 0, else at the minimum, '
@@ -128,19 +135,8 @@ def result_to_dict(
         'tracker_link': machine.tracker.link,
         'fit': asdict(result.fit),
         'runs': [_run_to_dict(result, k) for k in range(len(result.solution.runs))],
-        'reversal': {
-            'model': CONSTANT if result.reversal else NONE,
-            'motions': {
-                r.motion: {
-                    'axis': r.motion.axis,
-                    'unit': r.motion.unit,
-                    'value': r.value,
-                    'u': r.u,
-                }
-                for r in result.reversal
-            },
-            'lags': {r.axis: {'unit': 's', 'value': r.value, 'u': r.u} for r in result.lags},
-        },
+        'reversal': reversal_to_dict(result.reversal, result.tables)
+        | {'lags': {r.axis: {'unit': 's', 'value': r.value, 'u': r.u} for r in result.lags}},
         'run_id': result.run_id,
         'gauge': GAUGE,
         'spacing': {'table_pitch_over': result.made.fraction},
@@ -493,24 +489,37 @@ def _lines(result: AxisCalibration) -> Section:
 
 def _reversal(result: AxisCalibration) -> list[Section]:
     """Differences between both senses of travel, where there are any."""
-    if not result.reversal and not result.lags:
+    reversal = result.reversal
+    if not reversal.motions and not result.lags:
         return []
-    lines = [
-        f'{r.motion}: forward less backward travel of {r.motion.axis} '
-        f'{micro_with_expanded(r.value, COVERAGE_FACTOR * r.u, r.motion.unit)}'
-        for r in result.reversal
-    ]
+    lines = [_reversal_words(ErrorMotion.of(m), table) for m, table in reversal.motions.items()]
     lines += [
         f'{r.axis} is {"late" if r.value > 0.0 else "early"} against the axes that it is driven '
         f'with: ({1e6 * abs(r.value):.0f} +/- {1e6 * COVERAGE_FACTOR * r.u:.0f}) us'
         for r in result.lags
     ]
-    words = ('Tables hold the mean of both senses, without lag.', *lines)
+    words = (
+        f'Reversal model: {reversal.model}. Tables hold the mean of both senses, without lag.',
+        *lines,
+    )
     data = {
-        **{str(r.motion): {'value': r.value, 'u': r.u} for r in result.reversal},
+        **{m: {'value': t.value.tolist(), 'u': t.u.tolist()} for m, t in reversal.motions.items()},
         **{f'lag {r.axis}': {'value': r.value, 'u': r.u} for r in result.lags},
     }
-    return [Section('reversal', 'Reversal', words, data, text=('', *lines))]
+    tables = (reversal_table(reversal),) if reversal.motions else ()
+    text = (format_reversal(reversal), *lines)
+    return [Section('reversal', 'Reversal', words, data, tables, ('', *text))]
+
+
+def _reversal_words(motion: ErrorMotion, table: ReversalTable) -> str:
+    """Reversal value of a motion, and its range where it changes along the axis."""
+    u = float(np.sqrt(np.mean(table.u**2)))
+    value = micro_with_expanded(float(table.value.mean()), COVERAGE_FACTOR * u, motion.unit)
+    words = f'{motion}: forward less backward travel of {motion.axis} {value}'
+    low, high = float(table.value.min()), float(table.value.max())
+    if high == low:
+        return words
+    return f'{words} on average, from {micro(low)} to {micro(high)} {micro_unit(motion.unit)}'
 
 
 def _volume(result: AxisCalibration) -> Section:
@@ -721,6 +730,9 @@ def write_calibration(
     data = result_to_dict(result, lines)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
     wanted = {
+        'reversal.csv': lambda: write_text(
+            folder / 'reversal.csv', reversal_csv(result.reversal, result.tables)
+        ),
         'error_tables.csv': lambda: write_text(
             folder / 'error_tables.csv', _rows_csv(result, lines)
         ),

@@ -1,53 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What differs between both senses of travel: backlash, a constant of each motion, and lags.
+"""What differs between both senses of travel: reversal of the motions, and lags of the axes.
 
-All motions of all axes get half a constant with the sign of the last travel of their axis, and all
-axes a lag that displaces them by its speed; those that are significant are kept, and the tables
-hold the mean of both senses. An axis that stands after its travel shows backlash, but no lag.
+All motions of all axes may have half a reversal value with the sign of the last travel of their
+axis, constant or a table over its position, and all axes a lag that displaces them by its speed.
+Those that are significant are kept; whether they are constants, tables or nothing is decided on
+held-out lines, as for linear axes (``model_choice``). The tables hold the mean of both senses. An
+axis that stands after its travel shows backlash, but no lag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
-from typing import Any, TypeVar, cast
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
-from otf_core.model.motions import ErrorMotion
+from otf_core.model.machine import Machine
 from otf_core.rotary.axis_solution import AxisSolution, place_equations, tables_of
 from otf_core.rotary.axis_unknowns import lag_block
 from otf_core.rotary.rows import build_rows
-from otf_core.solving.normal import normal_equations
-from otf_core.solving.solution import solve
-from otf_core.solving.unknowns import Unknowns, reversal_block
+from otf_core.solving.model_choice import (
+    MIN_LINES,
+    Choice,
+    Evidence,
+    FoldedLines,
+    choose_model,
+    line_folds,
+    too_few,
+)
+from otf_core.solving.normal import weigh_repeated_lines
+from otf_core.solving.reversal import AUTO, CONSTANT, NONE, TABLES, count_functions
+from otf_core.solving.solution import free_columns, solve
+from otf_core.solving.unknowns import Unknowns, is_reversal, reversal_block, reversal_order
 
 SIGNIFICANT = 5.0
 """Standard uncertainties; by chance one of thirty constants exceeds them in 60 000 runs."""
+PER_FUNCTION = 3.0
+"""Squared standard uncertainties that each further function of a motion needs besides."""
 LEAST = 3e-7
 """m and rad; smaller differences are left in the residuals."""
 MOST, MOST_LAG = 1e-3, 1e-3
 """m and rad, and s; differences between both senses and lags are smaller."""
 LATE = 1.01
-"""Preference of an axis that is late over another that is early: where they drive together only,
-the data do not tell them apart."""
-NONE, CONSTANT, AUTO = 'none', 'constant', 'auto'
+"""Preference of backlash, and of an axis that is late, over another that is early: where axes
+drive together only, or at one speed, the data do not tell them apart."""
+VAGUE_LAG = 1e2
+"""Lags, s, may be less certain than ``unidentifiable_above`` by this factor."""
 
-
-Key = TypeVar('Key', bound=Hashable)
-
-
-@dataclass(frozen=True)
-class AxisReversal:
-    """Forward less backward travel of one motion, m or rad, and its standard uncertainty."""
-
-    motion: ErrorMotion
-    value: float
-    u: float
+Layout = Callable[[Sequence[str], Sequence[str]], Unknowns]
+"""Unknowns with some reversal coefficients, by their blocks, and lags of some axes."""
 
 
 @dataclass(frozen=True)
@@ -59,92 +63,204 @@ class AxisLag:
     u: float
 
 
-def reversals(joint: AxisSolution, covariance: Array | None = None) -> list[AxisReversal]:
-    """Constants of a solution; with another covariance (full, full) than its own."""
-    motions = {m: reversal_block(m, 0) for m in joint.machine.motions}
-    return [AxisReversal(m, *of) for m, of in _estimates(joint, motions, covariance).items()]
-
-
-def lags(joint: AxisSolution, covariance: Array | None = None) -> list[AxisLag]:
-    """Lags of a solution; with another covariance (full, full) than its own."""
-    axes = {a: lag_block(a) for a in joint.machine.axis_names}
-    return [AxisLag(a, *of) for a, of in _estimates(joint, axes, covariance).items()]
-
-
-def _estimates(
-    joint: AxisSolution, blocks: Mapping[Key, str], covariance: Array | None
-) -> dict[Key, tuple[float, float]]:
-    """Values and standard uncertainties of those single unknowns that were solved for."""
-    found, cover = {}, joint.solution.covariance if covariance is None else covariance
-    for key, name in blocks.items():
-        block = joint.unknowns.blocks.get(name)
+def lags(joint: AxisSolution, covariance: Array) -> list[AxisLag]:
+    """Lags of a solution, by a covariance (full, full) of its unknowns."""
+    found = []
+    for axis in joint.machine.axis_names:
+        block = joint.unknowns.blocks.get(lag_block(axis))
         if block is not None:
-            k = block.start
-            u = float(np.sqrt(max(cover[k, k], 0.0)))
-            found[key] = (float(joint.solution.value[k]), u)
+            u = float(np.sqrt(max(covariance[block.start, block.start], 0.0)))
+            found.append(AxisLag(axis, float(joint.solution.value[block.start]), u))
     return found
 
 
-def trial_of_reversal(joint: AxisSolution, unknowns: Unknowns) -> AxisSolution:
-    """One step from a solution with further unknowns at the end, which are next to unknown before.
+def choose_reversal(
+    joint: AxisSolution, layout: Layout, config: CalibrationConfig
+) -> tuple[Choice, Unknowns]:
+    """Choose what differs between both senses of travel.
 
     Parameters
     ----------
+    joint : AxisSolution
+        Without reversal.
+    layout : callable(blocks, axes)
+
+    Returns
+    -------
+    choice : Choice
     unknowns : Unknowns
-        Those of the solution, a constant for every motion, and a lag for every axis.
+        With the reversal coefficients and lags to solve for.
     """
-    tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
-    parts = [
-        normal_equations(cast(Any, build_rows(s.run, unknowns, tables)), unknowns, s.whitener)
-        for s in joint.runs
+    given, machine = config.reversal, joint.machine
+    if given == NONE:
+        return Choice(NONE, True, {'decided_by': 'configuration'}), joint.unknowns
+    every = _blocks(machine, CONSTANT if given == CONSTANT else TABLES)
+    trial = _Trial.of(joint, layout(every, machine.axis_names))
+    if given != AUTO:
+        seen = trial.visible(every, config.unidentifiable_above)
+        return Choice(given, True, {'decided_by': 'configuration'}), layout(seen, ())
+    found = {model: trial.significant(model, config) for model in (CONSTANT, TABLES)}
+    if not any(map(is_reversal, found[TABLES])):
+        nothing: Evidence = {'decided_by': 'no motion differs significantly'}
+        return Choice(NONE, True, nothing), _of(layout, found[CONSTANT])
+    late = tuple(n for n in found[CONSTANT] if not is_reversal(n))
+    models = {NONE: late, **found}
+    if not any(reversal_order(n) > 0 for n in found[TABLES]):
+        del models[TABLES]
+    lines = sum(map(len, trial.folded.fold))
+    if lines < MIN_LINES:
+        few: Evidence = {'decided_by': f'significance, {too_few(lines)}', 'lines': lines}
+        return Choice(CONSTANT, True, few), _of(layout, found[CONSTANT])
+    choice = choose_model(trial.held_out(models), True)
+    return choice, _of(layout, models[choice.model])
+
+
+def _of(layout: Layout, names: Sequence[str]) -> Unknowns:
+    """Unknowns with some blocks: reversal coefficients and lags."""
+    blocks = [n for n in names if is_reversal(n)]
+    return layout(blocks, [n.split()[1] for n in names if not is_reversal(n)])
+
+
+def _blocks(machine: Machine, model: str) -> list[str]:
+    """Blocks of all reversal coefficients of a model, motion by motion."""
+    return [
+        reversal_block(motion, k)
+        for motion in machine.motions
+        for k in range(count_functions(machine.axes[motion.axis], model))
     ]
-    places = place_equations(joint.machine, unknowns, joint.runs[0].run.places)
-    names = [n for n, s in unknowns.free_blocks.items() if s.stop > s.start]
-    sizes = np.full(unknowns.free, MOST)
-    for axis in joint.machine.axis_names:
-        sizes[unknowns.free_blocks[lag_block(axis)]] = MOST_LAG
-    prior, old = np.diag(sizes**-2.0), joint.unknowns.free
-    prior[:old, :old] = joint.roughness.precision
-    solution = solve(reduce(add, [*parts, places]), unknowns, 1e-6, tuple(names), prior)
-    return replace(joint, unknowns=unknowns, solution=solution)
 
 
-def significant(
-    trial: AxisSolution, config: CalibrationConfig
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Motions to keep a constant of, and axes to keep a lag of.
+@dataclass(frozen=True)
+class _Trial:
+    """One step from a solution with further unknowns at the end, next to unknown before.
 
-    One after the other: the one that explains most beside those already kept, all others zero.
+    Attributes
+    ----------
+    folded : FoldedLines
+    prior : ndarray, shape (free, free), 1 / (m, rad)^2
+    value, covariance : ndarray, shape (full,) and (full, full)
+    rates : ndarray, shape (k,), m/s and rad/s
+        Largest speeds of the axes.
+    """
+
+    machine: Machine
+    unknowns: Unknowns
+    folded: FoldedLines
+    prior: Array
+    value: Array
+    covariance: Array
+    rates: Array
+
+    @classmethod
+    def of(cls, joint: AxisSolution, unknowns: Unknowns) -> _Trial:
+        """With coefficients of reversal for motions, and a lag for every axis."""
+        tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
+        lines = [
+            weigh_repeated_lines(cast(Any, build_rows(s.run, unknowns, tables)), s.whitener)
+            for s in joint.runs
+        ]
+        known = place_equations(joint.machine, unknowns, joint.runs[0].run.places)
+        nothing = [np.zeros((*one.system.deviation.shape, 0)) for one in lines]
+        folds = line_folds(cast(Any, joint))
+        folded = FoldedLines.of(lines, folds, nothing, unknowns, None, [known])
+        sizes = np.full(unknowns.free, MOST)
+        for axis in joint.machine.axis_names:
+            sizes[unknowns.free_blocks[lag_block(axis)]] = MOST_LAG
+        prior, old = np.diag(sizes**-2.0), joint.unknowns.free
+        prior[:old, :old] = joint.roughness.precision
+        names = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
+        solution = solve(folded.total, unknowns, 1e-6, names, prior)
+        rates = np.concatenate([np.abs(s.run.pieces.rate) for s in joint.runs]).max(axis=0)
+        return cls(
+            joint.machine, unknowns, folded, prior, solution.value, solution.covariance, rates
+        )
+
+    def visible(self, blocks: Sequence[str], limit: float) -> list[str]:
+        """Coefficients that the data show to a limit, of every motion up to the first hidden."""
+        visible, hidden = [], set[str]()
+        for name in blocks:
+            k, motion = self.unknowns.blocks[name].start, name[:3]
+            if motion not in hidden and self.covariance[k, k] < limit**2:
+                visible.append(name)
+            else:
+                hidden.add(motion)
+        return visible
+
+    def held_out(self, models: dict[str, tuple[str, ...]]) -> dict[str, Array]:
+        """Squares that models with some of the further blocks leave of held-out lines."""
+        common = [n for n, s in self.unknowns.free_blocks.items() if s.stop > s.start]
+        common = [n for n in common if n not in self._further]
+        columns = {m: free_columns(self.unknowns, [*common, *own]) for m, own in models.items()}
+        return self.folded.squares(columns, self.prior)
+
+    @property
+    def _further(self) -> list[str]:
+        """Blocks of reversal and lags."""
+        lagging = {lag_block(a) for a in self.machine.axis_names}
+        return [n for n in self.unknowns.blocks if is_reversal(n) or n in lagging]
+
+    def significant(self, model: str, config: CalibrationConfig) -> tuple[str, ...]:
+        """Blocks to keep: coefficients of reversal and lags, all others zero.
+
+        One after the other: the constant, the lag or, among ``TABLES``, the functions of a motion
+        that explain most beside those already kept.
+        """
+        names = [n for n in self._further if model == TABLES or reversal_order(n) <= 0]
+        group = [[k] for k, n in enumerate(names) if reversal_order(n) <= 0]
+        for motion in self.machine.motions if model == TABLES else ():
+            group.append([k for k, n in enumerate(names) if is_reversal(n) and n[:3] == motion])
+        every = self._further
+        at = [self.unknowns.blocks[n].start for n in every]
+        weight: Array = np.linalg.inv(self.covariance[np.ix_(at, at)])
+        own = [every.index(n) for n in names]
+        pull = (weight @ self.value[at])[own]
+        weight = np.asarray(weight[np.ix_(own, own)])
+        least = np.full(len(names), LEAST)
+        vague = np.full(len(names), config.unidentifiable_above)
+        for k, name in enumerate(names):
+            if not is_reversal(name):
+                rate = self.rates[self.machine.column(name.split()[1])]
+                least[k], vague[k] = LEAST / max(rate, 1e-9), vague[k] * VAGUE_LAG
+        kept = list[int]()
+        while True:
+            score = [
+                _gain(weight, pull, g, kept, least, vague, is_reversal(names[g[0]])) for g in group
+            ]
+            best = int(np.argmax(score))
+            if score[best] <= 0.0:
+                return tuple(n for k, n in enumerate(names) if k in kept)
+            kept += [k for k in group[best] if k not in kept]
+
+
+def _gain(
+    weight: Array,
+    pull: Array,
+    group: Sequence[int],
+    kept: Sequence[int],
+    least: Array,
+    vague: Array,
+    backlash: bool,
+) -> float:
+    """What some unknowns explain beside those kept, less what they have to; 0 if too small.
 
     Parameters
     ----------
-    trial : AxisSolution
-        With a constant for every motion and a lag for every axis.
+    weight, pull : ndarray, shape (k, k) and (k,)
+        Normal equations of the further unknowns, all others solved for.
+    least, vague : ndarray, shape (k,)
+        Smallest value that matters, and largest standard uncertainty.
     """
-    limit = config.unidentifiable_above
-    constants, late = reversals(trial), lags(trial)
-    if config.reversal != AUTO:
-        return tuple(str(r.motion) for r in constants if r.u < limit), ()
-    names = [str(r.motion) for r in constants] + [r.axis for r in late]
-    blocks = [reversal_block(n, 0) if len(n) == 3 else lag_block(n) for n in names]
-    place = [trial.unknowns.blocks[b].start for b in blocks]
-    rates = np.concatenate([np.abs(s.run.pieces.rate) for s in trial.runs]).max(axis=0)
-    least = np.array([LEAST] * len(constants) + [LEAST / max(rates[k], 1e-9) for k in
-                     (trial.machine.column(r.axis) for r in late)])  # fmt: skip
-    value = trial.solution.value[place]
-    weight = np.linalg.inv(trial.solution.covariance[np.ix_(place, place)])
-    pull, kept = weight @ value, list[int]()
-    for _ in names:
-        inner = np.linalg.inv(weight[np.ix_(kept, kept)])
-        among = weight[:, kept] @ inner
-        left = np.diag(weight) - np.einsum('ij,ij->i', among, weight[:, kept])
-        left[kept] = 0.0
-        free = left > 1.0 / limit**2 * np.where(np.arange(len(names)) < len(constants), 1.0, 1e-4)
-        size = np.where(free, (pull - among @ pull[kept]) / np.where(free, left, 1.0), 0.0)
-        score = np.where(np.abs(size) > least, np.abs(size) * np.sqrt(np.maximum(left, 0.0)), 0.0)
-        best = int(np.argmax(score * np.where(size > 0.0, LATE, 1.0)))
-        if score[best] < SIGNIFICANT:
-            break
-        kept.append(best)
-    chosen = [names[k] for k in kept]
-    return tuple(n for n in chosen if len(n) == 3), tuple(n for n in chosen if len(n) == 1)
+    own = [k for k in group if k not in kept]
+    if not own:
+        return 0.0
+    among = weight[np.ix_(own, kept)] @ np.linalg.inv(weight[np.ix_(kept, kept)])
+    left = weight[np.ix_(own, own)] - among @ weight[np.ix_(kept, own)]
+    size, vectors = np.linalg.eigh(left * np.outer(vague[own], vague[own]))
+    seen = size > 1.0
+    along = (vectors.T @ (vague[own] * (pull[own] - among @ pull[kept])))[seen]
+    value = vague[own] * (vectors[:, seen] @ (along / size[seen]))
+    if not np.any(np.abs(value) > least[own]):
+        return 0.0
+    preference = LATE**2 if backlash or value[0] > 0.0 else 1.0
+    needed = SIGNIFICANT**2 + PER_FUNCTION * (len(own) - 1)
+    return preference * float(np.sum(along**2 / size[seen])) - needed

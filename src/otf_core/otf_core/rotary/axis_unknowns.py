@@ -25,7 +25,6 @@ from otf_core.solving.unknowns import (
     lay_out_blocks,
     motion_gauge,
     pose_block,
-    reversal_block,
 )
 
 FEWEST, MOST = 8, 24
@@ -77,7 +76,7 @@ def layout(
     targets : sequence of str
         Those whose places are not known.
     reversal : sequence of str
-        Motions that differ between both senses of travel by a constant.
+        Blocks of the reversal coefficients, those of a motion from its constant on.
     lags : sequence of str
         Axes that are late by a constant time.
     """
@@ -86,6 +85,6 @@ def layout(
     parts += [(place_block(name), np.eye(PLACE)) for name in targets]
     parts += [(name, np.eye(1)) for name in machine.scalars]
     parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
-    parts += [(reversal_block(name, 0), np.eye(1)) for name in reversal]
+    parts += [(name, np.eye(1)) for name in reversal]
     parts += [(lag_block(axis), np.eye(1)) for axis in lags]
     return Unknowns(dict(bases), *lay_out_blocks(parts))

@@ -8,27 +8,30 @@ For the direction a of a row, the point p = R x + t and the nominal point p(q; p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
+from otf_core.effects.catalogue.direction_dependent_tables import functions_along
 from otf_core.effects.state import state_in_parts
 from otf_core.effects.terms import State
-from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.joints import ReflectorView, Sight
 from otf_core.model.machine import Machine
+from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.noise_model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares
 from otf_core.rotary.axis_unknowns import lag_block, place_block
 from otf_core.rotary.curve_matching import Part, sight_at
 from otf_core.rotary.reduction import AxisPieces
-from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
+from otf_core.solving.system import row_directions
+from otf_core.solving.unknowns import Unknowns, pose_block, reversal_blocks
 
 BLOCK = 2000
 """Pieces whose rows are dense at a time; bounds the memory."""
@@ -63,6 +66,15 @@ class AxisRows:
             axis: [(six, self.unknowns.bases[axis].matrix(q)) for six, q in shifts]
             for axis, shifts in self.motions.items()
         }
+
+    def at(self, pieces: Index) -> AxisRows:
+        """Rows of some pieces, by their places."""
+        motions = {
+            axis: [(six[:, pieces], q[pieces]) for six, q in shifts]
+            for axis, shifts in self.motions.items()
+        }
+        fixed = {name: own[:, pieces] for name, own in self.fixed.items()}
+        return AxisRows(self.unknowns, len(pieces), fixed, motions, self.splines[pieces])
 
     def prepare(self) -> None:
         """Set up what several threads use."""
@@ -152,6 +164,16 @@ class AxisSystem:
     rows: AxisRows
     shares: Array
 
+    def at(self, pieces: Index) -> AxisSystem:
+        """Return the rows of some pieces, by their places."""
+        return AxisSystem(
+            self.q[pieces],
+            self.axes[:, pieces],
+            self.deviation[:, pieces],
+            self.rows.at(pieces),
+            self.shares[:, :, pieces],
+        )
+
     def of_unknowns(self, unknowns: Unknowns) -> AxisSystem:
         """Return the same rows for other functions of the error motions."""
         return replace(self, rows=replace(self.rows, unknowns=unknowns))
@@ -221,12 +243,7 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
     """
     pieces, machine = run.pieces, run.machine
     points = run.pose.apply(pieces.xyz)
-    beam = beam_frame(pieces.xyz)
-    along = [run.pose.rotate(d) for d in beam[1:]]
-    if pieces.standstill:
-        axes = np.stack(along)
-    else:
-        axes = np.stack(path_frame(pieces.direction, along[0]))
+    axes = row_directions(cast(Any, pieces), run.pose)
     count = axes.shape[1]
     q, off = pieces.q.copy(), points - pieces.nominal
     fixed = {pose_block(run.station): np.concatenate([-axes, -np.cross(points, axes)], axis=2)}
@@ -258,13 +275,8 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
                 column = np.einsum('cni,ni->cn', axes[:, own], late)[:, :, None]
                 before = fixed.get(lag_block(axis), 0.0)
                 fixed[lag_block(axis)] = before + _filled(count, own, column)
-        for axis, six in seen.motions.items():
-            half = 0.5 * pieces.side[own, machine.column(axis)]
-            for k, d in enumerate('XYZABC'):
-                block = reversal_block(f'E{d}{axis}', 0)
-                if block in unknowns.blocks:
-                    column = np.einsum('cni,ni,n->cn', axes[:, own], six[:, :, k], half)
-                    fixed[block] = fixed.get(block, 0.0) + _filled(count, own, column[:, :, None])
+        for block, column in _reversed(seen, pieces, own, axes, unknowns):
+            fixed[block] = fixed.get(block, 0.0) + _filled(count, own, column)
     return AxisSystem(
         q=q,
         axes=axes,
@@ -272,6 +284,26 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
         rows=AxisRows(unknowns, count, fixed, motions, _cells(q)),
         shares=beam_shares(pieces.xyz, run.pose, axes),
     )
+
+
+def _reversed(
+    seen: ReflectorView,
+    pieces: AxisPieces,
+    own: NDArray[np.bool_],
+    axes: Array,
+    unknowns: Unknowns,
+) -> Iterator[tuple[str, Array]]:
+    """Reversal coefficients and their columns (c, m, 1) at the pieces of one target."""
+    machine = seen.sight.machine
+    for axis, six in seen.motions.items():
+        column, half = machine.column(axis), 0.5 * pieces.side[own, machine.column(axis)]
+        moved = np.einsum('cni,nik,n->cnk', axes[:, own], six, half, optimize=True)
+        for k, d in enumerate(DIRECTIONS):
+            blocks = reversal_blocks(unknowns, f'E{d}{axis}')
+            order = len(blocks) - 1
+            along = functions_along(machine.axes[axis], seen.q[:, column], max(order, 0))
+            for name, weight in zip(blocks, along.T, strict=False):
+                yield name, (moved[:, :, k] * weight)[:, :, None]
 
 
 def _cells(q: Array) -> Index:

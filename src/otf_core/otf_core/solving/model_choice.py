@@ -27,7 +27,7 @@ better, by the same rule, no reversal is modelled.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
@@ -488,17 +488,16 @@ def choose_reversal(
     given = config.reversal
     if given == 'none':
         return Choice('none', False, {'decided_by': 'configuration'})
-    fold = _line_folds(joint)
+    fold = line_folds(joint)
     lines = sum(len(f) for f in fold)
     if lines < MIN_LINES and given == 'auto':
-        few = f'too few lines: {lines}, {MIN_LINES} needed'
-        return Choice('none', False, {'decided_by': few, 'lines': lines})
+        return Choice('none', False, {'decided_by': too_few(lines), 'lines': lines})
     choices: dict[float, Choice] = {}
     for held in (False, True):
         held_out = _held_out_squares(runs, joint, fold, config.unidentifiable_above, held)
         choice = Choice(given, held, {'decided_by': 'configuration'})
         if given == 'auto':
-            choice = _chosen(held_out, held)
+            choice = choose_model(held_out, held)
         # of equals the first counts: nothing is held where there is no reversal
         choices.setdefault(float(held_out[choice.model].sum()), choice)
         gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
@@ -507,14 +506,19 @@ def choose_reversal(
     return choices[min(choices)]
 
 
-def _line_folds(joint: JointSolution) -> list[Index]:
+def too_few(lines: int) -> str:
+    """Why held-out lines do not decide."""
+    return f'too few lines: {lines}, {MIN_LINES} needed'
+
+
+def line_folds(joint: _Solved) -> list[Index]:
     """Fold of every line of every run: passes over one line are held out together."""
     count = [len(solved.whitener.once.bounds) for solved in joint.runs]
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
 
 
-def _chosen(held_out: dict[str, Array], held: bool) -> Choice:
-    """Choose among the models by the squares (lines,) that each leaves."""
+def choose_model(held_out: Mapping[str, Array], held: bool) -> Choice:
+    """Choose among the models, the simplest first, by the squares (lines,) that each leaves."""
     lines = len(held_out['none'])
     evidence: Evidence = {
         'decided_by': 'held-out lines',
@@ -550,13 +554,8 @@ def _held_out_squares(
         rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
     seen = joint.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]
-    sums = [
-        sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS, blocks)
-        for own, group, rival in zip(lines, fold, rivals, strict=True)
-    ]
-    parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
-    total = reduce(add, parts)
-    visible = identifiable_blocks(total, unknowns, limit)
+    folded = FoldedLines.of(lines, fold, rivals, unknowns, blocks)
+    visible = identifiable_blocks(folded.total, unknowns, limit)
     columns = {
         model: free_columns(
             unknowns,
@@ -568,18 +567,76 @@ def _held_out_squares(
     columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
     loose = unknowns.free - joint.unknowns.free + width
     prior = linalg.block_diag(joint.roughness.precision, TRACE / limit**2 * np.eye(loose))
-    held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
-    for some in (part for folds in held_out for part in folds):
-        some.rows.prepare()
+    return folded.squares(columns, prior)
 
-    values = side_by_side(lambda part: _estimates(total.less(part), columns, prior), parts)
 
-    def left(model: str) -> Array:
-        own = [of_fold[model] for of_fold in values]
-        pairs = zip(lines, held_out, strict=True)
-        return np.concatenate([_squares(line, folds, unknowns, own) for line, folds in pairs])
+@dataclass(frozen=True)
+class FoldedLines:
+    """Lines of all runs, dealt to folds.
 
-    return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
+    Attributes
+    ----------
+    lines : sequence of RepeatedLineSums
+        Of every run.
+    fold : sequence of ndarray of int64
+        Fold of every line.
+    further : sequence of ndarray, shape (c, p, k)
+        Columns beside the unknowns.
+    parts : sequence of NormalEquations
+        Of every fold.
+    total : NormalEquations
+        Of all of them, and what is known beside the rows.
+    """
+
+    lines: Sequence[RepeatedLineSums]
+    fold: Sequence[Index]
+    further: Sequence[Array]
+    unknowns: Unknowns
+    parts: Sequence[NormalEquations]
+    total: NormalEquations
+
+    @classmethod
+    def of(
+        cls,
+        lines: Sequence[RepeatedLineSums],
+        fold: Sequence[Index],
+        further: Sequence[Array],
+        unknowns: Unknowns,
+        blocks: Collection[str] | None = None,
+        known: Sequence[NormalEquations] = (),
+    ) -> FoldedLines:
+        """Sum up the rows of every fold; see ``normal.sum_groups``."""
+        sums = [
+            sum_groups(own.system, unknowns, own.whitener, group, more, FOLDS, blocks)
+            for own, group, more in zip(lines, fold, further, strict=True)
+        ]
+        parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
+        return cls(lines, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
+
+    def squares(self, columns: Mapping[str, Index], prior: Array) -> dict[str, Array]:
+        """Squares (lines,) that models of some columns leave of the lines that they do not know.
+
+        Parameters
+        ----------
+        columns : mapping of model to ndarray of int64
+            Places among free unknowns and further columns.
+        prior : ndarray, shape (k, k), 1 / (m, rad)^2
+        """
+        held_out = [_folds(*run) for run in zip(self.lines, self.fold, self.further, strict=True)]
+        for some in (part for folds in held_out for part in folds):
+            some.rows.prepare()
+        values = side_by_side(
+            lambda part: _estimates(self.total.less(part), columns, prior), self.parts
+        )
+
+        def left(model: str) -> Array:
+            own = [of_fold[model] for of_fold in values]
+            pairs = zip(self.lines, held_out, strict=True)
+            return np.concatenate(
+                [_squares(line, folds, self.unknowns, own) for line, folds in pairs]
+            )
+
+        return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
 
 
 def _estimates(
@@ -621,7 +678,7 @@ class _Fold:
     ----------
     pieces : ndarray of int64, shape (m,)
     rival : ndarray, shape (c, m, k)
-        Columns of the rival.
+        Columns beside the unknowns.
     """
 
     pieces: Index

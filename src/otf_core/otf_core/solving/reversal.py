@@ -19,18 +19,23 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.catalogue.backlash import HELD, travel_sign
-from otf_core.effects.catalogue.direction_dependent_tables import ORDER, polynomials
-from otf_core.effects.position import scaled_position
+from otf_core.effects.catalogue.direction_dependent_tables import ORDER, functions_along
 from otf_core.effects.state import state_of_travel
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import Machine
+from otf_core.model.machine import Axis, Machine
 from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.model.quantities import quantity
 from otf_core.model.tables import ErrorTables
-from otf_core.solving.unknowns import Unknowns, reversal_block
+from otf_core.solving.unknowns import Unknowns, reversal_block, reversal_blocks
 
-MODELS = {'none': 0, 'constant': 1, 'tables': ORDER + 1}
+NONE, CONSTANT, TABLES, AUTO = 'none', 'constant', 'tables', 'auto'
+MODELS = {NONE: 0, CONSTANT: 1, TABLES: ORDER + 1}
 """Polynomials per motion in every model, the simplest first."""
+
+
+def count_functions(axis: Axis, model: str) -> int:
+    """Functions per motion of an axis; one more where it turns: worms and gears make waves."""
+    return MODELS[model] + (model == TABLES and axis.rotary)
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,9 @@ def reversal_weights(
     """
     state = replace(state_of_travel(machine, q, direction), side=side)
     sign = travel_sign(state, {HELD: float(unknowns.held)})
-    return 0.5 * sign[:, :, None] * polynomials(scaled_position(state), unknowns.reversal - 1)
+    order, named = unknowns.reversal - 1, zip(machine.axis_names, q.T, strict=True)
+    along = [functions_along(machine.axes[a], values, order) for a, values in named]
+    return 0.5 * sign[:, :, None] * np.stack(along, axis=1)
 
 
 def reversal_tables(
@@ -142,20 +149,20 @@ def reversal_tables(
     estimate, covariance : ndarray, shape (full,) and (full, full), m and rad
     accepted : collection of str
         Blocks that were solved for.
+
+    Returns
+    -------
+    mapping of motion to ReversalTable
+        Of the motions whose reversal is among the unknowns.
     """
-    if not unknowns.reversal:
-        return {}
-    orders = range(unknowns.reversal)
     tables_by_motion: dict[str, ReversalTable] = {}
-    machine = tables.machine
-    for motion in MOTIONS:
-        nodes, axis = tables.motions[motion].position, motion.place
-        q = np.tile(machine.lower, (len(nodes), 1))
-        q[:, axis] = nodes
-        place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]
-        names = [reversal_block(motion, k) for k in orders]
+    for motion in tables.machine.motions:
+        names = reversal_blocks(unknowns, motion)
+        if not names:
+            continue
+        nodes = tables.motions[motion].position
         index = [unknowns.blocks[n].start for n in names]
-        along = polynomials(place, unknowns.reversal - 1)
+        along = functions_along(tables.machine.axes[motion.axis], nodes, len(names) - 1)
         variance = np.einsum('ij,jk,ik->i', along, covariance[np.ix_(index, index)], along)
         tables_by_motion[motion] = ReversalTable(
             nodes,
@@ -190,8 +197,7 @@ def backlash_at_target(
         nodes = tables.motions[f'E{name}{name}'].position
         q = np.tile(0.5 * (machine.lower + machine.upper), (len(nodes), 1))
         q[:, axis] = nodes
-        place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]
-        along = polynomials(place, unknowns.reversal - 1)
+        along = functions_along(machine.axes[name], nodes, unknowns.reversal - 1)
         row = np.zeros(len(estimate))
         for motion in (m for m in MOTIONS if m.place == axis):
             influence = motion_influence(machine, motion, q)[:, axis]

@@ -28,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, is_motion, unit_of
 
 CUBIC, LINEAR = 3, 1
 
@@ -261,12 +261,17 @@ def reversal_block(motion: str, order: int) -> str:
 
 def is_reversal(block: str) -> bool:
     """Return whether a block is a reversal coefficient; its first letters are the motion."""
-    return block[3:4] == '_' and block[:3] in MOTIONS
+    return block[3:4] == '_' and is_motion(block[:3])
 
 
 def reversal_order(block: str) -> int:
     """Order of the polynomial of a reversal coefficient; -1 for all other blocks."""
     return int(block[4:]) if is_reversal(block) else -1
+
+
+def reversal_blocks(unknowns: Unknowns, motion: str) -> list[str]:
+    """Blocks of the reversal coefficients of a motion, by their order."""
+    return [n for n in unknowns.blocks if is_reversal(n) and n[:3] == motion]
 
 
 def layout(

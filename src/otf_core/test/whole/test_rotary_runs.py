@@ -250,7 +250,7 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
     without, result = (
         calibrate_axes([r], CalibrationConfig(), silent) for r in (plain, recording)
     )
-    assert not result.reversal and not without.lags
+    assert not result.reversal.motions and not without.lags
     # A and C are driven together only with each other: C late is A early
     (lag,) = result.lags
     assert abs(lag.value) == pytest.approx(2e-4, abs=3 * lag.u) and lag.u < 1e-5

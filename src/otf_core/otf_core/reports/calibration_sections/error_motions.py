@@ -452,15 +452,16 @@ def reversal_section(facts: CalibrationFacts) -> Section:
             'B, largest reversal value', 'Mean reversal value', 'u of B, k = 1')  # fmt: skip
     tables = (
         Table(head, tuple(rows), numbers=(1, 2, 3, 4, 5), title='Derived, ISO 230-2 style (um)'),
-        _reversal_table(facts),
+        reversal_table(reversal),
     )
     return Section('reversal', 'Forward and backward', words,
                    {'model': reversal.model, 'derived': data}, tables, text)  # fmt: skip
 
 
-def _reversal_table(facts: CalibrationFacts) -> Table:
+def reversal_table(reversal: Reversal) -> Table:
+    """Reversal values of all motions, folded."""
     rows = []
-    for name, table in facts.result.reversal.motions.items():
+    for name, table in reversal.motions.items():
         if table.identifiable:
             low, high = float(table.value.min()), float(table.value.max())
             rows.append((name, micro(low), micro(high), micro(float(table.u.mean()))))
