@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds what moved between two parts of a run: the tracker, or a reflector on the table.
+"""Finds what moved between two parts of a run, the tracker or a reflector, and wrong places.
 
 A step is a pose of the tracker of its own from a part on, or a place of its own of a target in a
-part that names it again. With its columns c beside the rows A of all unknowns, residuals e and
-weights W,
+part that names it again, or of one whose place is stated without uncertainty. With its columns c
+beside the rows A of all unknowns, residuals e and weights W,
 
     M = c^T W (c - A S),    M d = c^T W e,    S = (A^T W A)^-1 A^T W c,    gain = d^T M d
 
@@ -23,9 +23,10 @@ from typing import Any, cast
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.machine import TABLE
+from otf_core.model.machine import TABLE, TOOL
 from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun
 from otf_core.rotary.axis_unknowns import place_block
+from otf_core.rotary.rows import place_columns
 from otf_core.solving.sensitivity import BesideTables, beside_tables
 from otf_core.solving.unknowns import pose_block
 
@@ -48,12 +49,19 @@ SIMPLER = 0.8
 
 @dataclass(frozen=True)
 class _Step:
-    """A step that is tried: from, or in, a part; of a target, or of the tracker."""
+    """A step that is tried: from, or in, a part; of a target, or of the tracker.
+
+    Attributes
+    ----------
+    stated : bool
+        The target is displaced in all parts from its place in machine.yaml.
+    """
 
     run: SolvedAxisRun
     part: int
     target: str
     columns: Array
+    stated: bool = False
 
     def size(self, d: Array) -> float:
         """Root mean square displacement of what moves, m."""
@@ -71,6 +79,14 @@ class _Step:
         """What moved, how far, and what to do."""
         name = f'{Path(self.run.run.name).name}: ' if self.run.run.name else ''
         shift = ', '.join(f'{1e6 * v:.1f}' for v in d[:3])
+        if self.stated:
+            size = float(np.linalg.norm(d))
+            return (
+                f"{name}target '{self.target}': machine.yaml states its place without uncertainty "
+                f'(u: 0), but it lies {1e6 * size:.1f} um from there ({shift} um). Measure its '
+                f'place again, or state how well it is known: targets: {self.target}: '
+                f'u: {size:.1g}'
+            )
         if self.target:
             return (
                 f"{name}target '{self.target}': in part {self.part + 1} it lies "
@@ -102,8 +118,12 @@ def find_steps(joint: AxisSolution, least_of_tracker: float = LEAST_OF_TRACKER) 
 
 
 def _steps_of(solved: SolvedAxisRun) -> Iterator[_Step]:
-    """Steps of a run that are tried: targets that were named before, the tracker."""
+    """Steps of a run that are tried: places stated, targets named before, the tracker."""
     run, part, fixed = solved.run, solved.run.pieces.part, solved.system.rows.fixed
+    for name, own in run.by_target().items():
+        if name != TOOL and run.machine.targets[name].u == 0.0:
+            columns = place_columns(run, solved.system, name, own)
+            yield _Step(solved, 0, name, columns, stated=True)
     present = np.unique(part).tolist()
     for name in run.free:
         if run.machine.targets[name].link != TABLE:

@@ -233,6 +233,21 @@ def _filled(count: int, own: NDArray[np.bool_], values: Array) -> Array:
     return filled
 
 
+def _place_columns(seen: ReflectorView, axes: Array, own: NDArray[np.bool_]) -> Array:
+    inner = np.eye(3)[None] if seen.inner is None else seen.inner
+    turned = np.einsum('cni,nij->cnj', axes[:, own], np.broadcast_to(inner, (own.sum(), 3, 3)))
+    return _filled(axes.shape[1], own, turned)
+
+
+def place_columns(run: AxisRun, system: AxisSystem, target: str, own: NDArray[np.bool_]) -> Array:
+    """Derivatives (c, p, 3) of the deviations by the place of a target, known or not.
+
+    ``own`` (p,) are the pieces of the target.
+    """
+    seen = sight_at(run.machine, target, run.places).at(system.q[own])
+    return _place_columns(seen, system.axes, own)
+
+
 def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> AxisSystem:
     """Set up the rows of all pieces of a run.
 
@@ -259,10 +274,7 @@ def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> 
             seen = sight.at(q[own])
             inner = np.eye(3)[None] if seen.inner is None else seen.inner
         if name in run.free:
-            turned = np.einsum(
-                'cni,nij->cnj', axes[:, own], np.broadcast_to(inner, (own.sum(), 3, 3))
-            )
-            fixed[place_block(name)] = _filled(count, own, turned)
+            fixed[place_block(name)] = _place_columns(seen, axes, own)
         for scalar, moved in seen.scalars.items():
             column = np.einsum('cni,ni->cn', axes[:, own], moved)[:, :, None]
             before = fixed.get(scalar, 0.0)
