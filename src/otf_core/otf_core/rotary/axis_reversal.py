@@ -211,10 +211,10 @@ class _Trial:
             group.append([k for k, n in enumerate(names) if is_reversal(n) and n[:3] == motion])
         every = self._further
         at = [self.unknowns.blocks[n].start for n in every]
-        weight: Array = np.linalg.inv(self.covariance[np.ix_(at, at)])
+        weight = np.asarray(np.linalg.inv(self.covariance[np.ix_(at, at)]), dtype=np.float64)
         own = [every.index(n) for n in names]
         pull = (weight @ self.value[at])[own]
-        weight = np.asarray(weight[np.ix_(own, own)])
+        weight = weight[np.ix_(own, own)]
         least = np.full(len(names), LEAST)
         vague = np.full(len(names), config.unidentifiable_above)
         for k, name in enumerate(names):
