@@ -441,21 +441,7 @@ def _assembled(
     tabulated = tabulate(machine, joint, driven, config.unidentifiable_above, covariance)
     budget = replace(budget, rows=tabulated.rows, straight=tabulated.straight)
     typical = typical_of_axes(runs, joint, nodes, tabulated)
-    targets = {}
-    for name in {p.path.target for m in matched for p in m.parts}:
-        u = np.zeros(3)
-        if place_block(name) in unknowns.blocks:
-            block = unknowns.blocks[place_block(name)]
-            u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
-        targets[name] = (np.asarray(joint.places[name]), u)
     fit = _fit_of(recordings, matched, joint, before, ratio, budget.inflation)
-    q = np.concatenate([s.system.q for s in joint.runs])
-    sights = [
-        s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
-        for s in joint.runs
-        for k in s.run.pieces.part
-    ]
-    linear = q[np.array(sights), :3] if any(sights) else q[:, :3]
     advice = advice_for(machine, matched, tabulated.hidden)
     return AxisCalibration(
         run_id=run_id(recordings, config),
@@ -465,9 +451,9 @@ def _assembled(
         typical=typical,
         solution=joint,
         matched=tuple(matched),
-        targets=dict(sorted(targets.items())),
+        targets=_target_places(matched, joint, covariance),
         driven=driven,
-        corners=linear,
+        corners=_linear_positions(joint),
         fit=fit,
         warnings=(
             *typical_warnings(typical),
@@ -499,6 +485,33 @@ def _assembled(
         config=config,
         origin=origins(recordings),
     )
+
+
+def _target_places(
+    matched: Sequence[MatchedRun], joint: AxisSolution, covariance: Array
+) -> dict[str, tuple[Array, Array]]:
+    """Places of the targets that were seen, m, and their standard uncertainties."""
+    places = {}
+    for name in sorted({p.path.target for m in matched for p in m.parts}):
+        u = np.zeros(3)
+        if place_block(name) in joint.unknowns.blocks:
+            block = joint.unknowns.blocks[place_block(name)]
+            u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
+        places[name] = (np.asarray(joint.places[name]), u)
+    return places
+
+
+def _linear_positions(joint: AxisSolution) -> Array:
+    """Positions (n, 3) of the linear axes at the pieces; of reflectors in the spindle if any."""
+    q = np.concatenate([s.system.q for s in joint.runs])
+    in_spindle = np.array(
+        [
+            s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
+            for s in joint.runs
+            for k in s.run.pieces.part
+        ]
+    )
+    return q[in_spindle, :3] if in_spindle.any() else q[:, :3]
 
 
 def _fit_of(
