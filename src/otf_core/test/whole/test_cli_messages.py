@@ -97,7 +97,7 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
     ('content', 'options', 'words'),
     [
         ('{"a": 1}', (), "plan: not a plan; expected the schema 'otf-plan/1'"),
-        ('{"schema": "otf-plan/1"}', (), 'plan: path: expected n x 3 numbers'),
+        ('{"schema": "otf-plan/1"}', (), 'plan: path: expected n x 3 finite numbers'),
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]]}', (), 'plan: feed: expected 1'),
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [0], "dwell": [1, 1]}',
          (), 'plan: feed: leg 0: must be above 0'),

@@ -79,7 +79,7 @@ def test_message_of_any_length_is_cut(place, capsys):
             'a plain number in SI units, got inf',
         ),
         ('--effects', '[' * 5000, 'nested too deeply'),
-        ('--path', PLAN.replace('NUMBER', HUGE), 'path: expected n x 3 numbers'),
+        ('--path', PLAN.replace('NUMBER', HUGE), 'path: expected n x 3 finite numbers'),
         ('--path', PLAN.replace('NUMBER', ENDLESS), 'thousands of digits'),
         ('--path', '{"a":' * 100_000, 'nested too deeply'),
         ('--tables', '[' * 100_000, 'nested too deeply'),

@@ -12,6 +12,7 @@ from rotary_cells import BAG, machine, recorded, truth
 from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.cli import main
 from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.effects import EVERY, AppliedEffect
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.axis_path import AxisPath, nominal_track
@@ -247,6 +248,21 @@ def simulated(parts, seed=12, **options):
     run = simulate_parts(m, parts, SimulationConfig(seed=seed, rate=40.0), dwell=0.1, **options)
     path = nominal_track(m, run.parts)
     return Recording(run.samples, path, m, 'simulated', axis_paths=run.parts), run
+
+
+def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
+    changing = {'ECC_1': 4e-5, 'ECC_2': -3e-5, 'order': 3.0, 'held': 1.0}
+    effects = [
+        AppliedEffect(EVERY['direction_dependent_tables'], changing),
+        AppliedEffect(EVERY['backlash'], {'B_C': -4e-5, 'held': 1.0}),
+    ]
+    recording, _ = simulated(usual_parts(machine()), feed=0.1, effects=effects)
+    reversal = calibrate_axes([recording], CalibrationConfig(), silent).reversal
+    assert reversal.model == 'tables' and reversal.evidence['decided_by'] == 'held-out lines'
+    assert list(reversal.motions) == ['ECC']
+    table = reversal.motions['ECC']
+    true = -4e-5 + 4e-5 * np.cos(table.position) - 3e-5 * np.sin(table.position)
+    assert np.all(np.abs(table.value - true) < 3.0 * table.u) and table.u.max() < 6e-6
 
 
 def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
