@@ -504,13 +504,10 @@ def _target_places(
 def _linear_positions(joint: AxisSolution) -> Array:
     """Positions (n, 3) of the linear axes at the pieces; of reflectors in the spindle if any."""
     q = np.concatenate([s.system.q for s in joint.runs])
-    in_spindle = np.array(
-        [
-            s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
-            for s in joint.runs
-            for k in s.run.pieces.part
-        ]
-    )
+    targets = joint.machine.targets
+    links = [np.array([targets[p.path.target].link for p in s.run.parts]) for s in joint.runs]
+    of_pieces = [own[s.run.pieces.part] for own, s in zip(links, joint.runs, strict=True)]
+    in_spindle = np.concatenate(of_pieces) == SPINDLE
     return q[in_spindle, :3] if in_spindle.any() else q[:, :3]
 
 

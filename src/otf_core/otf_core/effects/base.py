@@ -122,7 +122,7 @@ class Effect(ABC):
     """True if it displaces the target in the same way whenever it comes by a place, as tables do,
     but no table can hold it."""
     held_by_tables: ClassVar[bool] = False
-    """True if tables hold most of it: whether it matters is asked of what it displaces, not of
+    """True if tables hold most of it: whether it matters is judged by what it displaces, not by
     what it leaves."""
     many_alike: ClassVar[bool] = False
     """True if it has so many coefficients, named MOTION@..., that the data hardly see some: they

@@ -34,7 +34,7 @@ SMOOTH = 0.2
 TURN_RATE = np.radians(15.0)
 """rad/s; rotary axes turn no faster, so that samples at 500 Hz lie 0.03 degrees apart."""
 BREAK = 1.9
-"""s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""
+"""s; the beam is broken this long where a reflector is moved by hand; users are told 2 s."""
 TRACK_STEP, TRACK_TURN = 5e-3, 0.03
 """m of travel and rad of rotation between points of a track that stands for the curve."""
 

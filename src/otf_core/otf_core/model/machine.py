@@ -291,7 +291,7 @@ class Machine:
         """Squareness and location errors in the order of a covariance."""
         return (*self.squareness, *self.location)
 
-    @property
+    @cached_property
     def targets(self) -> dict[str, Target]:
         """All places of reflectors by name, ``tool`` first.
 

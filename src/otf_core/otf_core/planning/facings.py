@@ -135,17 +135,18 @@ def _chains_of_facing(nest: _Nest, name: str, middle: Mapping[str, float]) -> li
     reach = {a: _ends(nest, at, {a: 1.0}) for a in whole}
     width = {a: high - low for a, (low, high) in reach.items()}
     chains = []
-    for axis in whole:
+    for axis, ends in reach.items():
         if axis not in nest.turning or width[axis] > SHORTEST:
-            chains.append(_there_and_back(nest, name, at, {axis: 1.0}, f'{axis} alone'))
+            corners = _there_and_back(nest, at, {axis: 1.0}, ends)
+            chains.append(Chain(name, corners, f'{axis} alone'))
     pairs = [p for p in combinations(whole, 2) if p[0] in nest.turning]
     for first, second in pairs:
         for sign in (1.0, -1.0):
             along = {first: width[first], second: sign * width[second]}
             low, high = _ends(nest, at, along)
             if (high - low) * width[first] > SHORTEST:
-                words = f'{first} with {second}'
-                chains.append(_there_and_back(nest, name, at, along, words))
+                corners = _there_and_back(nest, at, along, (low, high))
+                chains.append(Chain(name, corners, f'{first} with {second}'))
     if not pairs:
         axis = nest.turning[0]
         count = int(np.ceil(width[axis] / STOP_TURN)) + 1
@@ -156,13 +157,15 @@ def _chains_of_facing(nest: _Nest, name: str, middle: Mapping[str, float]) -> li
 
 
 def _there_and_back(
-    nest: _Nest, name: str, at: Mapping[str, float], along: Mapping[str, float], words: str
-) -> Chain:
-    """From the middle to one end of a line in view, to the other and back."""
-    low, high = _ends(nest, at, along)
-    share = np.array([low, high, low])
+    nest: _Nest,
+    at: Mapping[str, float],
+    along: Mapping[str, float],
+    ends: tuple[float, float],
+) -> Array:
+    """Corners from the middle to one end of a line in view, to the other and back."""
+    share = np.array([ends[0], ends[1], ends[0]])
     corners = nest.positions({a: v + along.get(a, 0.0) * share for a, v in at.items()})
-    return Chain(name, _from_middle(nest, at, corners), words)
+    return _from_middle(nest, at, corners)
 
 
 def _from_middle(nest: _Nest, at: Mapping[str, float], corners: Array) -> Array:

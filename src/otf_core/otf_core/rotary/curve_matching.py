@@ -375,15 +375,15 @@ def _equations(
     off = off - tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
     scale = 1.0 / np.sqrt(np.maximum(np.linalg.norm(off, axis=1), LEAST_OFF))
     lines = {k: scalar for scalar, k in at_lines.items() if scalar in seen.scalars}
-    turned = 0 if at_place is None else 3
-    acting = [*range(6), *range(at_place or 0, (at_place or 0) + turned), *lines]
+    of_place = range(0) if at_place is None else range(at_place, at_place + 3)
+    acting = [*range(6), *of_place, *lines]
     rows = np.zeros((len(points), 3, len(acting)))
     rows[:, :, :3] = np.eye(3)
     for k in range(3):
         rows[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
-    if turned:
+    if of_place:
         rows[:, :, 6:9] = -np.eye(3) if seen.inner is None else -seen.inner
-    for k, scalar in enumerate(lines.values(), start=6 + turned):
+    for k, scalar in enumerate(lines.values(), start=6 + len(of_place)):
         rows[:, :, k] = -seen.scalars[scalar]
     rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
     whole = (rows * scale[:, None, None]).reshape(-1, len(acting))
