@@ -21,7 +21,7 @@ from otf_core.effects.stated_effect import effects_to_list
 from otf_core.files.writing import (
     ensure_folder,
     tidy,
-    write_if_it_fits,
+    write_if_possible,
     write_text,
 )
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
@@ -314,7 +314,7 @@ def write_calibration(
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
     if residuals_csv:
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(residual_arrays(result.runs), folder)
-    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    written = [name for name, write in wanted.items() if write_if_possible(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
@@ -381,7 +381,7 @@ def write_with_effects(
     if both.applied[0]:
         plain = folder / PLAIN_FOLDER
         lost: dict[str, str] | None = None if missing is None else {}
-        if write_if_it_fits(
+        if write_if_possible(
             missing,
             PLAIN_FOLDER,
             lambda: write_calibration(

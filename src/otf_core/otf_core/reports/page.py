@@ -92,6 +92,11 @@ class Table:
     folded: str = ''
     stacked: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse, as a ValueError, a row that has not one cell under each head."""
+        if odd := [row for row in self.rows if len(row) != len(self.head)]:
+            raise ValueError(f'{len(odd[0])} cells under {len(self.head)} heads: {odd[0]}')
+
 
 @dataclass(frozen=True)
 class Picture:

@@ -19,7 +19,7 @@ from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose
 from otf_core.calibration.machine_verdict import Verdicts, judge_axes
 from otf_core.config import STANDSTILL, ForecastConfig, PlannerConfig
-from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
+from otf_core.files.writing import ensure_folder, tidy, write_if_possible, write_text
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
@@ -753,7 +753,7 @@ def write_calibration(
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(
             arrays, folder, result.machine.axis_names
         )
-    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    written = [name for name, write in wanted.items() if write_if_possible(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 

@@ -383,7 +383,7 @@ def squareness_section(facts: CalibrationFacts) -> Section:
     for name in SQUARENESS:
         entry = facts.tables.squareness[name]
         if name in result.not_identifiable:
-            rows.append((name, 'not known', '', '', '', '', ''))
+            rows.append((name, 'not known', '', '', '', ''))
             angles.append(f'{name}: not identifiable in these data.')
             text.append(f'{name}  not identifiable in these data')
             continue
