@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import CONTRACT_CHAINS, constant_tables, error_of, some_machine, zero_tables
+from direct_instrument import InstrumentNoise, measure_directly
 from direct_texts import write_direct_csv
 from html_cells import Page, unloading
 
@@ -31,7 +32,6 @@ from otf_core.reports.comparison import (
     write_comparison,
 )
 from otf_core.sim.cell import random_tables
-from otf_core.sim.direct_instrument import InstrumentNoise, measure_directly
 
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
 

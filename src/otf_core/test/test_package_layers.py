@@ -23,7 +23,7 @@ ROOT_MODULES = (
 LAYERS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
-    ('blind', 'checking', 'history', 'loop', 'validation'),
+    ('checking', 'history', 'loop'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
@@ -45,12 +45,6 @@ FORBIDDEN = [
     ('diagnosis', 'sim'),
     ('planning', 'sim'),
     ('reports', 'sim'),
-    ('reports', 'blind'),
-    ('validation', 'diagnosis'),
-    ('blind', 'diagnosis'),
-    ('blind', 'calibration'),
-    ('blind', 'solving'),
-    ('blind', 'pieces'),
     ('diagnosis.engine', 'diagnosis.place'),
     ('diagnosis.place', 'diagnosis.engine'),
 ]

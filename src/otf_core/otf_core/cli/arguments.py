@@ -17,7 +17,7 @@ from otf_core.cli.measuring import (
 )
 from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading, add_verbose
 from otf_core.cli.parser import SHELLS, run_completion
-from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.simulating import run_plan, run_simulate
 from otf_core.config import (
     METHODS,
     OTF,
@@ -176,29 +176,6 @@ def add_judging_verbs(verb: AddVerb) -> None:
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
     sub.add_argument('--points', help='CSV with the header x,y,z (default: a grid)')
     add_out(sub, 'folder for the results')
-
-    sub = verb('validate', run_validate)
-    add_out(sub, 'folder for table and figures')
-    sub.add_argument(
-        '--quick', action='store_true', help='two cells instead of eight, with shorter stops'
-    )
-    sub.add_argument('--cells', type=int, metavar='N', help='number of cells')
-    sub.add_argument(
-        '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
-        help='seed of the first cell (default 2001)',
-    )  # fmt: skip
-
-    sub = verb('blind', run_blind)
-    sub.add_argument('--trials', type=int, required=True, help='number of cells')
-    sub.add_argument('--seed', type=int, required=True, help='seed of all random draws')
-    add_out(sub, 'folder; an interrupted trial resumes there')
-    sub.add_argument('--jobs', type=int, default=2, help='parallel processes (default 2)')
-    sub.add_argument(
-        '--leave-one-out',
-        action='store_true',
-        help='diagnose every effect with that effect removed from the catalogue',
-    )
-    sub.add_argument('--five-axes', action='store_true', help='only machines with rotary axes')
 
 
 def _add_plan_options(sub: argparse.ArgumentParser) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate, loop, fleet, blind."""
+"""Verbs that plan and simulate: plan, simulate, loop, fleet."""
 
 from __future__ import annotations
 
@@ -33,12 +33,9 @@ from otf_core.live.stages import PLAN, SIMULATE
 
 if TYPE_CHECKING:
     from otf_core.fleet.fleet import Workers
-    from otf_core.validation.validate import Row
 
 
-# Verbs that plan, simulate and judge: plan, simulate, validate.
-
-MOST_CELLS = 1000
+# Verbs that plan and simulate: plan, simulate.
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -294,37 +291,6 @@ def _plan_rotary(
     return 0
 
 
-def run_validate(arguments: argparse.Namespace) -> int:
-    """The paper's comparisons on simulated cells."""
-    from otf_core.reports.validation import write_validation
-    from otf_core.sim.laboratory import SimulatedLaboratory
-    from otf_core.validation.paper import scale
-    from otf_core.validation.validate import format_rows, validate
-
-    out = output_folder(arguments)
-    if arguments.cells is not None and not 1 <= arguments.cells <= MOST_CELLS:
-        raise ConfigError(f'--cells: {arguments.cells} is out of range [1, {MOST_CELLS}]')
-    laboratory, cells = (
-        SimulatedLaboratory(),
-        scale(arguments.quick, arguments.first_cell, arguments.cells),
-    )
-    comparisons = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
-    truth = comparisons.cells[0].reference.truth
-    direct = laboratory.measure_directly(truth, comparisons.seeds[0])
-    with out.filled('validate') as folder:
-        files = write_validation(comparisons, direct, folder)
-    answer_from(arguments, format_rows(comparisons.rows) + '\n', files, 'validation.json')
-    return state_limits(comparisons.rows)
-
-
-def state_limits(rows: Sequence[Row]) -> int:
-    """Name the rows beyond their limits; the exit code."""
-    failed = [row.quantity for row in rows if row.passed is False]
-    for quantity in failed:
-        note(f'otf: quality gate failed: {quantity}')
-    return QUALITY_GATE_FAILED if failed else 0
-
-
 # Verb that closes the circle against a real control: loop.
 
 WAYS = ('axes', 'volume', 'program', 'pivot')
@@ -439,39 +405,17 @@ def _loop_of_trunnion(
     return QUALITY_GATE_FAILED if gates else 0
 
 
-# Verbs on many runs, a process each, here or on other hosts: fleet, blind.
-
-LIST_VERBS = ('calibrate', 'diagnose')
-BLIND, VALIDATE = 'blind', 'validate'
-MAX_VALUES = {'trials': 100_000, 'seed': 10_000_000}
-NEEDED = {
-    **dict.fromkeys(LIST_VERBS, ('list',)),
-    **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
-}
-"""Options that choose what is done; they exclude each other."""
+# The verb on many runs, a process each, here or on other hosts: fleet.
 
 
 def add_plant_verbs(verb: AddVerb) -> None:
     """Add fleet."""
     sub = verb('fleet', run_fleet_verb)
-    sub.add_argument('what', choices=tuple(NEEDED), help='command for each run or cell')
+    sub.add_argument('what', choices=('calibrate', 'diagnose'), help='command for each run')
     sub.add_argument(
-        '--list', metavar='runs.csv',
-        help='calibrate, diagnose: CSV with the header name,bag,machine; paths may be relative '
-        'to its folder',
+        '--list', metavar='runs.csv', required=True,
+        help='CSV with the header name,bag,machine; paths may be relative to its folder',
     )  # fmt: skip
-    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: number of cells')
-    sub.add_argument(
-        '--seed', type=int, metavar='N',
-        help='blind: seed of all random draws; validate: seed of the first cell',
-    )  # fmt: skip
-    sub.add_argument(
-        '--leave-one-out', action='store_true',
-        help='blind: diagnose every effect with that effect removed from the catalogue',
-    )  # fmt: skip
-    sub.add_argument(
-        '--five-axes', action='store_true', help='blind: only machines with rotary axes'
-    )
     sub.add_argument(
         '--out', required=True,
         help='folder for the results and fleet.json; an interrupted fleet resumes there',
@@ -483,32 +427,6 @@ def add_plant_verbs(verb: AddVerb) -> None:
         '--scheduler', metavar='ADDRESS',
         help='address of a Dask scheduler, e.g. tcp://host:8786, whose workers process the runs',
     )  # fmt: skip
-
-
-def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse options that are missing, or that another kind of fleet has."""
-    needed = NEEDED[arguments.what]
-    for name in sorted({n for names in NEEDED.values() for n in names}):
-        given = getattr(arguments, name) is not None
-        if given and name not in needed:
-            raise ConfigError(f'--{name}: does not apply to fleet {arguments.what}; leave it out')
-        if not given and name in needed:
-            raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
-    for name in ('leave_one_out', 'five_axes'):
-        if getattr(arguments, name) and arguments.what != BLIND:
-            option = name.replace('_', '-')
-            raise ConfigError(
-                f'--{option}: does not apply to fleet {arguments.what}; leave it out'
-            )
-    if 'trials' in needed:
-        _check_cells(arguments)
-
-
-def _check_cells(arguments: argparse.Namespace) -> None:
-    for name, low in (('trials', 1), ('seed', 0)):
-        value = getattr(arguments, name)
-        if not low <= value <= MAX_VALUES[name]:
-            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MAX_VALUES[name]}]')
 
 
 def _workers(arguments: argparse.Namespace) -> Workers:
@@ -525,35 +443,20 @@ def _workers(arguments: argparse.Namespace) -> Workers:
     return partial(done_here, workers=count or os.cpu_count() or 1)
 
 
-def _progress(arguments: argparse.Namespace) -> Callable[[str], None]:
+def run_fleet_verb(arguments: argparse.Namespace) -> int:
+    """Calibrate or diagnose many recordings."""
+    from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
+    from otf_core.reports.fleet_report import format_fleet, write_fleet
+
     def told(text: str) -> None:
         if not arguments.quiet:
             note(f'otf {arguments.verb}: {text}')
 
-    return told
-
-
-def run_fleet_verb(arguments: argparse.Namespace) -> int:
-    """Many runs at once."""
-    _check_options(arguments)
-    workers = _workers(arguments)
-    if arguments.what == BLIND:
-        return _trial(arguments, workers, overwrite=False)
-    if arguments.what == VALIDATE:
-        return _validation(arguments, workers)
-    return _listed_runs(arguments, workers)
-
-
-def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
-    """Calibrate or diagnose recordings."""
-    from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
-    from otf_core.reports.fleet_report import format_fleet, write_fleet
-
-    verb = arguments.what
+    verb, workers = arguments.what, _workers(arguments)
     runs = read_list(arguments.list)
     folder = take_folder(Path(arguments.out), verb)
     jobs = listed_jobs(verb, runs, folder)
-    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
+    outcomes = run_fleet(jobs, folder, workers, told)
     files, warnings = write_fleet(verb, folder, outcomes)
     words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
         files, arguments.out
@@ -563,62 +466,3 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     if not exits:
         return 0
     return LIMIT_NOT_PROVEN if exits == {LIMIT_NOT_PROVEN} else QUALITY_GATE_FAILED
-
-
-def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
-    """The paper's comparisons, a cell a run, in one table."""
-    from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
-    from otf_core.reports.fleet_report import format_fleet, list_results, write_outcomes
-    from otf_core.reports.validation import write_table
-    from otf_core.validation.validate import cell_jobs, format_rows, table_of
-
-    folder = take_folder(Path(arguments.out), VALIDATE)
-    jobs = cell_jobs(arguments.seed, arguments.trials, folder)
-    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
-    words, files = format_fleet(VALIDATE, outcomes, gates=False), []
-    seeds, rows = table_of(folder, outcomes)
-    if rows:
-        files = write_table(seeds, rows, folder)
-        words = f'{format_rows(rows)}\n\n{words}'
-    files.append(write_outcomes(VALIDATE, folder, outcomes))
-    list_results(VALIDATE, folder)
-    answer(
-        arguments, words + report_files(files, arguments.out), fleet_to_dict(VALIDATE, outcomes)
-    )
-    beyond = state_limits(rows)
-    return QUALITY_GATE_FAILED if any(not o.done for o in outcomes.values()) else beyond
-
-
-def run_blind(arguments: argparse.Namespace) -> int:
-    """Blind trial: draw and seal cells, diagnose them, score."""
-    from otf_core.fleet.fleet import done_here
-
-    _check_cells(arguments)
-    workers = partial(done_here, workers=arguments.jobs)
-    return _trial(arguments, workers, overwrite=arguments.overwrite)
-
-
-def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) -> int:
-    """Run a blind trial."""
-    from otf_core.blind.seal import holds_trial
-    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
-    from otf_core.files.output_folder import OutputFolder
-    from otf_core.reports.fleet_report import format_fleet, write_outcomes
-
-    folder = Path(arguments.out)
-    if overwrite or not holds_trial(folder):
-        OutputFolder(folder, overwrite=overwrite).clear()
-    if arguments.leave_one_out and arguments.five_axes:
-        raise ConfigError('--five-axes: does not go with --leave-one-out')
-    run = run_leave_one_out if arguments.leave_one_out else run_trial
-    if arguments.five_axes:
-        run = partial(run_trial, five_axes=True)
-    try:
-        trial = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
-        files = [write_outcomes(BLIND, folder, trial.ended), folder / 'score.txt']
-    finally:
-        list_files(folder)
-    failed = any(not ended.done for ended in trial.ended.values())
-    words = f'{trial.words}\n\n{format_fleet(BLIND, trial.ended)}' if failed else trial.words
-    answer_from(arguments, words, files, 'score.json')
-    return QUALITY_GATE_FAILED if failed else 0

@@ -23,8 +23,6 @@ VERBS = {
     'noise': 'Determine the tracker noise from the standstills of a bag.',
     'plan': 'Plan a path, forecast what it can determine, write an NC program.',
     'simulate': 'Write the bag of a simulated run.',
-    'validate': 'Repeat the comparisons of the paper on simulated cells.',
-    'blind': 'Run a blind trial: draw and seal cells, diagnose them, score the answers.',
     'completion': 'Print a script that lets a shell complete verbs, options and choices.',
 }
 
@@ -59,7 +57,6 @@ EXAMPLES = {
     'fleet': (
         'otf fleet calibrate --list runs.csv --out plant --workers 8',
         'otf fleet diagnose --list runs.csv --out gaps --scheduler tcp://host:8786',
-        'otf fleet blind --trials 80 --seed 5 --out trial --workers 8',
     ),
     'history': (
         'otf history store --add tables',
@@ -79,7 +76,5 @@ EXAMPLES = {
         'otf simulate --machine machine.yaml --out run1 --seed 7',
         'otf simulate --machine machine.yaml --out run2 --path plan/plan.json',
     ),
-    'validate': ('otf validate --quick --out validation',),
-    'blind': ('otf blind --trials 24 --seed 5 --out trial',),
     'completion': ('otf completion bash > ~/.local/share/bash-completion/completions/otf',),
 }

@@ -61,12 +61,8 @@ class Job:
         Hash of all that the result depends on, see ``hash_of``.
     date : int
         s since 1970; ``written`` in what comes out, unless the environment names another.
-    folder : str, optional
-        Where the process runs.
     places : tuple of str, optional
         Folders that hold its modules, besides that of otf_core.
-    limit : float, optional
-        s; a process that takes longer is ended, and has failed.
     """
 
     name: str
@@ -75,9 +71,7 @@ class Job:
     result: str
     inputs: str
     date: int
-    folder: str | None = None
     places: tuple[str, ...] = ()
-    limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -124,14 +118,10 @@ def run_job(job: Job) -> JobResult:
     for _ in range(TRIES):
         process = subprocess.Popen(
             [*COMMAND, *job.words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE, env=environment, cwd=job.folder, text=True, errors='replace',
+            stderr=subprocess.PIPE, env=environment, text=True, errors='replace',
         )  # fmt: skip
         try:
-            message = process.communicate(timeout=job.limit)[1]
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return JobResult(1, f'took longer than {job.limit:.0f} s', None)
+            message = process.communicate()[1]
         finally:
             process.kill()
         code = process.returncode

@@ -319,15 +319,6 @@ def _explain_comparison(data: Data) -> FileSummary:
     return FileSummary(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
 
 
-def _explain_validation(data: Data) -> FileSummary:
-    failed = [r['quantity'] for r in data['rows'] if r.get('passed') is False]
-    rows = (
-        ('cells', ', '.join(map(str, data['cells']))),
-        ('failed', ', '.join(failed) or 'nothing'),
-    )
-    return FileSummary(rows, {'cells': data['cells'], 'failed': failed})
-
-
 def _explain_simulation(data: Data) -> FileSummary:
     effects = [e['effect'] for e in data['effects']]
     rows = (('seed', str(data['seed'])), ('effects', ', '.join(effects) or 'none'))
@@ -419,12 +410,6 @@ JSON_KINDS: tuple[FileKind, ...] = (
         'comparison',
         _explain_comparison,
         'two sources of errors, motion by motion',
-    ),
-    _json_kind(
-        'otf-validation/1',
-        'validation',
-        _explain_validation,
-        "the paper's comparisons on simulated cells",
     ),
     _json_kind(
         'otf-simulation/1',

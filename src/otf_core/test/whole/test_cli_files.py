@@ -48,8 +48,6 @@ VERBS = {
     'diagnose': ('diagnose', 'no-bag', '--machine', 'no.yaml'),
     'noise': ('noise', 'no-bag'),
     'compare': ('compare', 'no.json', 'no.json'),
-    'validate': ('validate', '--quick'),
-    'blind': ('blind', '--trials', '1', '--seed', '1'),
     'plan': ('plan', '--machine', 'no.yaml'),
     'simulate': ('simulate', '--machine', 'no.yaml'),
 }
@@ -130,32 +128,6 @@ def test_simulated_bags_are_replaced_if_asked(bags, place):
         assert sorted(p.name for p in Path().rglob('*')) == before
     seeds = [json.loads(Path(name).read_text())['seed'] for name in TRUTH]
     assert seeds == [2, 2]
-
-
-def test_blind_trial_goes_on_in_its_folder_and_is_replaced_only_if_asked(
-    place, capsys, monkeypatch
-):
-    from otf_core.blind import trial
-
-    def once(trials, seed, folder, workers, progress):
-        Path(folder, 'cells', '000').mkdir(parents=True, exist_ok=True)
-        Path(folder, 'cells', '000', 'machine.yaml').write_text(str(seed))
-        for name in ('key.json', 'key.sha256', 'score.txt'):
-            Path(folder, name).write_text(str(seed))
-        return trial.TrialResult('done', {})
-
-    monkeypatch.setattr(trial, 'run_trial', once)
-    assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0
-    Path('blind', 'answers').mkdir()
-    Path('blind', 'answers', 'seconds.txt').write_text('1.0')
-    assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0
-    assert run('blind', '--trials', '1', '--seed', '2', '--out', 'blind', '--overwrite') == 0
-    assert not Path('blind', 'answers').exists()
-    assert Path('blind', 'key.json').read_text() == '2'
-    Path('blind', 'notes.txt').write_text('mine')
-    capsys.readouterr()
-    assert run('blind', '--trials', '1', '--seed', '3', '--out', 'blind', '--overwrite') == 2
-    assert 'notes.txt' in message(capsys)
 
 
 def test_command_ended_by_a_signal_leaves_nothing(bags, place):

@@ -17,7 +17,6 @@ from core_cells import some_machine
 import otf_core
 from otf_core import cli
 from otf_core.bags.bag import BagContent, read_bag, write_bag
-from otf_core.blind.seal import KEY, seal
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
 from otf_core.model.evaluation import lattice, without_rigid_motion
@@ -119,11 +118,6 @@ def test_method_and_options_are_stated_apart(cell, tmp_path):
     assert run('calibrate', cell.folder / 'bag', *arguments) in (0, 3, 4)
     file = tmp_path / 'out' / 'error_tables.json'
     assert not file.exists() or block_of(file)['method'] == 'standstill'
-
-
-def test_key_of_a_blind_trial_says_it_too(tmp_path):
-    seal([], tmp_path, iter, print)
-    assert block_of(tmp_path / KEY)['verb'] == 'blind'
 
 
 def test_hash_follows_content_and_not_storage(tmp_path):

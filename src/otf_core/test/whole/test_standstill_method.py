@@ -6,6 +6,7 @@ import pytest
 import yaml
 from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
 from scipy.spatial.transform import Rotation
+from standstill_points import edge_points, spread_points, standstill_plan
 
 from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
@@ -23,7 +24,6 @@ from otf_core.pieces.methods import (
     prepare_stops,
 )
 from otf_core.pieces.runs import Recording
-from otf_core.planning.path_creation import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate
 from otf_core.tracking.matching import OFF_PATH
