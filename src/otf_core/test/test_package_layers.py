@@ -23,7 +23,7 @@ ROOT_MODULES = (
 LAYERS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
-    ('blind', 'checking', 'history', 'loop', 'validation'),
+    ('blind', 'checking', 'history', 'validation'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
