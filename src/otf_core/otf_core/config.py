@@ -215,24 +215,6 @@ class SimulationConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class LoopConfig(Parameters):
-    """The loop on a real control: its motion, and the simulated machine and tracker."""
-
-    seed: int = parameter(1, 'seed of machine, tracker and verification lines', '', 0, 2**31 - 1)
-    feed: float = parameter(0.4, 'feed of all programs', 'm/s', 1e-3, 5.0)
-    acceleration: float = parameter(5.0, 'acceleration of the axes', 'm/s^2', 0.01, 100)
-    rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
-    error_size: float = parameter(
-        5e-5, 'mean volumetric error of the machine before compensation', 'm', 1e-6, 1e-3
-    )
-    centre_error: float = parameter(
-        1e-4,
-        'standard deviation of the position errors of rotary axes, beside the error size',
-        'm', 0, 9e-4,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class ForecastConfig(Parameters):
     """Conditions of a forecast: sampling rate, drives, permitted tracker positions.
 

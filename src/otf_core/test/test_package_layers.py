@@ -23,7 +23,7 @@ ROOT_MODULES = (
 LAYERS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
-    ('checking', 'history', 'loop'),
+    ('checking', 'history'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),

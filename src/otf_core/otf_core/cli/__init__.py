@@ -21,7 +21,7 @@ from otf_core.cli.exporting import add_exporting_verbs, add_keeping_verbs
 from otf_core.cli.options import Handler
 from otf_core.cli.output import LONGEST_MESSAGE, OutputFull, answer, log_to_stderr, note
 from otf_core.cli.parser import Parser, parse_arguments
-from otf_core.cli.simulating import add_closing_verbs, add_plant_verbs
+from otf_core.cli.simulating import add_plant_verbs
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.errors import OtfError
 from otf_core.files.message_text import without_middle
@@ -54,7 +54,7 @@ def _parser() -> Parser:
         return sub
 
     own = (add_checking_verbs, add_measuring_verbs, add_judging_verbs, add_planning_verbs)
-    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    others = (add_exporting_verbs, add_plant_verbs, add_keeping_verbs)
     for add in (*own, *others):
         add(verb)
     return parser

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of the verbs; exporting, closing, plant and keeping add those of their own."""
+"""Arguments of the verbs; exporting, plant and keeping add those of their own."""
 
 from __future__ import annotations
 

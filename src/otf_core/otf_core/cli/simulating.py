@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan and simulate: plan, simulate, loop, fleet."""
+"""Verbs that plan and simulate: plan, simulate, fleet."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import (
     AddVerb,
-    add_out,
-    add_parameters,
     output_folder,
     parameters,
 )
@@ -27,7 +25,7 @@ from otf_core.cli.output import (
     progress_of,
     report_files,
 )
-from otf_core.config import ForecastConfig, LoopConfig, PlannerConfig, SimulationConfig
+from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import PLAN, SIMULATE
 
@@ -289,120 +287,6 @@ def _plan_rotary(
             files = write_plan(plan, folder, about, dialect)
     answer_from(arguments, plan_words(plan), files, 'plan.json')
     return 0
-
-
-# Verb that closes the circle against a real control: loop.
-
-WAYS = ('axes', 'volume', 'program', 'pivot')
-
-
-def add_closing_verbs(verb: AddVerb) -> None:
-    """Add loop."""
-    sub = verb('loop', run_loop)
-    sub.add_argument('--machine', required=True, help='machine.yaml')
-    add_out(sub, 'folder for loop.json, calibration, bags and the files given to the control')
-    sub.add_argument(
-        '--compensate', choices=WAYS,
-        help='axes: a .comp file per joint; volume: external offsets at the current position '
-        '(default); program: a corrected NC program; pivot, of a trunnion: new pivot points and '
-        'a .comp file per joint',
-    )  # fmt: skip
-    sub.add_argument(
-        '--diagnose', action='store_true', help='also diagnose the fitted run (diagnosis/; slow)'
-    )
-    add_parameters(sub, LoopConfig)
-
-
-def run_loop(arguments: argparse.Namespace) -> int:
-    """The whole circle on LinuxCNC."""
-    config = parameters(LoopConfig, arguments)
-    given = dataclasses.asdict(config)
-    planning = PlannerConfig(passes=1, feed=given.pop('feed'), corner_dwell=0.05, end_dwell=2.0)
-    out = output_folder(arguments, arguments.machine)
-    from otf_core.loop.circle import go_round
-    from otf_core.loop.control import find_control
-    from otf_core.model.machine import load_machine
-    from otf_core.planning.path_creation import plan_path
-    from otf_core.reports.loop import failed_gates, format_loop, write_loop
-
-    machine = load_machine(arguments.machine)
-    way = arguments.compensate or ('pivot' if machine.rotary_names else 'volume')
-    if (way == 'pivot') != bool(machine.rotary_names):
-        raise ConfigError(
-            f'--compensate {way}: the machine has '
-            f'{", ".join(machine.rotary_names) or "no rotary axis"}; machines with rotary axes '
-            f'are compensated by pivot, others by axes, volume or program'
-        )
-    centre_error = given.pop('centre_error')
-
-    def progress(text: str) -> None:
-        if not arguments.quiet:
-            note(f'otf loop: {text}')
-
-    if way == 'pivot':
-        planning = dataclasses.replace(planning, levels=2)
-        return _loop_of_trunnion(arguments, machine, planning, given, centre_error, progress)
-    find_control()
-    plan = plan_path(machine, planning)
-    circle = go_round(machine, plan, way, SimulationConfig(**given), progress)
-    with out.filled('loop') as folder:
-        files = write_loop(circle, folder)
-        if arguments.diagnose:
-            from otf_core.diagnosis.diagnose import diagnose
-            from otf_core.reports.diagnosis import write_diagnosis
-            from otf_core.sim.twin import twin_recording
-
-            progress('diagnoses')
-            diagnosis = diagnose([circle.recordings['fit']], twin_recording)
-            files += write_diagnosis(diagnosis, folder / 'diagnosis')
-        names = [f.relative_to(folder) for f in files]
-    answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
-    gates = failed_gates(circle)
-    for gate in gates:
-        note(f'otf loop: quality gate failed: {gate}')
-    return QUALITY_GATE_FAILED if gates else 0
-
-
-def _loop_of_trunnion(
-    arguments: argparse.Namespace,
-    machine: Any,
-    planning: PlannerConfig,
-    given: dict[str, Any],
-    centre_error: float,
-    progress: Callable[[str], None],
-) -> int:
-    """The circle of a trunnion."""
-    from otf_core.loop.trunnion import check_trunnion, go_round_trunnion
-    from otf_core.planning.part_choice import planned_parts
-    from otf_core.reports.loop import (
-        failed_gates_of_trunnion,
-        format_trunnion_loop,
-        write_trunnion_loop,
-    )
-
-    if arguments.diagnose:
-        raise ConfigError(
-            '--diagnose: not with a machine with rotary axes; diagnose DIR/bags/fit afterwards'
-        )
-    out = output_folder(arguments, arguments.machine)
-    check_trunnion(machine)
-    circle = go_round_trunnion(
-        machine,
-        planned_parts(machine, planning),
-        planning.feed,
-        SimulationConfig(**given),
-        centre_error,
-        progress,
-    )
-    with out.filled('loop') as folder:
-        files = write_trunnion_loop(circle, folder)
-        names = [f.relative_to(folder) for f in files]
-    words = format_trunnion_loop(circle)
-    answer_from(arguments, words, [out.path / n for n in names], 'loop.json')
-    gates = failed_gates_of_trunnion(circle)
-    for gate in gates:
-        note(f'otf loop: quality gate failed: {gate}')
-    return QUALITY_GATE_FAILED if gates else 0
 
 
 # The verb on many runs, a process each, here or on other hosts: fleet.

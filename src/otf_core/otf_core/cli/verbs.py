@@ -19,7 +19,6 @@ VERBS = {
     'import': 'Determine error tables from a lattice of volumetric errors in CSV.',
     'fleet': 'Process many recordings, here or on other hosts; a bad bag affects no other.',
     'history': 'Evaluate the drift of machines over their calibrations, and when to recalibrate.',
-    'loop': 'Close the loop on LinuxCNC: drive, measure, calibrate, compensate, verify.',
     'noise': 'Determine the tracker noise from the standstills of a bag.',
     'plan': 'Plan a path, forecast what it can determine, write an NC program.',
     'simulate': 'Write the bag of a simulated run.',
@@ -62,10 +61,6 @@ EXAMPLES = {
         'otf history store --add tables',
         "otf history store --event 'ball screw of X replaced' --at 2026-11-02",
         'otf history store --limit 5 --out page',
-    ),
-    'loop': (
-        'otf loop --machine machine.yaml --out loop',
-        'otf loop --machine machine.yaml --out loop --compensate axes --seed 3',
     ),
     'noise': ('otf noise run1 --out noise',),
     'plan': (

@@ -331,12 +331,6 @@ def _explain_manifest(data: Data) -> FileSummary:
     return FileSummary(rows, {'by': data['verb'], 'files': files})
 
 
-def _explain_loop(data: Data) -> FileSummary:
-    keys = ('before_um', 'after_um', 'forecast_um')
-    rows = tuple((key.removesuffix('_um'), f'{data[key]:.2f} um') for key in keys)
-    return FileSummary(rows, {key: data[key] for key in keys})
-
-
 def _explain_fleet(data: Data) -> FileSummary:
     failed = {name: run['message'] for name, run in data['runs'].items() if run['exit']}
     rows: Rows = [('runs', f'{data["done"]} done, {data["failed"]} failed')]
@@ -416,12 +410,6 @@ JSON_KINDS: tuple[FileKind, ...] = (
         'truth of a simulation',
         _explain_simulation,
         'data that accompany a simulated bag',
-    ),
-    _json_kind(
-        'otf-loop/1',
-        'loop',
-        _explain_loop,
-        'a simulated machine measured, compensated and measured again',
     ),
     _json_kind('otf-fleet/1', 'fleet', _explain_fleet, 'many runs, and how each of them ended'),
     _json_kind(
