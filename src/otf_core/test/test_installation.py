@@ -109,7 +109,7 @@ def test_a_variable_that_changes_python_is_named(monkeypatch):
 def test_the_doctor_needs_no_numpy():
     code = (
         'import sys; sys.modules["numpy"] = None; '
-        'from otf_core.cli import main; sys.exit(main(["doctor", "--quiet"]))'
+        'from otf_core.cli import main; sys.exit(main(["doctor"]))'
     )
     done = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, check=False

@@ -21,6 +21,21 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f'; did you mean {near[0]}?' if near else ''
 
 
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Help whose usage line shows what must be given, not every option twice."""
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Any,
+        prefix: Any = None,
+    ) -> None:
+        """Leave out what may be omitted."""
+        needed = [a for a in actions if a.required or not a.option_strings]
+        super().add_usage(usage, needed, (), prefix)
+
+
 class Parser(argparse.ArgumentParser):
     """One clear line instead of the usage text in front of every error."""
 

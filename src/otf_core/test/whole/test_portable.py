@@ -146,6 +146,6 @@ def test_a_console_that_cannot_show_a_letter_ends_nothing(tmp_path):
 def test_no_encoding_is_left_to_the_system():
     bag = ROOT.parents[2] / 'bags/x-and-y-carry-the-table/bag'
     command = [sys.executable, '-X', 'warn_default_encoding', '-W', 'error::EncodingWarning']
-    command += ['-m', 'otf_core.cli', 'check', str(bag), '--quiet']
+    command += ['-m', 'otf_core.cli', 'check', str(bag)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and not done.stderr
