@@ -506,7 +506,7 @@ def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     assert run('export', file, '--format', name, '--out', out, *sign) == 0
     assert 'this file leaves' in capsys.readouterr().out
     assert run('info', out, '--json') == 0
-    assert json.loads(capsys.readouterr().out)['facts']['format'] == name
+    assert json.loads(capsys.readouterr().out)['schema'] == name
     assert run('export', file, '--format', 'qif', '--out', tmp_path / 'x.xml') == 2
     assert 'holds three linear axes only' in message(capsys)
     assert not (tmp_path / 'x.xml').exists()

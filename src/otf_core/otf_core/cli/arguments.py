@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import argparse
 
+from otf_core.cli.doctor import run_doctor
+from otf_core.cli.info import run_info
 from otf_core.cli.measuring import (
     run_calibrate,
     run_check,
     run_compare,
     run_diagnose,
-    run_doctor,
-    run_info,
     run_noise,
     run_predict,
 )
@@ -47,7 +47,7 @@ def add_checking_verbs(verb: AddVerb) -> None:
     add_config(sub, 'check')
 
     sub = verb('info', run_info)
-    sub.add_argument('file', help='a file or folder that otf writes or reads')
+    sub.add_argument('file', help='recording, machine.yaml, lattice, or result of otf')
 
     verb('doctor', run_doctor)
 

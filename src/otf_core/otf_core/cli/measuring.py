@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs on recordings and tables: calibrate, diagnose, noise, predict, compare, check, info."""
+"""Verbs on recordings and tables: calibrate, diagnose, noise, predict, compare, check."""
 
 from __future__ import annotations
 
@@ -334,7 +334,7 @@ def _compare_rotary(
     return 0
 
 
-# Verbs that answer in seconds: check, info, doctor.
+# Verb that answers in seconds: check.
 
 
 def run_check(arguments: argparse.Namespace) -> int:
@@ -349,33 +349,3 @@ def run_check(arguments: argparse.Namespace) -> int:
         report = check(arguments.bag, machine, config, reading_options(arguments, path))
     answer(arguments, format_check(report), report.to_dict())
     return 0 if report.usable else InputError.exit_code
-
-
-def run_doctor(arguments: argparse.Namespace) -> int:
-    """State what is wrong with an installation."""
-    from otf_core.installation.doctor import ERROR, OK, examine
-
-    states = examine()
-    lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
-    wrong = [s for s in states if s.severity != OK]
-    need = 'no problems found'
-    if wrong:
-        need = f'{len(wrong)} item{"s" * (len(wrong) > 1)} need{"s" * (len(wrong) == 1)} attention'
-    lines += ['', need]
-    healthy = all(s.severity != ERROR for s in states)
-    parts = [dataclasses.asdict(s) for s in states]
-    answer(arguments, '\n'.join(lines), {'healthy': healthy, 'parts': parts})
-    return 0 if healthy else ConfigError.exit_code
-
-
-def run_info(arguments: argparse.Namespace) -> int:
-    """Identify a file and summarise its contents."""
-    from otf_core.info.explain import explain
-
-    kind, explanation = explain(arguments.file)
-    width = max([len(name) for name, _ in explanation.rows] + [0])
-    lines = [f'{arguments.file}: {kind.name}', kind.what, '']
-    lines += [f'{name:<{width}}  {text}' for name, text in explanation.rows]
-    about = {'file': arguments.file, 'kind': kind.name, 'what': kind.what}
-    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(explanation.facts)})
-    return 0
