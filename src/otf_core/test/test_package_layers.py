@@ -22,7 +22,7 @@ ROOT_MODULES = (
 """Modules outside the packages: used everywhere, and the public names, loaded lazily."""
 LAYERS = (
     ('api', 'cli'),
-    ('info', 'installation', 'reports'),
+    ('reports',),
     ('checking', 'history'),
     ('planning',),
     ('diagnosis',),

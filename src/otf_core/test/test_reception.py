@@ -150,8 +150,8 @@ def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, ca
     with pytest.raises(InputError) as refused:
         read_bag(file)
     said = str(refused.value)
-    assert f'--publisher 1: {COUNT} samples' in said
-    assert f'--publisher 2: {COUNT - gap} samples' in said
+    assert f'publisher: 1 ({COUNT} samples' in said
+    assert f'publisher: 2 ({COUNT - gap} samples' in said
     first, second = (read_content([file], ReadingOptions(publisher=k)) for k in (1, 2))
     assert first.samples.xyz.tobytes() == XYZ.tobytes()
     assert second.samples.xyz.tobytes() == OTHER[gap:].tobytes()
@@ -159,8 +159,8 @@ def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, ca
         '2 publishers on /tracker/point, distinguished by their clocks'
     )
     run('check', file)
-    assert '--publisher 2' in ''.join(capsys.readouterr())
-    run('check', file, '--publisher', '1')
+    assert 'publisher: 2' in ''.join(capsys.readouterr())
+    run('check', file, {'publisher': 1})
     assert f'using 1: {COUNT} samples' in ''.join(capsys.readouterr())
 
 
@@ -188,9 +188,7 @@ def test_places_tell_publishers_apart_on_one_clock(tmp_path):
 
 def test_a_publisher_that_there_is_not_is_refused_with_those_there_are(tmp_path):
     file = bag_of(tmp_path, mixed(10 * S))
-    with pytest.raises(
-        ConfigError, match=r'--publisher 3: .* --publisher 1: 2000 .* --publisher 2'
-    ):
+    with pytest.raises(ConfigError, match=r'publisher: 3: .* publisher: 1 \(2000 .* publisher: 2'):
         read_content([file], ReadingOptions(publisher=3))
     alone = bag_of(tmp_path, mixed(0, COUNT))
     with pytest.raises(ConfigError, match='has one publisher'):

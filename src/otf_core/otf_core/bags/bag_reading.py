@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from otf_core.bags.bag_source import locate
 from otf_core.bags.cdr import FORMS, POINT_FORM, decode_axes, decode_path, decode_points, form_of
 from otf_core.bags.mcap_messages import MessageBlock
-from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, Topic
+from otf_core.bags.rosbag2_metadata import AXES, OTHER_POINT, PATH, POINT, Topic
 from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, MAX_OFF_NS, usable_path
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import SkippedLines
@@ -183,12 +183,11 @@ class BagReading:
         for topic in wanted:
             if topic.name not in self.topics:
                 listed = ', '.join(f'{n} ({t})' for n, t in sorted(self.topics.items())) or 'none'
-                option = '--topic' if topic is self.point else '--path-topic'
+                key = 'topic' if topic is self.point else 'path_topic'
                 suited = FORMS if topic is self.point else (topic.type,)
-                others = [name for name, kind in sorted(self.topics.items()) if kind in suited]
-                another = ' or '.join(f'{option} {name}' for name in others[:3])
+                another = ' or '.join(f'{key}: {name}' for name in self._suited(suited)[:3])
                 advice = (
-                    f'read another one: {another}'
+                    f'read another one, with --config: {another}'
                     if another
                     else f'record it, or remap to that name a topic of type {" or ".join(suited)}'
                 )
@@ -196,6 +195,17 @@ class BagReading:
                     f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
                     + ('; '.join(self.remarks) or advice)
                 )
+
+    def _suited(self, types: Collection[str]) -> list[str]:
+        """Topics of some types, but those that otf itself publishes beside samples and path."""
+        own = (OTHER_POINT.name, '/calibrator/')
+        return [n for n, kind in sorted(self.topics.items())
+                if kind in types and not n.startswith(own)]  # fmt: skip
+
+    def only_topic(self, types: Collection[str]) -> str | None:
+        """Return the one topic of some types; None if there are others."""
+        names = self._suited(types)
+        return names[0] if len(names) == 1 else None
 
     def _add(self, block: MessageBlock) -> None:
         if block.topic == self.point.name:
@@ -315,8 +325,8 @@ class Publishers:
     words: tuple[str, ...]
 
     def __str__(self) -> str:
-        """List them with the option that takes each."""
-        return '; '.join(f'--publisher {k}: {text}' for k, text in enumerate(self.words, start=1))
+        """List them with the key of --config that takes each."""
+        return '; '.join(f'publisher: {k} ({text})' for k, text in enumerate(self.words, start=1))
 
 
 def publishers_of(received: ReceivedPoints) -> Publishers | None:
@@ -346,11 +356,11 @@ def choose_publisher(part: Reading, where: str, remarks: list[str]) -> ReceivedP
     publishers = publishers_of(received)
     if publishers is None:
         raise ConfigError(
-            f'--publisher: {where}: {part.point.name} has one publisher, or several that neither '
-            f'channels nor clocks nor places distinguish; omit the option'
+            f'publisher: {where}: {part.point.name} has one publisher, or several that neither '
+            f'channels nor clocks nor places distinguish; leave it out'
         )
     if not 1 <= part.publisher <= len(publishers.words):
-        raise ConfigError(f'--publisher {part.publisher}: {where}: there are {publishers}')
+        raise ConfigError(f'publisher: {part.publisher}: {where}: there are {publishers}')
     mine = publishers.label == part.publisher
     remarks.append(
         f'{len(publishers.words)} publishers on {part.point.name}, distinguished by '

@@ -145,7 +145,8 @@ MESSAGE_HEAD = np.dtype(
 Wanted = Mapping[str, tuple[str, ...]]
 """Topics with the types that they may have; the first is the usual one."""
 RECOVER = (
-    "--recover reads the rest without it, as 'mcap recover IN.mcap -o OUT.mcap' does for any tool"
+    "recover: true in --config reads the rest without it, as 'mcap recover IN.mcap -o OUT.mcap' "
+    'does for any tool'
 )
 
 

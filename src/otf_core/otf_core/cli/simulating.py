@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import (
     AddVerb,
+    add_config,
+    given,
     output_folder,
     parameters,
 )
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
 
 
 # Verbs that plan and simulate: plan, simulate.
+
+DWELLS = ('corner_dwell', 'end_dwell')
+"""Parameters of the planner that a plan leaves to --config."""
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -66,11 +71,11 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
 
 def _refuse_planned(arguments: argparse.Namespace) -> None:
     """Refuse options that a plan decides."""
-    for option in ('passes', 'feed', 'feed_ratio', 'margin', 'levels'):
-        if getattr(arguments, option) is not None:
+    for name in given(arguments, PlannerConfig):
+        if name not in DWELLS:
             raise ConfigError(
-                f'--{option.replace("_", "-")}: {arguments.path} is a plan, which sets this; '
-                f'give its path.csv to drive the same path with other settings'
+                f'{name}: {arguments.path} is a plan, which sets this; give its path.csv to drive '
+                f'the same path with other settings'
             )
 
 
@@ -78,9 +83,10 @@ def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig
     """Take the dwells from the options where given; refuse options that the plan decides."""
     _refuse_planned(arguments)
     dwell = file.plan.dwell.copy()
-    if arguments.corner_dwell is not None:
+    stated = given(arguments, PlannerConfig)
+    if 'corner_dwell' in stated:
         dwell[1:-1] = config.corner_dwell
-    if arguments.end_dwell is not None:
+    if 'end_dwell' in stated:
         dwell[[0, -1]] = config.end_dwell
     return dataclasses.replace(file, plan=dataclasses.replace(file.plan, dwell=dwell))
 
@@ -106,7 +112,7 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = tables.on(machine)
     file = _plan_of(arguments, planning, machine)
-    with progress_of(arguments, 'simulating', SIMULATE) as progress:
+    with progress_of('simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
         progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
@@ -154,7 +160,7 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
     )
     tables = load_tables(arguments.tables).tables.on(machine) if arguments.tables else None
     parts, options = _parts_to_drive(arguments, machine)
-    with progress_of(arguments, 'simulating', SIMULATE) as progress:
+    with progress_of('simulating', SIMULATE) as progress:
         try:
             run = simulate_parts(machine, parts, config, tables, effects=effects, **options)
         except InputError as error:
@@ -176,11 +182,12 @@ def _parts_to_drive(
     from otf_core.inputs.path_file import looks_like_json, read_axis_paths, read_axis_plan
     from otf_core.sim.axis_cell import usual_parts
 
-    dwell, end_dwell = arguments.corner_dwell, arguments.end_dwell
-    options: dict[str, Any] = {} if end_dwell is None else {'end_dwell': end_dwell}
+    stated = given(arguments, PlannerConfig)
+    dwell = stated.get('corner_dwell')
+    options = {k: v for k, v in stated.items() if k == 'end_dwell'}
     name = arguments.path
     if name is None or not looks_like_json(name):
-        options |= {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
+        options |= {k: v for k, v in stated.items() if k == 'feed'}
         options |= {} if dwell is None else {'dwell': dwell}
         parts = read_axis_paths(name, machine.axis_names) if name else usual_parts(machine)
         return parts, options
@@ -209,7 +216,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.nc import DIALECTS
     from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
-    from otf_core.reports.plan_files import format_report, plan_summary, write_report
+    from otf_core.reports.plan_files import plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
@@ -231,17 +238,14 @@ def run_plan(arguments: argparse.Namespace) -> int:
     about = provenance(
         'plan', machines=[machine], files={'path': arguments.path, 'noise': arguments.noise}
     )
-    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+    with progress_of('choosing lines', PLAN) as progress:
         report = make_plan(machine, request, config, judged, progress)
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             files = write_report(report, folder, dialect, about)
-    if dialect is None and not arguments.quiet:
+    if dialect is None:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
-    words = format_report(report) if arguments.verbose else plan_summary(report)
-    shown = next((f.name for f in files if f.name == 'report.html'), 'plan.svg')
-    words += f'open {Path(arguments.out) / shown}; all numbers: --verbose, forecast.txt'
-    answer_from(arguments, words, files, 'plan.json')
+    answer_from(arguments, plan_summary(report).rstrip(), files, 'plan.json')
     return 0
 
 
@@ -275,7 +279,7 @@ def _plan_rotary(
     check_side(machine, place)
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
-    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+    with progress_of('choosing lines', PLAN) as progress:
         parts = planned_parts(machine, config, place, judged, noise, arguments.time_budget)
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
@@ -300,6 +304,7 @@ def add_plant_verbs(verb: AddVerb) -> None:
         '--list', metavar='runs.csv', required=True,
         help='CSV with the header name,bag,machine; paths may be relative to its folder',
     )  # fmt: skip
+    add_config(sub, 'fleet')
     sub.add_argument(
         '--out', required=True,
         help='folder for the results and fleet.json; an interrupted fleet resumes there',
@@ -333,13 +338,12 @@ def run_fleet_verb(arguments: argparse.Namespace) -> int:
     from otf_core.reports.fleet_report import format_fleet, write_fleet
 
     def told(text: str) -> None:
-        if not arguments.quiet:
-            note(f'otf {arguments.verb}: {text}')
+        note(f'otf {arguments.verb}: {text}')
 
     verb, workers = arguments.what, _workers(arguments)
     runs = read_list(arguments.list)
     folder = take_folder(Path(arguments.out), verb)
-    jobs = listed_jobs(verb, runs, folder)
+    jobs = listed_jobs(verb, runs, folder, arguments.config)
     outcomes = run_fleet(jobs, folder, workers, told)
     files, warnings = write_fleet(verb, folder, outcomes)
     words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 VERBS = {
     'check': 'Check in seconds whether a recording is usable, before the tracker is dismounted.',
-    'info': 'Identify an otf file or folder and summarise its contents.',
+    'info': 'Identify a recording, machine.yaml or result: schema, headline, provenance.',
     'doctor': 'Check this installation and state how to repair it.',
     'calibrate': 'Determine error tables from recorded bags.',
     'diagnose': 'Find where and why a real run departs from its simulation.',

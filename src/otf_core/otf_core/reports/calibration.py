@@ -91,8 +91,9 @@ from otf_core.threads import limit_to_one_thread
 # ``error_tables.json`` (holds the covariance in full precision, so that a copy of it predicts with
 # honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv`` (the same, forward
 # and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``, ``report.html`` (all of
-# it for a reader), ``certificate.html`` (two pages for print, on request). With effects taken off:
-# ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
+# it for a reader), ``certificate.html`` (two pages for print, of a machine with a section
+# ``certificate``). With effects taken off: ``effects_taken_off.yaml``, and the plain calibration
+# in ``plain/``.
 
 SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
     overview_section,
@@ -257,7 +258,7 @@ def write_calibration(
     residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
+    certificate: bool = True,
     facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
@@ -276,7 +277,7 @@ def write_calibration(
     report : bool
         Write report.html.
     certificate : bool
-        Write certificate.html.
+        Write certificate.html if machine.yaml has a section ``certificate``.
     facts : CalibrationFacts, optional
         Worked out if not given.
     missing : dict of str to str, optional
@@ -306,7 +307,7 @@ def write_calibration(
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_report(folder, facts)
-    if certificate:
+    if certificate and result.tables.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE, certificate_html(facts)
         )
@@ -353,7 +354,6 @@ def write_with_effects(
     residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
@@ -369,7 +369,6 @@ def write_with_effects(
         residuals=residuals,
         residuals_csv=residuals_csv,
         report=report,
-        certificate=certificate,
         missing=missing,
     )
     machine = both.result.tables.machine
@@ -385,7 +384,12 @@ def write_with_effects(
             missing,
             PLAIN_FOLDER,
             lambda: write_calibration(
-                both.plain, plain, residuals=residuals, report=report, missing=lost
+                both.plain,
+                plain,
+                residuals=residuals,
+                report=report,
+                certificate=False,
+                missing=lost,
             ),
         ):
             files.append(plain / TABLES_FILE)

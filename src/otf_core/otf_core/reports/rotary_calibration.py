@@ -706,7 +706,6 @@ def write_calibration(
     *,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
     lines: Sequence[BudgetLine] | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
@@ -718,8 +717,6 @@ def write_calibration(
         Write the residuals as text beside residuals.npz.
     report : bool
         Write report.html.
-    certificate : bool
-        Write certificate.html.
     lines : sequence of BudgetLine, optional
         See ``budget_lines_of``; worked out if not given.
     missing : dict of str to str, optional
@@ -742,7 +739,7 @@ def write_calibration(
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result, lines))
-    if certificate:
+    if result.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE,
             certificate_of_axes(result, verdicts_of(result), data['provenance']),

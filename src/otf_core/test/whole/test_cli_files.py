@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from cli_cells import message, run
+from cli_cells import message, run, words_of
 from core_cells import some_machine
 
 import otf_core
@@ -23,8 +23,7 @@ from otf_core.effects.effects_yaml import effects_from_data
 from otf_core.model.kinematics import exact_position
 from otf_core.model.tables import load_tables
 
-QUICK = ('--levels', '2', '--passes', '1', '--rate', '50', '--corner-dwell', '0.1',
-         '--end-dwell', '1')  # fmt: skip
+QUICK = ({'levels': 2, 'passes': 1, 'rate': 50, 'corner_dwell': 0.1, 'end_dwell': 1},)
 
 
 @pytest.fixture(scope='module')
@@ -92,7 +91,7 @@ def test_results_are_refused_then_replaced(bags, place, capsys):
     capsys.readouterr()
     assert run(*arguments) == 2
     assert 'out: holds files already' in message(capsys)
-    Path('out', 'summary.txt').touch()  # another date, the same content
+    Path('out', 'report.html').touch()  # another date, the same content
     assert run(*arguments, '--overwrite') in (0, 4)
     assert sorted(os.listdir('out')) == names
 
@@ -277,7 +276,7 @@ def test_full_output_is_said_and_the_results_are_there(place):
     with open('/dev/full', 'w') as full:
         done = subprocess.run(
             [sys.executable, '-m', 'otf_core.cli', 'simulate', '--machine', 'machine.yaml',
-             '--out', 'out', *QUICK],
+             '--out', 'out', *words_of(*QUICK)],
             env={**os.environ, 'PYTHONPATH': str(source)},
             stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip

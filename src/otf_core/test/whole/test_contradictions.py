@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from cli_cells import run
 from contradiction_cells import (
     CONFIG,
     again,
@@ -22,7 +23,6 @@ from contradiction_cells import (
 )  # fmt: skip
 from nature import Extra, judge
 
-from otf_core import cli
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
@@ -305,14 +305,14 @@ def bag(tmp_path_factory):
     return folder
 
 
-COARSE = ['--piece-length', '0.02', '--reversal', 'none']
+COARSE = {'piece_length': 0.02, 'reversal': 'none'}
 """Fewer pieces and one solution: what is examined comes before these."""
 
 
-def command(bag, verb, *bags, machine='right', out='out', further=()):
+def command(bag, verb, *bags, machine='right', out='out', **further):
     files = [str(bag / b) for b in bags]
     spec = ['--machine', str(bag / f'{machine}.yaml')]
-    return cli.main([verb, *files, *spec, '--out', str(bag / out), *COARSE, *further])
+    return run(verb, *files, *spec, '--out', bag / out, {**COARSE, **further})
 
 
 @pytest.mark.parametrize('verb', ['calibrate', 'diagnose'])
@@ -329,8 +329,8 @@ def test_calibrate_ends_with_a_failed_gate_where_the_chain_is_wrong(bag, capsys)
 
 
 def test_diagnose_says_in_its_file_that_the_chain_is_wrong(bag, capsys):
-    most = [word for name in REGISTRY if name != 'backlash' for word in ('--exclude', name)]
-    assert command(bag, 'diagnose', 'bag', machine='wrong', out='gap', further=most) == 4
+    most = [name for name in REGISTRY if name != 'backlash']
+    assert command(bag, 'diagnose', 'bag', machine='wrong', out='gap', exclude=most) == 4
     assert 'otf: gate: chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().err
     (told,) = json.loads((bag / 'gap' / 'gap.json').read_text())['contradictions']
     assert (told['check'], told['severity']) == ('chain', 'gate')

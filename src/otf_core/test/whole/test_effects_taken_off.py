@@ -5,9 +5,9 @@ import json
 
 import pytest
 import yaml
+from cli_cells import run
 from nature import Cell, Extra, judge
 
-from otf_core import cli
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
@@ -45,8 +45,8 @@ def folder(tmp_path_factory):
     (base / 'machine.yaml').write_text(yaml.safe_dump(GROWING.machine.to_dict()))
     (base / 'effects.yaml').write_text(yaml.safe_dump(TOO_SMALL))
     words = ['calibrate', base / 'bag', '--machine', base / 'machine.yaml', '--out', base / 'out']
-    words += ['--effects', base / 'effects.yaml', '--piece-length', '0.016']
-    assert cli.main([str(w) for w in words]) == 0
+    words += ['--effects', base / 'effects.yaml', {'piece_length': 0.016}]
+    assert run(*words) == 0
     return base / 'out'
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_cells import run
 from core_cells import corner_path, record, small_plan, smooth, some_machine
 from html_cells import Page, unloading
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import free_rows, without_rigid_motion
@@ -51,18 +51,18 @@ def runs():
     found = []
     for seed in range(2601, 2605):
         truth = smooth(random_tables(machine, 2e-5, np.random.default_rng(seed)))
-        run = simulate(machine, plan, SimulationConfig(seed=seed, rate=RATE), truth)
-        setup = Setup.of(machine, run.place, config=ForecastConfig(rate=RATE))
-        found.append((run, calibrate(run.samples, plan.path, machine), forecast(plan, setup)))
+        one = simulate(machine, plan, SimulationConfig(seed=seed, rate=RATE), truth)
+        setup = Setup.of(machine, one.place, config=ForecastConfig(rate=RATE))
+        found.append((one, calibrate(one.samples, plan.path, machine), forecast(plan, setup)))
     return found
 
 
 def test_pieces_are_those_of_a_recording(runs):
-    for run, result, foreseen in runs:
+    for one, result, foreseen in runs:
         pieces, expected = result.runs[0].pieces, foreseen.pieces
         assert len(expected) == pytest.approx(len(pieces), rel=0.003)
         assert expected.used == pytest.approx(pieces.used, rel=0.005)
-        assert foreseen.duration == pytest.approx(run.samples.time[-1], rel=1e-3)
+        assert foreseen.duration == pytest.approx(one.samples.time[-1], rel=1e-3)
 
 
 def test_rank_and_what_is_seen_are_those_of_the_calibration(runs):
@@ -88,12 +88,12 @@ def test_forecast_uncertainty_is_the_one_stated_afterwards(runs):
 
 def test_forecast_grid_uncertainty_is_the_error_achieved(runs):
     achieved, expected, spread = 0.0, 0.0, 0.0
-    for run, result, foreseen in runs:
+    for one, result, foreseen in runs:
         grid = foreseen.grid
-        field = displacement(result.tables, grid) - displacement(run.truth, grid)
+        field = displacement(result.tables, grid) - displacement(one.truth, grid)
         achieved += float(np.sum(without_rigid_motion(field, grid) ** 2))
         nodes = {m: foreseen.nodes[m[2]] for m in MOTIONS}
-        rows = prediction_rows(run.truth.machine, nodes, grid)
+        rows = prediction_rows(one.truth.machine, nodes, grid)
         rows = free_rows(rows.reshape(-1, rows.shape[2]), grid)
         matrix = (rows.T @ rows) @ foreseen.covariance
         expected += float(np.trace(matrix))
@@ -298,9 +298,9 @@ def machine_file(tmp_path):
 
 def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file, capsys):
     out = tmp_path / 'out'
-    arguments = ['plan', '--machine', str(machine_file), '--out', str(out), '--passes', '1',
-                 '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
-    assert main(arguments) == 0
+    arguments = ('plan', '--machine', machine_file, '--out', out, '--tracker-place',
+                 '-0.3,0.1,-0.1', {'passes': 1, 'levels': 2, 'grid': 2})  # fmt: skip
+    assert run(*arguments) == 0
     said, hints = capsys.readouterr()
     names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json', 'plan.svg', 'report.html']
     assert sorted(f.name for f in out.iterdir()) == names
@@ -344,9 +344,8 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
 def test_plan_judges_a_given_path(tmp_path, machine_file, capsys):
     (tmp_path / 'p.csv').write_text('x,y,z\n0,0,-0.1\n0.3,0.25,-0.1\n0.3,0,-0.1\n0,0.25,-0.1\n')
     out = tmp_path / 'out'
-    code = main(['plan', '--machine', str(machine_file), '--out', str(out), '--grid', '2',
-                 '--path', str(tmp_path / 'p.csv')])  # fmt: skip
-    assert code == 0
+    arguments = ('plan', '--machine', machine_file, '--out', out, {'grid': 2})
+    assert run(*arguments, '--path', tmp_path / 'p.csv') == 0
     said = capsys.readouterr().out
     assert 'Plan: the path given' in said
     assert 'EYZ: the path does not move Z' in (out / 'forecast.txt').read_text()

@@ -31,7 +31,7 @@ from otf_core.reports.calibration_sections.error_motions import squareness_words
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'
-QUICK = ('--levels', '2', '--passes', '1', '--rate', '100', '--corner-dwell', '0.2')
+QUICK = ({'levels': 2, 'passes': 1, 'rate': 100, 'corner_dwell': 0.2},)
 
 
 def run(*arguments):

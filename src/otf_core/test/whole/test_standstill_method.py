@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 import yaml
+from cli_cells import run
 from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
 from scipy.spatial.transform import Rotation
 from standstill_points import edge_points, spread_points, standstill_plan
 
-from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
@@ -184,11 +184,10 @@ def test_command_calibrates_a_standstill_run(tmp_path, capsys):
     write_csv(tmp_path / 'points.csv', 'x,y,z', points_of(machine))
     common = ['--machine', str(tmp_path / 'machine.yaml')]
     simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
-                 '--corner-dwell', '1', '--out', str(tmp_path / 'bag')]  # fmt: skip
-    assert cli.main(simulated) == 0
-    out = ['--method', 'standstill', '--out', str(tmp_path / 'out'), '--residuals-csv',
-           '--verbose']  # fmt: skip
-    assert cli.main(['calibrate', str(tmp_path / 'bag'), *common, *out]) == 0
+                 {'corner_dwell': 1}, '--out', str(tmp_path / 'bag')]  # fmt: skip
+    assert run(*simulated) == 0
+    out = ['--method', 'standstill', '--out', tmp_path / 'out', {'residuals_csv': True}]
+    assert run('calibrate', tmp_path / 'bag', *common, *out) == 0
     assert '100 path pieces' in capsys.readouterr().out
     header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()
     assert header.endswith('deviation1,deviation2,deviation3,residual1,residual2,residual3')
