@@ -99,6 +99,11 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     group.add_argument(
         '--rate', type=float, metavar='HZ', help='sampling rate of a text table without times'
     )
+    group.add_argument(
+        '--time-format', metavar='FORMAT',
+        help='form of the times in a text table, e.g. "%%d.%%m.%%Y %%H:%%M:%%S.%%f" (default: '
+        'numbers, or dates and times as in ISO 8601)',
+    )  # fmt: skip
     group.add_argument('--recover', action='store_true', help='skip damaged parts inside a bag')
 
 
@@ -115,6 +120,7 @@ def reading_options(arguments: argparse.Namespace, path: str | None = None) -> R
         recover=arguments.recover,
         signals=tuple(getattr(arguments, 'signal', ())),
         publisher=arguments.publisher,
+        time_format=arguments.time_format,
     )
 
 
