@@ -226,7 +226,7 @@ def test_clock_set_back_begins_a_run_live_and_the_parts_stay_apart(side):
     folders = side.close()
     parts = [read_bag(folder).samples for folder in folders]
     assert [len(p) for p in parts] == [half, COUNT - half]
-    with pytest.raises(InputError, match='goes back by 5.* s at sample 0; the clock was set back'):
+    with pytest.raises(InputError, match='the clock was set back'):
         read_parts(folders)
 
 
