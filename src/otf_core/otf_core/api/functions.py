@@ -54,6 +54,7 @@ def read_bag(
     path_topic: str | None = None,
     columns: str | None = None,
     rate: float | None = None,
+    time_format: str | None = None,
     publisher: int | None = None,
 ) -> Recording:
     """Read a recorded run.
@@ -74,6 +75,8 @@ def read_bag(
         not given.
     rate : float, optional
         Hz; of samples in a text without times.
+    time_format : str, optional
+        Form of the times in a text, in words of ``strptime``; ISO 8601 or numbers if not given.
     publisher : int, optional
         Whose samples, from 1, where several trackers published on one topic.
 
@@ -95,7 +98,9 @@ def read_bag(
     return read_recording(
         [source],
         machine,
-        ReadingOptions(path, topic, path_topic, columns, rate, publisher=publisher),
+        ReadingOptions(
+            path, topic, path_topic, columns, rate, publisher=publisher, time_format=time_format
+        ),
     )
 
 

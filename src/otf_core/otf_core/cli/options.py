@@ -85,6 +85,10 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     parser.add_argument(
         '--rate', type=float, metavar='HZ', help='sampling rate of a text table without times'
     )
+    parser.add_argument(
+        '--time-format', metavar='FORMAT',
+        help='form of the times in a text table, e.g. "%%d.%%m.%%Y %%H:%%M:%%S.%%f"',
+    )  # fmt: skip
 
 
 def reading_options(arguments: argparse.Namespace, path: str | None = None) -> ReadingOptions:
@@ -100,6 +104,7 @@ def reading_options(arguments: argparse.Namespace, path: str | None = None) -> R
         rate=arguments.rate,
         recover=config.recover,
         publisher=config.publisher or None,
+        time_format=arguments.time_format,
     )
 
 

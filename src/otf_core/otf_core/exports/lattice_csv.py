@@ -98,9 +98,9 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if table.names is None:
         raise ConfigError(f'{path}: expected the header {",".join(wanted)}, in m')
     headings = [split_heading(name) for name in table.names]
-    names = [name for name, _ in headings]
+    names = [name.lower() for name, _ in headings]
     places = [names.index(name) for name in wanted]
-    read = table.numbers({place: table.names[place] for place in places})
+    read, _ = table.numbers({place: table.names[place] for place in places})
     faults = dict(table.faults)
     for column in read:
         faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
@@ -123,7 +123,7 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_head(fields: Sequence[str]) -> bool:
-    return set(HEADER[:6]) <= {split_heading(field)[0] for field in fields}
+    return set(HEADER[:6]) <= {split_heading(field)[0].lower() for field in fields}
 
 
 FORMAT = LatticeCsv()

@@ -40,6 +40,8 @@ class ReadingOptions:
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional
         Hz; of samples in a text without times.
+    time_format : str, optional
+        Form of the times in a text, in words of ``strptime``, e.g. ``%d.%m.%Y %H:%M:%S.%f``.
     recover : bool
         Leave out damaged chunks of a bag.
     """
@@ -51,6 +53,7 @@ class ReadingOptions:
     rate: float | None = None
     recover: bool = False
     publisher: int | None = None
+    time_format: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rate that is none."""
@@ -74,9 +77,13 @@ def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyRea
     if is_text(source):
         if given.topic or given.path_topic:
             raise ConfigError(f'topic: {source} is a text table and has no topics')
-        reading: AnyReading = TextReading(source, given.columns, given.rate)
+        reading: AnyReading = TextReading(source, given.columns, given.rate, given.time_format)
     else:
-        for option, value in (('--columns', given.columns), ('--rate', given.rate)):
+        for option, value in (
+            ('--columns', given.columns),
+            ('--rate', given.rate),
+            ('--time-format', given.time_format),
+        ):
             if value is not None and Path(source).exists():
                 raise ConfigError(f'{option}: {source} is a bag; this option is for text tables')
         reading = _read_bag(source, given)
