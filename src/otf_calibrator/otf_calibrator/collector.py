@@ -316,7 +316,8 @@ class Collector:
         if now - self._heard > SAME_RUN:
             self._begin('the driver was started again much later')
             return True
-        self._lost_before += stream.lost(now)
+        stream.received -= self._second.received
+        self._lost_before += stream.outstanding
         self._stream, self._second = self._second, Stream()
         return True
 

@@ -96,8 +96,6 @@ class Intake:
     ----------
     machine : Machine or None
         As described when the last part arrived, or at the start.
-    apart : int
-        Samples of a second publisher that came during the run.
     """
 
     def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
@@ -106,7 +104,7 @@ class Intake:
         self.signals = SignalBuffer()
         self.machine: Machine | None = None
         self._parts = PartsCollector()
-        self.apart = 0
+        self._left_out, self._second = 0, ''
         self._gaps: set[bytes] = set()
         self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
         self._size = np.zeros(0, np.int64)  # of the run with each of them
@@ -187,6 +185,11 @@ class Intake:
                 if self.journal:
                     self.journal.points(stamp_ns, xyz, frame)
 
+    def leave_out(self, count: int, sender: str) -> None:
+        """Count samples of a second publisher, with the name of its node."""
+        self._left_out += 0 if self._collector.taken else count
+        self._second = sender
+
     def set_aside(self, why: str) -> None:
         """End the run in the journal; the collector calls this before it drops its samples."""
         collector = self._collector
@@ -200,7 +203,7 @@ class Intake:
 
     def _prepare_next(self) -> None:
         """Use the path or plan that was published during the run, if one was."""
-        collector, self.apart = self._collector, 0
+        collector, self._left_out = self._collector, 0
         if collector.use_next_path() and self.journal:
             self.journal.message(PATH, collector.path_message)
         if self._parts.use_next_plan():
@@ -241,10 +244,13 @@ class Intake:
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the samples for the reader of a result, except on rejected ones."""
         said = (*self._collector.remarks, *self._collector.restarts.remarks)
-        if not self.apart:
+        if not self._left_out:
             return said
-        words = f'{self.apart} samples of a second publisher on {POINT.name} are left out: end it'
-        return (*said, words)
+        return (
+            *said,
+            f'{self._left_out} samples of a second publisher on {POINT.name}, {self._second}, are '
+            f'left out; end it',
+        )
 
     def troubles(self) -> list[str]:
         """Present problems of samples and journal, in words."""

@@ -100,8 +100,8 @@ class Calibrator(Node):
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         used = self._publisher.select(messages, numbers, time.monotonic())
-        if not self._session.collector.taken:
-            self._session.intake.apart += len(messages) - len(used)
+        if len(used) < len(messages):
+            self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
         if used and self._session.take(convert.points_from_messages(used)):
             self._tick()
 
