@@ -116,7 +116,7 @@ class StatePublisher:
             progress=progress,
             time_left=time_left,
             samples=len(collector.buffer),
-            samples_lost=collector.count_surely_lost(now),
+            samples_lost=collector.count_lost(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             **_part(collector),
@@ -152,6 +152,11 @@ class StatePublisher:
             )
         if not len(collector.buffer):
             text = 'waiting for tracker/point: activate the tracker driver'
+            if collector.ended and collector.published:
+                text = (
+                    f'no samples: the stream of the tracker driver has ended, and none of the '
+                    f'{collector.published} samples that it published has arrived; drive again'
+                )
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
         silence = collector.silence(time.monotonic())
@@ -159,6 +164,8 @@ class StatePublisher:
         parts = _part(collector)
         if parts['parts'] > 1:
             text += f"part {parts['part']} of {parts['parts']}, target '{parts['target']}'; "
+        if session.judging:
+            return CalibratorState.BUFFERING, _driven(collector), text + 'the end is being judged'
         if silence > SILENCE and collector.ended:
             text += 'the stream has ended: call calibrator/calibrate, or drive again; '
             text += 'a new stream sets these samples aside'

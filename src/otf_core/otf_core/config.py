@@ -257,10 +257,6 @@ class ReadingConfig(Parameters):
     path_topic: str = parameter(
         '', 'topic of the path in a bag, in any frame; empty: /planner/path, else the only path'
     )
-    publisher: int = parameter(
-        0, 'whose samples to take if several trackers published on one topic, from 1; 0: all',
-        '', 0, 1000,
-    )  # fmt: skip
     recover: bool = parameter(False, 'skip damaged parts inside a bag')
 
 

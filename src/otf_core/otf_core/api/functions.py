@@ -55,7 +55,6 @@ def read_bag(
     columns: str | None = None,
     rate: float | None = None,
     time_format: str | None = None,
-    publisher: int | None = None,
 ) -> Recording:
     """Read a recorded run.
 
@@ -77,8 +76,6 @@ def read_bag(
         Hz; of samples in a text without times.
     time_format : str, optional
         Form of the times in a text, in words of ``strptime``; ISO 8601 or numbers if not given.
-    publisher : int, optional
-        Whose samples, from 1, where several trackers published on one topic.
 
     Raises
     ------
@@ -98,9 +95,7 @@ def read_bag(
     return read_recording(
         [source],
         machine,
-        ReadingOptions(
-            path, topic, path_topic, columns, rate, publisher=publisher, time_format=time_format
-        ),
+        ReadingOptions(path, topic, path_topic, columns, rate, time_format=time_format),
     )
 
 

@@ -38,7 +38,7 @@ CONFIG_KEYS: dict[str, tuple[ParameterInfo, ...]] = {
     ),
     'noise': (
         *CalibrationConfig.infos('standstill_speed'),
-        *ReadingConfig.infos('topic', 'publisher', 'recover'),
+        *ReadingConfig.infos('topic', 'recover'),
     ),
     'plan': (*PlannerConfig.infos(), *ForecastConfig.infos()),
     'simulate': (*SimulationConfig.infos(), *PlannerConfig.infos()),
@@ -103,7 +103,6 @@ def reading_options(arguments: argparse.Namespace, path: str | None = None) -> R
         columns=arguments.columns,
         rate=arguments.rate,
         recover=config.recover,
-        publisher=config.publisher or None,
         time_format=arguments.time_format,
     )
 
