@@ -31,8 +31,7 @@ from otf_core.calibration.calibration_result import CalibrationResult, Fit, RunR
 from otf_core.calibration.lack_of_fit import find_lack_of_fit
 from otf_core.calibration.machine_verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.examine import examine
-from otf_core.contradictions.outlier_places import OutlierPlaces, findings, locate_outliers
+from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch, check_worth, sample_noise
 from otf_core.effects.stated_effect import RemovedEffects
@@ -57,7 +56,6 @@ from otf_core.pieces.finding import (
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError, driven_rows
-from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
 from otf_core.solving.joint import JointSolution, SolvedRun, settle_covariance, tables_of
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
@@ -143,16 +141,9 @@ class ExaminedRecordings:
 
 @dataclass(frozen=True)
 class SolvedRecordings(ExaminedRecordings):
-    """Recordings that are examined and solved.
-
-    Attributes
-    ----------
-    outliers : tuple of OutlierPlaces
-        What was left out of every run as outliers.
-    """
+    """Recordings that are examined and solved."""
 
     solution: ReversalSolution[Run]
-    outliers: tuple[OutlierPlaces, ...]
 
     def without_solution(self) -> ExaminedRecordings:
         """What a solution starts from, without the memory of the one that is known."""
@@ -188,18 +179,12 @@ def solve_recordings(
     give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
-    on_curves = move_onto_curves(runs, solution)
-    if on_curves is not None:
-        runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 
-    outliers = tuple(
-        locate_outliers(run, own) for run, own in zip(runs, solution.runs, strict=True)
-    )
+    left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
     repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
     if pitch:
         repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
-    stated = (*repairs, *contradictions, *findings(outliers))
-    return SolvedRecordings(runs, nodes, stated, solution, outliers)
+    return SolvedRecordings(runs, nodes, (*repairs, *contradictions, *left_out), solution)
 
 
 def assemble(
@@ -266,7 +251,6 @@ def assemble(
             *filter(None, [assessed.lack_of_fit]),
             *mixture_warnings([r.machine for r in runs], hidden),
             *(r.alignment.remark for r in runs if r.alignment.remark),
-            *curve_remarks(runs, joint),
         ),
         failed_gates=(
             *words_of(findings, GATE),

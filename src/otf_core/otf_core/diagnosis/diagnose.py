@@ -27,7 +27,7 @@ from otf_core.calibration.calibrate import (
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.outlier_places import locate_outliers
+from otf_core.contradictions.examine import WARNING_LEFT_OUT, share_in_whole_pieces
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, qualify_moves, sentence_of
 from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
 from otf_core.diagnosis.corrected_calibration import (
@@ -249,14 +249,15 @@ def _without_reversal(
 ) -> _WithoutReversal:
     """What is diagnosed of recordings, in pieces of a length, m.
 
-    Where the outliers are the machine's doing, all samples are kept, so that they are in the gap,
-    however large. Where a run was cut at a step, it stays whole: the step is in the gap, too.
+    Where whole pieces were left out, which is no matter of stray samples, all are kept, so that
+    they are in the gap, however large. Where a run was cut at a step, it stays whole: the step is
+    in the gap, too.
     """
     observed = _WithoutReversal.of(solved)
     plain = replace(config, reversal='none', piece_length=length)
     whole = len(solved.runs) == len(recordings)
     pairs = zip(solved.runs, observed.runs, strict=True)
-    if any(locate_outliers(run, without_outliers).by_machine for run, without_outliers in pairs):
+    if any(share_in_whole_pieces(run, kept) > WARNING_LEFT_OUT for run, kept in pairs):
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
         same = length == config.piece_length

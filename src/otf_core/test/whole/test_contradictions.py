@@ -126,11 +126,10 @@ def test_outliers_are_told_from_noise(share, severity):
     assert said == pytest.approx(100 * share, abs=5)
 
 
-def test_rounded_coordinates_are_named_and_no_outliers():
+def test_rounded_coordinates_are_noise_and_no_outliers():
     a = recorded()
     (found,) = asked(again(a, xyz=a.samples.xyz.round(4)))
-    assert (found.check, found.severity) == ('rounded', 'warning')
-    assert 'rounded to 100 um' in found.words
+    assert (found.check, found.severity) == ('noise', 'warning')
 
 
 def test_lost_samples_make_no_outliers_of_the_others():
@@ -167,14 +166,14 @@ def test_the_place_of_the_base_shows_in_no_data():
     assert asked(with_machine(recorded(), chain=Chain.parse('w-X-Y-b-Z-t'))) == ()
 
 
-def test_the_sign_of_a_target_offset_shows_between_runs_and_not_in_one():
+def test_a_wrong_sign_of_a_target_offset_shows_between_runs_and_not_in_one():
     a = recorded(3)
     other = recorded(3, noise_seed=1, offset=(0.02, 0.0, -0.25))
     wrong = with_machine(other, target_offset=np.array([0.02, 0.0, 0.25]))
     assert asked(a, replace(other, name='run 2')) == ()
     (found,) = asked(a, replace(wrong, name='run 2'))
-    assert (found.check, found.severity) == ('target offset', 'gate')
-    assert '[0.02, 0, -0.25] m in place of [0.02, 0, 0.25] m' in found.words
+    assert (found.check, found.severity) == ('one machine', 'gate')
+    assert 'a target_offset differs from the stated one, e.g. in its sign' in found.words
     assert asked(wrong) == ()
 
 
