@@ -258,6 +258,7 @@ class Part:
     feed : ndarray, shape (m - 1,), m/s
         Of the linear axes together, on every leg; ``turn``: of each rotary one, rad/s.
     push : tuple of float, m/s^2 and rad/s^2
+        Acceleration of every linear and rotary axis.
     dwell, rest : float, s
         At corners where the drive stops, and before and after all.
     """

@@ -183,10 +183,11 @@ def true_parameters(part: Entry) -> dict[str, float]:
     p, name = part['parameters'], part['form']
     if name in PLAIN:
         return dict(p)
-    letter = SIX[int(p.get('axis', 0))]
-    if name.endswith('play'):  # what is pushed stays behind
-        return {f'B_{letter}': -p['size']}
-    return {f'T_{letter}': p['size']} if name.endswith('late') else {}
+    if name in ('turning_play', 'turning_linear_play'):  # what is pushed stays behind
+        return {f'B_{SIX[int(p["axis"])]}': -p['size']}
+    if name in ('turning_late', 'turning_linear_late'):
+        return {f'T_{SIX[int(p["axis"])]}': p['size']}
+    return {}
 
 
 def _deviations(part: Entry, cause: Answer) -> list[float]:

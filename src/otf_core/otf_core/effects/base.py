@@ -87,7 +87,7 @@ class Contribution:
 class Effect(ABC):
     """One effect; every subclass is one file and one line in the registry.
 
-    A simple one gives the words, ``terms`` and ``trial``; all other facts have defaults.
+    A simple one gives the words and ``terms``; all other facts have defaults.
     """
 
     name: ClassVar[str]
