@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viewer node: markers for RViz and Foxglove, numbers for PlotJuggler and the like."""
+"""Viewer node: markers for RViz and Foxglove, numbers for plots."""
 
 from __future__ import annotations
 
