@@ -10,12 +10,11 @@ from source_trees import ROOT, parsed
 
 ROOT_MODULES = (
     '__init__',
-    'ahead',
     'arrays',
     'aside',
+    'blocks',
     'config',
     'errors',
-    'memory',
     'threads',
     'version',
 )

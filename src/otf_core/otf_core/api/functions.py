@@ -22,7 +22,6 @@ from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
 from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.live.stages import Progress
-from otf_core.memory import giving_back
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
@@ -305,16 +304,14 @@ def calibrate(
     runs = _several(recordings)
     if method not in METHODS:
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
-    with giving_back():
-        if effects is None:
-            return calibrate_runs(runs, config, progress, METHODS[method])
-        from otf_core.diagnosis.diagnose import calibrate_with_effects
-        from otf_core.sim.twin import twin_recording
+    if effects is None:
+        return calibrate_runs(runs, config, progress, METHODS[method])
+    from otf_core.diagnosis.diagnose import calibrate_with_effects
+    from otf_core.sim.twin import twin_recording
 
-        result = calibrate_with_effects(
-            runs, str(effects), twin_recording, config, progress, method
-        )
-        return result.result
+    return calibrate_with_effects(
+        runs, str(effects), twin_recording, config, progress, method
+    ).result
 
 
 def diagnose(
@@ -357,8 +354,7 @@ def diagnose(
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.sim.twin import twin_recording
 
-    with giving_back():
-        return diagnose(runs, twin_recording, exclude, config, progress)
+    return diagnose(runs, twin_recording, exclude, config, progress)
 
 
 def predict(

@@ -36,7 +36,6 @@ from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch, check_worth, sample_noise
 from otf_core.effects.stated_effect import RemovedEffects
 from otf_core.live.stages import Progress, silent
-from otf_core.memory import give_back, one_heap
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -145,10 +144,6 @@ class SolvedRecordings(ExaminedRecordings):
 
     solution: ReversalSolution[Run]
 
-    def without_solution(self) -> ExaminedRecordings:
-        """What a solution starts from, without the memory of the one that is known."""
-        return ExaminedRecordings(self.runs, self.nodes, self.findings)
-
 
 def solve_recordings(
     recordings: Sequence[Recording],
@@ -167,16 +162,13 @@ def solve_recordings(
     repair : bool
         Repair what can be repaired, see ``contradictions.examine``.
     """
-    one_heap()
     progress('aligning', 0.0)
     check_recordings(recordings)
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
     runs, nodes = prepare(recordings, config)
-    give_back()
 
     progress('solving', 0.0)
     runs, contradictions = examine(runs, nodes, config, repair=repair)
-    give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
 
@@ -302,7 +294,6 @@ def assess(
     as_solved = tables_of(runs[0].machine, joint.unknowns, joint.solution)
     pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, as_solved))
     parts = noise_parts(runs, joint)
-    give_back()
     joint = settle_covariance(joint, config.unidentifiable_above, parts.normal)
     unknowns, machine = joint.unknowns, runs[0].machine
     results = [_run_result(r, s, config) for r, s in zip(runs, joint.runs, strict=True)]
@@ -316,7 +307,6 @@ def assess(
     table = tabulate(machine, joint, grid_u, config.unidentifiable_above)
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
-    give_back()
     typical = typical_systematic(
         runs,
         joint,

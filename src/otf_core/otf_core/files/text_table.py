@@ -400,7 +400,8 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
     at, names = _head(every[:first_row], separator, width, is_head)
     faults: dict[int, str] = {}
     comments: dict[int, str] = {}
-    signs, units = set(), ()
+    signs: set[str] = set()
+    units: tuple[str, ...] = ()
     for k, line in enumerate(every[:first_row]):
         text = COMMENT.sub('', line) if is_comment(line) else line
         if text != line:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
+from otf_core.blocks import blocks
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.tracking.alignment import Alignment
