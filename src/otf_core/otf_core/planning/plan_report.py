@@ -54,7 +54,7 @@ class EffectForecast:
     effect : str
         Name in gap.json.
     words : str
-        One line for forecast.txt.
+        One line.
     data : mapping
         Entry for plan.json.
     """
