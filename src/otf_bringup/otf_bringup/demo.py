@@ -192,8 +192,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
     fields = before, before - displacement(calibrated.tables, q)
     lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
     alone = calibrated.extra['headline']['noise_and_misfit_alone']['U']
-    summary = (folder / 'summary.txt').read_text(encoding='utf-8')
-    print(summary.partition('\n\n')[0])
+    print(result.message)
     print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')
     for when, length in zip(('as it stands', 'compensated'), lengths, strict=True):
         mean, largest = (
@@ -216,7 +215,7 @@ def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
     q = evenly_spread(machine.lower, machine.upper, PLACES)
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
     before = exact_position_of(truth, sight, q) - sight.nominal(q)
-    print((folder / 'summary.txt').read_text(encoding='utf-8').partition('\n\n')[0])
+    print(result.message)
     print(f'\nAgainst the true errors of this simulation, at {len(q)} positions of all axes:')
     for when, field in (
         ('as it stands', before),
@@ -246,7 +245,7 @@ def _report_end(result: CalibrationResult, folder: Path) -> None:
             f'calibrator: this computer is too slow for this multiple of the speed of the '
             f'machine. The remaining samples were used.'
         )
-    print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
+    print(f'Report: {folder / "report.html"}')
 
 
 def _report_gap(gap: GapReport) -> None:

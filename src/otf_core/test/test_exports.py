@@ -217,8 +217,7 @@ def test_a_file_typed_by_hand_and_the_one_that_is_written_read_alike(tables):
     motions = {name: replace(t, value=0.0 * t.value) for name, t in tables.motions.items()}
     for name, (argument, value) in columns.items():
         scale = 1e-3 if name[1] in 'XYZ' else 1.0
-        motions[name] = MotionTable(motions[name].axis, motions[name].unit, 1e-3 * argument,
-                                    scale * value, 0.0 * value)  # fmt: skip
+        motions[name] = MotionTable(1e-3 * argument, scale * value, 0.0 * value)
     square = {name: replace(tables.squareness[name], value=v) for name, v in values.items()}
     made = exported('etalon', replace(tables, motions=motions, squareness=square))
     again = etalon_blocks(made.files['cell.txt'].decode())

@@ -34,6 +34,7 @@ from otf_core.prediction import predict as evaluation
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
 from otf_core.reports.calibration import result_to_dict
+from otf_core.reports.calibration_sections.first_screen import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -205,7 +206,7 @@ def write_plan(
     --------
     >>> files = otf_core.write_plan(report, 'plan', dialect='linuxcnc')
     >>> [file.name for file in files]
-    ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.svg', 'report.html', 'plan.json']
+    ['otf_path.ngc', 'path.csv', 'report.html', 'plan.json']
     """
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan_files import write_report
@@ -227,16 +228,16 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration.format_result(of)
+        return calibration_summary(calibration.facts_of(of))
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
     from otf_core.reports.diagnosis import format_diagnosis
-    from otf_core.reports.plan_files import format_report
+    from otf_core.reports.plan_files import plan_summary
 
     if isinstance(of, Diagnosis):
         return format_diagnosis(of)
     if isinstance(of, PlanReport):
-        return format_report(of)
+        return plan_summary(of).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 

@@ -55,7 +55,7 @@ class EffectForecast:
     effect : str
         Name in gap.json.
     words : str
-        One line for forecast.txt.
+        One line.
     data : mapping
         Entry for plan.json.
     """

@@ -41,13 +41,11 @@ from otf_core.reports.calibration_facts import (
 from otf_core.reports.calibration_sections.error_motions import (
     motions_section,
     nodes_section,
-    reversal_csv,
     reversal_section,
     reversal_to_dict,
     squareness_section,
 )
 from otf_core.reports.calibration_sections.first_screen import (
-    calibration_summary,
     heading,
     limits_section,
     overview_section,
@@ -75,7 +73,6 @@ from otf_core.reports.certificate import certificate_html
 from otf_core.reports.page import (
     Section,
     page_html,
-    sections_to_text,
 )
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
@@ -89,11 +86,10 @@ from otf_core.threads import limit_to_one_thread
 # What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
 #
 # ``error_tables.json`` (holds the covariance in full precision, so that a copy of it predicts with
-# honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv`` (the same, forward
-# and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``, ``report.html`` (all of
-# it for a reader), ``certificate.html`` (two pages for print, of a machine with a section
-# ``certificate``). With effects taken off: ``effects_taken_off.yaml``, and the plain calibration
-# in ``plain/``.
+# honest uncertainties), ``error_tables.csv`` (one row a node), ``residuals.npz`` (one row a path
+# piece), ``report.html`` (all of it for a reader), ``certificate.html`` (two pages for print, of a
+# machine with a section ``certificate``). With effects taken off: ``effects_taken_off.yaml``, and
+# the plain calibration in ``plain/``.
 
 SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
     overview_section,
@@ -298,12 +294,6 @@ def write_calibration(
         'error_tables.csv': lambda: write_text(
             folder / 'error_tables.csv', _tidy_rows(result, lines)
         ),
-        'summary.txt': lambda: write_text(
-            folder / 'summary.txt', format_result(result, facts) + '\n'
-        ),
-        'reversal.csv': lambda: write_text(
-            folder / 'reversal.csv', reversal_csv(result.reversal, result.tables)
-        ),
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_report(folder, facts)
@@ -322,15 +312,6 @@ def write_calibration(
 def write_report(folder: Path, facts: CalibrationFacts) -> None:
     """Write report.html into a folder that is there; ConfigError if it cannot be written."""
     write_text(folder / REPORT_FILE, calibration_html(facts))
-
-
-def format_result(result: CalibrationResult, facts: CalibrationFacts | None = None) -> str:
-    """Return summary.txt: a dozen lines, an empty one, then all numbers.
-
-    ``facts`` are worked out if not given.
-    """
-    facts = facts or facts_of(result)
-    return f'{calibration_summary(facts)}\n\n{sections_to_text(calibration_sections(facts))}'
 
 
 def facts_of(

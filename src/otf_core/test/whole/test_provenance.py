@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import some_machine
+from html_cells import Page
 
 import otf_core
 from otf_core import cli
@@ -186,10 +187,9 @@ def test_all_packages_and_the_command_have_one_version(capsys):
 # ---------------------------------------------------------------- words and numbers beside
 
 
-def test_summary_states_sign_date_and_predicted_volumetric_error(cell):
-    summary = (cell.tables.parent / 'summary.txt').read_text()
-    assert SIGN in ' '.join(summary.split())
-    assert 'measured 2023-11-14T22:13:20Z to' in summary
+def test_page_states_sign_date_and_predicted_volumetric_error(cell):
+    page = Page((cell.tables.parent / 'report.html').read_text(encoding='utf-8')).text
+    assert 'actual minus nominal' in page and '2023-11-14T22:13:20Z' in page
     tables = load_tables(cell.tables).tables
     grid = lattice(tables.machine)
     size = np.linalg.norm(without_rigid_motion(displacement(tables, grid), grid), axis=1)
@@ -197,7 +197,7 @@ def test_summary_states_sign_date_and_predicted_volumetric_error(cell):
     assert found == volumetric_error(tables)
     expected = [size.mean(), np.sort(size)[round(0.95 * 342)], size.max()]
     assert [found[k] for k in ('mean', 'p95', 'max')] == pytest.approx(expected, rel=0.02)
-    said = re.search(r'as found: mean ([\d.]+) um, largest ([\d.]+) ', summary)
+    said = re.search(r'as found: mean ([\d.]+)\s*µm, largest ([\d.]+)', page)
     assert [float(v) for v in said.groups()] == pytest.approx(
         [1e6 * size.mean(), 1e6 * size.max()], abs=0.5
     )
