@@ -58,9 +58,7 @@ class Profile:
     value: Array
 
 
-def step_profile(
-    rows: Rows, fit: Fit, columns: Array, order: Index, starts: Index
-) -> Profile:
+def step_profile(rows: Rows, fit: Fit, columns: Array, order: Index, starts: Index) -> Profile:
     """Try a step at every moment.
 
     Parameters
