@@ -65,6 +65,7 @@ class Session:
         self._saving: Future[CalibrationOutput] | None = None
         self._first_look: Future[FirstSight] | None = None
         self._looks = (0, 0)
+        self._unplaced = ''
         self._verdict: Future[bool] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
@@ -185,16 +186,24 @@ class Session:
             self.worker.cancel()
 
     def first_look(self) -> Future[FirstSight] | None:
-        """Look early in a run where the tracker stands; return a look that has ended."""
+        """Look early in a run where the tracker stands; return a look that has shown it."""
         look = self._first_look
         if look is None and not self.busy and not self.collector.taken:
             self._begin_first_look()
         if look is None or not look.done():
             return None
-        self._first_look = None
+        self._first_look, (run, looks) = None, self._looks
         if look.exception() is None:
-            self._looks = self._looks[0], MOST_LOOKS
-        return look
+            self._looks, self._unplaced = (run, MOST_LOOKS), ''
+            return look
+        if looks > 1:  # the first legs often do not determine anything yet
+            self._unplaced = f'the place of the tracker is not known yet: {look.exception()}'
+        return None
+
+    def troubles(self) -> list[str]:
+        """What is wrong with samples, journal and set-up, in words."""
+        here = self._looks[0] == self.collector.run and not self.collector.taken
+        return [*self.intake.troubles(), *([self._unplaced] if here and self._unplaced else ())]
 
     def _begin_first_look(self) -> None:
         collector, path, watcher = self.collector, self.collector.path, self.collector.watcher

@@ -90,7 +90,7 @@ class StatePublisher:
         """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
-        troubles = [*troubles, *session.intake.troubles()]
+        troubles = [*troubles, *session.troubles()]
         self._warn(troubles)
         text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
