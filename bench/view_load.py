@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from visualization_msgs.msg import MarkerArray
 
 from otf_bringup.domain import free_domain

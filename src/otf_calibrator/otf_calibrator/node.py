@@ -102,6 +102,7 @@ class Calibrator(Node):
         used = self._publisher.select(messages, numbers, time.monotonic())
         if len(used) < len(messages):
             self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
+        self._session.collector.missed += self._publisher.missed
         if used and self._session.take(convert.points_from_messages(used)):
             self._tick()
 
