@@ -6,15 +6,13 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
-from cells import write_machine
 
 from otf_calibrator.collector import ALIVE, SAME_RUN, SILENT, Collector, PathTaken
 from otf_calibrator.losses import LATE
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.publishers import GONE, GONE_BESIDE, PublisherOfRun
-from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
-from otf_core.errors import Cancelled
 from otf_core.model.path import NominalPath
 
 PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
@@ -83,18 +81,6 @@ def test_rest_of_a_stream_is_of_its_run_although_its_end_was_heard_first_and_sam
     assert (len(collector.buffer), collector.taken) == (30, False)
 
 
-def test_samples_on_their_way_are_waited_for_when_a_calibration_is_asked_for(collector):
-    announce(collector, 'a', 0, 'STREAMING')
-    add(collector, 90)
-    assert collector.on_the_way(0.01, 0.01)  # of a stream: as long as transport takes
-    assert not collector.on_the_way(0.2, 0.01)
-    announce(collector, 'a', 100, 'FINISHED', now=0.02)
-    assert collector.on_the_way(0.9 * LATE, 0.03)
-    assert not collector.on_the_way(1.1 * LATE, 0.03)
-    add(collector, 10, start=90)
-    assert not collector.on_the_way(0.04, 0.03)
-
-
 @pytest.mark.parametrize('seconds', [0.2, 0.3])
 def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on(seconds):
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
@@ -113,53 +99,26 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     assert not session.reason_to_end()
 
 
-def waiting_for_the_last(now):
-    """A session with 90 samples of a stream that has ended with 100."""
+def test_calibration_that_is_asked_for_takes_what_has_arrived_and_ends_a_run_that_is_complete():
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
-    session = Session(lambda: config, lambda text: None)
+    now, arriving = time.monotonic(), [80, 90]
+
+    def collect():
+        if arriving:
+            add(session.collector, 10, start=arriving.pop(0), now=now)
+
+    session = Session(lambda: config, lambda text: None, collect=collect)
     session.collector.set_path(PATH)
     announce(session.collector, 'a', 0, 'STREAMING', now)
-    add(session.collector, 90, now=now)
+    add(session.collector, 80, now=now)
     announce(session.collector, 'a', 100, 'FINISHED', now)
-    return session
-
-
-def test_calibration_that_is_asked_for_has_the_last_samples():
-    now = time.monotonic()
-    session = waiting_for_the_last(now)
-    assert session.calibrate()[0] and session.busy
-    assert session.start_due() == '' and not session.calibrate()[0]
-    add(session.collector, 10, start=90, now=now)
-    assert session.start_due() == 'calibration of 100 samples started: requested'
-    session.close()
-
-
-def test_run_that_is_forgotten_while_its_last_samples_are_waited_for_is_not_calibrated():
-    now = time.monotonic()
-    session = waiting_for_the_last(now)
-    assert session.calibrate()[0] and session.forget()[0]
-    session.collector.announce('a', 90, False, True, now)
-    assert 'was set aside' in session.start_due() and not session.busy
-    session.close()
-
-
-def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_path):
-    files = CalibratorConfig(machine_file=str(write_machine(tmp_path)))
-    session = Session(lambda: (files, CalibrationConfig()), lambda text: None)
-    session.collector.set_path(PATH)
-    session.worker.stage = 'saving samples and report'  # as a calibration before leaves it
-    now = time.monotonic()
-    announce(session.collector, 'a', 0, 'STREAMING', now)
-    add(session.collector, 90, now=now)
-    announce(session.collector, 'a', 100, 'FINISHED', now)
-    assert session.calibrate()[0] and session.progress == (LAST_SAMPLES, 0.0)
-    session.cancel()
-    add(session.collector, 10, start=90, now=now)
-    session.start_due()
-    while not (job := session.take_finished()):
+    started, said = session.calibrate()
+    assert started and 'of 90 samples' in said and not session.collector.taken
+    assert not session.calibrate()[0]  # one at a time
+    while not session.take_finished():
         time.sleep(0.01)
-    assert isinstance(job.exception(), Cancelled) and not session.busy
-    assert len(session.collector.buffer) == 100
+    started, said = session.calibrate()
+    assert started and 'of 100 samples' in said and session.collector.taken
     session.close()
 
 

@@ -35,8 +35,6 @@ SAME_RUN = 600.0
 """s; a driver that was started again after so long a silence does not go on with the run."""
 ALIVE = 2.0
 """s; a driver repeats its status faster: one that is silent for longer has a successor."""
-UNDER_WAY = 0.1
-"""s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
 """m; travelled by less, the target has not been driven yet."""
 MOVED = 5
@@ -163,19 +161,13 @@ class Collector:
         """True if no sample can be added: the run is calibrated, or the stream has ended."""
         return self.taken or self._stream.ended
 
-    def goes_on(self, now: float) -> bool:
-        """Return whether more samples of the run are on their way."""
-        return not self.ended and now - self._heard < LATE
+    def over(self, now: float) -> bool:
+        """Return whether the run can have no further samples."""
+        return self.taken or (self._stream.over(now) and not self.undecided(now))
 
-    def on_the_way(self, now: float, since: float) -> bool:
-        """Return whether samples that were measured until ``since`` may still arrive."""
-        if self.taken:
-            return False
-        if self.undecided(now):
-            return True
-        if self._stream.ended:
-            return not self._stream.over(now)
-        return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
+    def goes_on(self, now: float) -> bool:
+        """Return whether more samples of the run are to be expected at once."""
+        return not self.over(now) and now - self._heard < LATE
 
     @property
     def driving(self) -> bool:

@@ -61,7 +61,8 @@ class Calibrator(Node):
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
         topic = self.resolve_topic_name(POINT)
-        self._session = Session(self._read_settings, self.get_logger().warning, wake)
+        warn = self.get_logger().warning
+        self._session = Session(self._read_settings, warn, wake, lambda: self._drain.empty())
         self._publisher = PublisherOfRun(lambda: self.count_publishers(topic))
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
