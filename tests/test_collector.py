@@ -367,6 +367,19 @@ def test_another_path_before_the_target_drives_starts_over(collector, over):
     assert collector.path_message == b'2'
 
 
+def test_path_that_is_published_while_the_target_leaves_a_calibrated_run_is_that_of_the_next(
+    collector,
+):
+    add(collector, 100)
+    collector.taken = True
+    long, other = (NominalPath(PATH.points * scale) for scale in (10.0, 11.0))
+    collector.path = long
+    add(collector, 50, start=120)  # 2 % of the path
+    assert not collector.taken and collector.travelled > 0.01
+    assert collector.set_path(other) == PathTaken.USED and collector.path is other
+    assert len(collector.buffer) == 0
+
+
 @pytest.mark.parametrize('again', [True, False])
 def test_another_path_in_mid_run_is_kept_for_the_next_run(collector, again):
     other = NominalPath(PATH.points + 0.1)

@@ -171,8 +171,8 @@ class Collector:
 
     @property
     def driving(self) -> bool:
-        """Whether a run is being driven."""
-        return not self.taken and self.travelled > MOTION
+        """Whether a run is being driven; not yet where the target only moves on after one."""
+        return not self.taken and self.travelled > MOTION and not self.beginning
 
     def set_path(self, path: NominalPath, message: bytes = b'') -> PathTaken:
         """Use a path, or keep it for the next run; samples before the first path are kept."""
