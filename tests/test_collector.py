@@ -6,15 +6,13 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
-from cells import write_machine
 
 from otf_calibrator.collector import ALIVE, SAME_RUN, SILENT, Collector, PathTaken
 from otf_calibrator.losses import LATE
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.publishers import GONE, GONE_BESIDE, PublisherOfRun
-from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
-from otf_core.errors import Cancelled
 from otf_core.model.path import NominalPath
 
 PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
@@ -83,18 +81,6 @@ def test_rest_of_a_stream_is_of_its_run_although_its_end_was_heard_first_and_sam
     assert (len(collector.buffer), collector.taken) == (30, False)
 
 
-def test_samples_on_their_way_are_waited_for_when_a_calibration_is_asked_for(collector):
-    announce(collector, 'a', 0, 'STREAMING')
-    add(collector, 90)
-    assert collector.on_the_way(0.01, 0.01)  # of a stream: as long as transport takes
-    assert not collector.on_the_way(0.2, 0.01)
-    announce(collector, 'a', 100, 'FINISHED', now=0.02)
-    assert collector.on_the_way(0.9 * LATE, 0.03)
-    assert not collector.on_the_way(1.1 * LATE, 0.03)
-    add(collector, 10, start=90)
-    assert not collector.on_the_way(0.04, 0.03)
-
-
 @pytest.mark.parametrize('seconds', [0.2, 0.3])
 def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on(seconds):
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
@@ -113,53 +99,26 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     assert not session.reason_to_end()
 
 
-def waiting_for_the_last(now):
-    """A session with 90 samples of a stream that has ended with 100."""
+def test_calibration_that_is_asked_for_takes_what_has_arrived_and_ends_a_run_that_is_complete():
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
-    session = Session(lambda: config, lambda text: None)
+    now, arriving = time.monotonic(), [80, 90]
+
+    def collect():
+        if arriving:
+            add(session.collector, 10, start=arriving.pop(0), now=now)
+
+    session = Session(lambda: config, lambda text: None, collect=collect)
     session.collector.set_path(PATH)
     announce(session.collector, 'a', 0, 'STREAMING', now)
-    add(session.collector, 90, now=now)
+    add(session.collector, 80, now=now)
     announce(session.collector, 'a', 100, 'FINISHED', now)
-    return session
-
-
-def test_calibration_that_is_asked_for_has_the_last_samples():
-    now = time.monotonic()
-    session = waiting_for_the_last(now)
-    assert session.calibrate()[0] and session.busy
-    assert session.start_due() == '' and not session.calibrate()[0]
-    add(session.collector, 10, start=90, now=now)
-    assert session.start_due() == 'calibration of 100 samples started: requested'
-    session.close()
-
-
-def test_run_that_is_forgotten_while_its_last_samples_are_waited_for_is_not_calibrated():
-    now = time.monotonic()
-    session = waiting_for_the_last(now)
-    assert session.calibrate()[0] and session.forget()[0]
-    session.collector.announce('a', 90, False, True, now)
-    assert 'was set aside' in session.start_due() and not session.busy
-    session.close()
-
-
-def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_path):
-    files = CalibratorConfig(machine_file=str(write_machine(tmp_path)))
-    session = Session(lambda: (files, CalibrationConfig()), lambda text: None)
-    session.collector.set_path(PATH)
-    session.worker.stage = 'saving samples and report'  # as a calibration before leaves it
-    now = time.monotonic()
-    announce(session.collector, 'a', 0, 'STREAMING', now)
-    add(session.collector, 90, now=now)
-    announce(session.collector, 'a', 100, 'FINISHED', now)
-    assert session.calibrate()[0] and session.progress == (LAST_SAMPLES, 0.0)
-    session.cancel()
-    add(session.collector, 10, start=90, now=now)
-    session.start_due()
-    while not (job := session.take_finished()):
+    started, said = session.calibrate()
+    assert started and 'of 90 samples' in said and not session.collector.taken
+    assert not session.calibrate()[0]  # one at a time
+    while not session.take_finished():
         time.sleep(0.01)
-    assert isinstance(job.exception(), Cancelled) and not session.busy
-    assert len(session.collector.buffer) == 100
+    started, said = session.calibrate()
+    assert started and 'of 100 samples' in said and session.collector.taken
     session.close()
 
 
@@ -408,6 +367,19 @@ def test_another_path_before_the_target_drives_starts_over(collector, over):
     assert collector.path_message == b'2'
 
 
+def test_path_that_is_published_while_the_target_leaves_a_calibrated_run_is_that_of_the_next(
+    collector,
+):
+    add(collector, 100)
+    collector.taken = True
+    long, other = (NominalPath(PATH.points * scale) for scale in (10.0, 11.0))
+    collector.path = long
+    add(collector, 50, start=120)  # 2 % of the path
+    assert not collector.taken and collector.travelled > 0.01
+    assert collector.set_path(other) == PathTaken.USED and collector.path is other
+    assert len(collector.buffer) == 0
+
+
 @pytest.mark.parametrize('again', [True, False])
 def test_another_path_in_mid_run_is_kept_for_the_next_run(collector, again):
     other = NominalPath(PATH.points + 0.1)
@@ -440,7 +412,7 @@ def test_samples_of_a_second_publisher_are_left_out_however_long_it_goes_on():
     run = PublisherOfRun(lambda: 2)
     assert chosen(run, [7, 8], 0.0) == [7, 8]
     assert chosen(run, [4001, 4002], 0.1) == []
-    assert chosen(run, [9, 4003, 12, 4004], 0.2) == [9, 12]
+    assert chosen(run, [9, 4003, 12, 4004], 0.2) == [9, 12] and run.missed == 2
     assert chosen(run, [4005], 0.2 + 0.9 * GONE_BESIDE) == []
     assert chosen(run, [13, 4006], 20 * GONE_BESIDE) == [13]  # the node stood still
 
@@ -453,7 +425,8 @@ def test_publisher_after_one_that_was_killed_is_that_of_the_run():
     assert chosen(run, [2, 3], 1.1 * GONE) == [2, 3]
     known[0] = 1  # the graph does not know the dead one any more
     assert chosen(run, [1, 2], 1.2 * GONE) == [1, 2]
-    assert chosen(run, [5000], 1.3 * GONE) == [5000]  # that many were lost
+    assert chosen(run, [5000], 1.3 * GONE) == [5000] and run.missed == 4997
+    assert chosen(run, [1], 1.4 * GONE) == [1] and run.missed == 0
 
 
 def test_publishers_that_give_no_numbers_are_not_told_apart():

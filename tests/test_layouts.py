@@ -139,7 +139,7 @@ def test_every_topic_of_the_layouts_is_there_with_its_type(graph, machine_file, 
     paths = list(foxglove_paths(layouts))
     assert ['/view/distance_from_path', 'data'] in paths
     for topic, field in paths:
-        kind = 'otf_msgs/msg/CalibrationResult' if topic.endswith('provisional') else kinds[field]
+        kind = 'otf_msgs/msg/CalibrationResult' if topic.endswith('result') else kinds[field]
         wanted.add((topic, kind))
     has(graph, wanted)
     assert 'name' in CalibratorState.get_fields_and_field_types()

@@ -35,8 +35,6 @@ SAME_RUN = 600.0
 """s; a driver that was started again after so long a silence does not go on with the run."""
 ALIVE = 2.0
 """s; a driver repeats its status faster: one that is silent for longer has a successor."""
-UNDER_WAY = 0.1
-"""s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
 """m; travelled by less, the target has not been driven yet."""
 MOVED = 5
@@ -84,6 +82,8 @@ class Collector:
         Number of the run; it changes with every new run and every new path.
     publishers : int
         Number of publishers of samples that the graph knows.
+    missed : int
+        Samples of the run that the numbers of their messages leave out.
     restarts : Restarts
         What the stamps leave out where driver or calibrator were started again.
     watcher : PathWatcher or None
@@ -105,6 +105,7 @@ class Collector:
         self.taken = False
         self.run = 0
         self.publishers = 1
+        self.missed = 0
         self.restarts = Restarts()
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
@@ -133,7 +134,7 @@ class Collector:
 
     def count_lost(self, now: float) -> int:
         """Count the samples of the run that are lost, without those that may still arrive."""
-        return max(0, self._lost_before + self._stream.lost(now))
+        return max(0, self._lost_before + self._stream.lost(now), self.missed)
 
     @property
     def published(self) -> int:
@@ -160,24 +161,18 @@ class Collector:
         """True if no sample can be added: the run is calibrated, or the stream has ended."""
         return self.taken or self._stream.ended
 
-    def goes_on(self, now: float) -> bool:
-        """Return whether more samples of the run are on their way."""
-        return not self.ended and now - self._heard < LATE
+    def over(self, now: float) -> bool:
+        """Return whether the run can have no further samples."""
+        return self.taken or (self._stream.over(now) and not self.undecided(now))
 
-    def on_the_way(self, now: float, since: float) -> bool:
-        """Return whether samples that were measured until ``since`` may still arrive."""
-        if self.taken:
-            return False
-        if self.undecided(now):
-            return True
-        if self._stream.ended:
-            return not self._stream.over(now)
-        return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
+    def goes_on(self, now: float) -> bool:
+        """Return whether more samples of the run are to be expected at once."""
+        return not self.over(now) and now - self._heard < LATE
 
     @property
     def driving(self) -> bool:
-        """Whether a run is being driven."""
-        return not self.taken and self.travelled > MOTION
+        """Whether a run is being driven; not yet where the target only moves on after one."""
+        return not self.taken and self.travelled > MOTION and not self.beginning
 
     def set_path(self, path: NominalPath, message: bytes = b'') -> PathTaken:
         """Use a path, or keep it for the next run; samples before the first path are kept."""
@@ -412,6 +407,7 @@ class Collector:
     def _forget(self) -> None:
         self.buffer.clear()
         self.screening, self.remarks, self.restarts = Screening(), [], Restarts()
+        self.missed = 0
         if not self._stream.name:
             self._stream = Stream()
         self._lost_before = -self._stream.gone

@@ -61,7 +61,8 @@ class Calibrator(Node):
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
         topic = self.resolve_topic_name(POINT)
-        self._session = Session(self._read_settings, self.get_logger().warning, wake)
+        warn = self.get_logger().warning
+        self._session = Session(self._read_settings, warn, wake, lambda: self._drain.empty())
         self._publisher = PublisherOfRun(lambda: self.count_publishers(topic))
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
@@ -102,6 +103,7 @@ class Calibrator(Node):
         used = self._publisher.select(messages, numbers, time.monotonic())
         if len(used) < len(messages):
             self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
+        self._session.collector.missed += self._publisher.missed
         if used and self._session.take(convert.points_from_messages(used)):
             self._tick()
 

@@ -25,6 +25,11 @@ class PublisherOfRun:
     ----------
     present : callable
         Returns how many publishers the graph knows at this moment.
+
+    Attributes
+    ----------
+    missed : int
+        Its messages that the numbers leave out among those selected last.
     """
 
     def __init__(self, present: Callable[[], int]) -> None:
@@ -33,6 +38,7 @@ class PublisherOfRun:
         self._other: int | None = None
         self._beside = False
         self._heard = 0.0
+        self.missed = 0
 
     def select(self, messages: Sequence[A], numbers: Sequence[int | None], now: float) -> list[A]:
         """Return the messages of the run.
@@ -44,6 +50,7 @@ class PublisherOfRun:
         now : float
             s, monotonic.
         """
+        self.missed = 0
         own = [m for m, n in zip(messages, numbers, strict=True) if self._take(n)]
         if not own and now - self._heard > (GONE_BESIDE if self._beside else GONE):
             self._last, self._other, self._beside = numbers[-1], None, False
@@ -64,5 +71,6 @@ class PublisherOfRun:
             return False
         if not goes_on:
             self._other, self._beside = None, False
+        self.missed += step - 1 if self._last is not None and step > 0 else 0
         self._last, self._beside = number, self._beside or self._other is not None
         return True

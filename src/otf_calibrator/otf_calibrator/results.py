@@ -84,9 +84,7 @@ class ResultPublishers:
         return list(message.warnings)
 
     def publish_sight(self, look: Future[FirstSight]) -> str:
-        """Publish where the tracker stands, if a look has shown it; return what to tell of it."""
-        if error := look.exception():
-            return f'the place of the tracker is not known yet: {error}'
+        """Publish where the tracker stands; return what to tell of it."""
         sight, now = look.result(), self._clock.now().to_msg()
         self._place_tracker(convert_result.alignment_to_message(sight.T_machine_tracker, now))
         return sight.words

@@ -29,7 +29,6 @@ from otf_core.model.axis_path import PartsTrack
 from otf_core.rotary.run_progress import PartsWatcher
 from otf_core.tracking.path_watch import PathWatcher
 
-LAST_SAMPLES = 'waiting for the last samples'
 INTERIM = 'interim result: the run continues, and its samples are still collected'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 LOOK_SHARE, MOST_LOOKS = 0.05, 4
@@ -47,6 +46,8 @@ class Session:
         Takes messages for the user.
     wake : callable, optional
         Called, by another thread, as soon as there is something to look at.
+    collect : callable, optional
+        Takes the samples that have arrived, before a calibration that is asked for.
 
     Attributes
     ----------
@@ -55,9 +56,13 @@ class Session:
     """
 
     def __init__(
-        self, settings: Settings, warn: Callable[[str], None], wake: Wake = lambda: None
+        self,
+        settings: Settings,
+        warn: Callable[[str], None],
+        wake: Wake = lambda: None,
+        collect: Callable[[], None] = lambda: None,
     ) -> None:
-        self._settings = settings
+        self._settings, self._collect = settings, collect
         self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
         self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn, wake)
@@ -65,25 +70,22 @@ class Session:
         self._saving: Future[CalibrationOutput] | None = None
         self._first_look: Future[FirstSight] | None = None
         self._looks = (0, 0)
+        self._unplaced = ''
         self._verdict: Future[bool] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
         self._diagnosed: CalibrationOutput | None = None
         self._last: CalibrationOutput | None = None
         self._asked = (-1, 0)
-        self._waits_since: float | None = None
-        self._withdrawn = False
 
     @property
     def busy(self) -> bool:
         """True from when a calibration is asked for until its samples are saved."""
-        return bool(self._job or self._saving) or self._waits_since is not None
+        return bool(self._job or self._saving)
 
     @property
     def progress(self) -> tuple[str, float]:
         """What a calibration asked for is at, and the part of that which is done."""
-        if self._waits_since is not None:
-            return LAST_SAMPLES, 0.0
         return self.worker.stage, self.worker.fraction
 
     @property
@@ -106,46 +108,26 @@ class Session:
     def calibrate(self) -> tuple[bool, str]:
         """Calibrate the samples so far; return whether that has started, and a message.
 
-        The run goes on with what comes after, unless it was over. Samples on their way are waited
-        for.
+        The run goes on with what comes after, unless it was over.
         """
+        self._collect()
         if self.busy:
             return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
         if self.collector.path is None:
             return False, 'no path yet: start the path planner or publish planner/path (axes)'
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
-        if self.collector.on_the_way(now := time.monotonic(), now):
-            self._waits_since, self._withdrawn = now, False
-            return True, 'calibration starts at once; follow calibrator/state'
-        return True, self._start_asked() + '; follow calibrator/state'
+        self._asked, now = self._present, time.monotonic()
+        if self.collector.over(now):
+            return True, self.start('requested') + '; follow calibrator/state'
+        remarks = (INTERIM,) if self.collector.goes_on(now) else ()
+        return True, self._start('requested', False, remarks) + '; follow calibrator/state'
 
     def start_due(self) -> str:
-        """Start a calibration that was requested or is due; return what was started, in words."""
+        """Start the calibration of a run that has ended; return what was started, in words."""
         self.intake.decide(not self.busy)
-        since = self._waits_since
-        if since is None:
-            reason = self.reason_to_end()
-            return self.start(reason) if reason else ''
-        if self.collector.on_the_way(time.monotonic(), since):
-            return ''
-        self._waits_since = None
-        if not len(self.collector.buffer):
-            return (
-                'no calibration: the run was set aside while the calibrator waited for its '
-                'last samples'
-            )
-        started = self._start_asked()
-        if self._withdrawn:
-            self.worker.cancel()
-        return started
-
-    def _start_asked(self) -> str:
-        self._asked = self._present
-        if self.collector.ended:
-            return self.start('requested')
-        goes_on = self.collector.goes_on(time.monotonic())
-        return self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
+        reason = self.reason_to_end()
+        return self.start(reason) if reason else ''
 
     def start(self, reason: str) -> str:
         """Calibrate the samples of a complete run; return what was started, in words."""
@@ -179,22 +161,28 @@ class Session:
 
     def cancel(self) -> None:
         """Cancel a calibration under way at its next step; its samples are kept."""
-        if self._waits_since is not None:
-            self._withdrawn = True  # not before its samples are here, which would be left out
-        elif self.busy:
+        if self.busy:
             self.worker.cancel()
 
     def first_look(self) -> Future[FirstSight] | None:
-        """Look early in a run where the tracker stands; return a look that has ended."""
+        """Look early in a run where the tracker stands; return a look that has shown it."""
         look = self._first_look
         if look is None and not self.busy and not self.collector.taken:
             self._begin_first_look()
         if look is None or not look.done():
             return None
-        self._first_look = None
+        self._first_look, (run, looks) = None, self._looks
         if look.exception() is None:
-            self._looks = self._looks[0], MOST_LOOKS
-        return look
+            self._looks, self._unplaced = (run, MOST_LOOKS), ''
+            return look
+        if looks > 1:  # the first legs often do not determine anything yet
+            self._unplaced = f'the place of the tracker is not known yet: {look.exception()}'
+        return None
+
+    def troubles(self) -> list[str]:
+        """What is wrong with samples, journal and set-up, in words."""
+        here = self._looks[0] == self.collector.run and not self.collector.taken
+        return [*self.intake.troubles(), *([self._unplaced] if here and self._unplaced else ())]
 
     def _begin_first_look(self) -> None:
         collector, path, watcher = self.collector, self.collector.path, self.collector.watcher

@@ -14,7 +14,7 @@ from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.messages import summary
-from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
 from otf_core.rotary.run_progress import PartsWatcher
@@ -34,7 +34,6 @@ NAMES = {
 SILENCE = 2.0
 """s without samples that the state speaks of."""
 STAGES = {
-    LAST_SAMPLES: CalibratorState.BUFFERING,
     'aligning': CalibratorState.ALIGNING,
     'solving': CalibratorState.SOLVING,
 }
@@ -90,7 +89,7 @@ class StatePublisher:
         """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
-        troubles = [*troubles, *session.intake.troubles()]
+        troubles = [*troubles, *session.troubles()]
         self._warn(troubles)
         text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
