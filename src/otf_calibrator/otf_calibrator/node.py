@@ -70,7 +70,7 @@ class Calibrator(Node):
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
         self._paths = PathReceiver(self, PATH, AXES, self._session, self._read_settings)
-        self._outcomes = OutcomePublisher(self, self._session, self._state, self._paths.machine)
+        self._outcomes = OutcomePublisher(self, self._session, self._state)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         self.create_subscription(TrackerGap, GAP, self._on_gap, qos.EVENTS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)

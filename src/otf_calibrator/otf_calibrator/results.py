@@ -8,7 +8,6 @@ from concurrent.futures import Future
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from otf_calibrator.children import Answer, Failure
@@ -20,9 +19,8 @@ from otf_calibrator.session import Ahead, Session
 from otf_calibrator.state import StatePublisher
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
-from otf_core.model.machine import Machine
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable, ErrorTables, GapReport, VolumeErrors
+from otf_msgs.msg import ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
 from otf_ros.convert import ns_from_time, time_from_ns
 
@@ -67,15 +65,11 @@ class ResultPublishers:
         The result that was published last.
     """
 
-    def __init__(self, node: Node, intake: Intake, machine: Machine) -> None:
+    def __init__(self, node: Node, intake: Intake) -> None:
         self._clock = node.get_clock()
         self._shared = SharedTracker(node, intake)
         self.latest: ResultMessage | None = None
-        self._node = node
-        self._tables: dict[str, Publisher] = {}
-        for name in machine.motions:
-            self._table(name)
-        self._all = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
+        self._tables = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
         self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
         self._provisional = node.create_publisher(
             ResultMessage, 'calibrator/provisional', qos.RESULT
@@ -89,23 +83,14 @@ class ResultPublishers:
             StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
         )
 
-    def _table(self, name: str) -> Publisher:
-        """Publisher of the table of a motion; a machine.yaml may come with others."""
-        if name not in self._tables:
-            topic = f'calibrator/error_table/{name}'
-            self._tables[name] = self._node.create_publisher(ErrorTable, topic, qos.RESULT)
-        return self._tables[name]
-
     def publish(self, outcome: CalibrationOutput) -> list[str]:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
         messages = messages_of(result, now, outcome.request.files.method)
-        for name, table in messages.tables.items():
-            self._table(name).publish(table)
-        together, message = messages.together, messages.result
-        together.output_directory = str(outcome.folder or '')
-        self._all.publish(together)
+        tables, message = messages.tables, messages.result
+        tables.output_directory = str(outcome.folder or '')
+        self._tables.publish(tables)
         self._alignment.publish(messages.alignment)
         self._tell_tf(messages.alignment)
         self._volume.publish(messages.volume)
@@ -176,11 +161,9 @@ class ResultPublishers:
 class OutcomePublisher:
     """Publishes what a calibration or a diagnosis ended with."""
 
-    def __init__(
-        self, node: Node, session: Session, state: StatePublisher, machine: Machine
-    ) -> None:
+    def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
         self._log, self._session, self._state = node.get_logger(), session, state
-        self.results = ResultPublishers(node, session.intake, machine)
+        self.results = ResultPublishers(node, session.intake)
 
     def finish(self, job: Future[CalibrationOutput]) -> None:
         """Publish the result of a calibration, or why there is none."""
