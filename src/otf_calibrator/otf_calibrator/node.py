@@ -107,6 +107,8 @@ class Calibrator(Node):
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         intake = self._session.intake
         used, missed, beside = intake.separate_publishers(messages, numbers)
+        if used:
+            self._state.take(used[-1].header.stamp, len(used))
         if beside:
             intake.keep_apart(Batch(convert.points_from_messages(beside)))
         if used and self._session.take(Batch(convert.points_from_messages(used), missed)):
