@@ -18,7 +18,6 @@ from nav_msgs.msg import Path
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
-from otf_core.live.live_run import NUMBERS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibratorState, VolumeErrors
@@ -115,7 +114,7 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     early = graph.listen(TransformStamped, 'calibrator/alignment', qos.RESULT)
     states = graph.listen(CalibratorState, 'calibrator/state')
     live = graph.listen(MarkerArray, 'view/live', qos.PICTURE)
-    heard = {name: graph.listen(Float64, f'view/{name}', qos.SCALAR) for name in NUMBERS}
+    distances = graph.listen(Float64, 'view/distance_from_path', qos.SCALAR)
     paths = graph.listen(Path, 'planner/path', qos.PATH)
     volumes = graph.listen(VolumeErrors, 'calibrator/volume', qos.RESULT)
     reader = Reader(graph, page)
@@ -147,7 +146,7 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     check_first_look(early[0], result, states)
     check_scene(layers(late[-1]), paths[0], volumes[-1])
     check_run(layers(live[-1]), result)
-    check_numbers({name: [m.data for m in messages] for name, messages in heard.items()}, result)
+    assert 0 < np.median([m.data for m in distances]) < 3 * ERROR_SIZE
     check_page(halfway, reader.latest(), result)
     graph.stop(page)
     assert reader.ended()
@@ -194,16 +193,6 @@ def check_run(now, result):
     begin, end = arrows(now['deviations'])
     lengths = np.linalg.norm(end - begin, axis=1) / times(now['deviation_legend'])
     assert len(begin) > 10 and ERROR_SIZE / 20 < lengths.mean() < 3 * ERROR_SIZE
-
-
-def check_numbers(numbers, result):
-    """Every number was published, and tells what the result tells."""
-    assert all(numbers.values())
-    assert 0 < np.median(numbers['distance_from_path']) < 3 * ERROR_SIZE
-    assert max(numbers['samples']) == result.samples
-    assert numbers['residual'][-1] == result.path_mae_after
-    assert max(numbers['samples_lost']) == result.samples_lost
-    assert 400 < np.median([r for r in numbers['sample_rate'] if r]) < 12_000
 
 
 def check_page(halfway, end, result):

@@ -157,6 +157,11 @@ class Collector:
         return bool(self.held) and now - self._held_since <= SILENT
 
     @property
+    def stream_id(self) -> str:
+        """Stream of the samples that arrive, as the driver names it; empty if it does not."""
+        return self._stream.name
+
+    @property
     def ended(self) -> bool:
         """True if no sample can be added: the run is calibrated, or the stream has ended."""
         return self.taken or self._stream.ended

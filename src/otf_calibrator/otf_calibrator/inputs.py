@@ -34,6 +34,7 @@ from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
 from otf_ros.convert import ns_from_time
 from otf_ros.definitions import message_text
+from otf_ros.drain import Drain
 from otf_ros.topic_watch import senders
 
 SHOWN_TURN = 0.01
@@ -68,7 +69,8 @@ class PathReceiver:
         """As described when the last path arrived."""
         self._track = node.create_publisher(Path, 'calibrator/track', qos.PATH)
         node.create_subscription(Path, path, self._receive, qos.PATH)
-        node.create_subscription(JointTrajectory, axes, self._receive_part, qos.PARTS)
+        # drained: one message a turn would come late beside many samples
+        Drain(node, JointTrajectory, axes, self._receive_parts, qos.PARTS)
         self._shown: PartsTrack | None = None
 
     def show(self, places: Mapping[str, Array] | None = None) -> None:
@@ -85,6 +87,10 @@ class PathReceiver:
         track = nominal_track(path.machine, path.parts, places, SHOWN_TURN)
         now = self._node.get_clock().now().to_msg()
         self._track.publish(convert.path_to_message(track, now))
+
+    def _receive_parts(self, messages: list[JointTrajectory], _: list[int | None]) -> None:
+        for message in messages:
+            self._receive_part(message)
 
     def _receive_part(self, message: JointTrajectory) -> None:
         log, sender = self._node.get_logger(), senders(self._node, self._axes)

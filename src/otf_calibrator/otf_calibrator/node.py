@@ -68,7 +68,7 @@ class Calibrator(Node):
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
         self._paths = PathReceiver(self, PATH, AXES, self._session, self._read_settings)
-        self._outcomes = OutcomePublisher(self, self._session, self._state, self._paths.machine)
+        self._outcomes = OutcomePublisher(self, self._session, self._state)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         self.create_subscription(TrackerGap, GAP, self._on_gap, qos.EVENTS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
@@ -104,6 +104,8 @@ class Calibrator(Node):
         if len(used) < len(messages):
             self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
         self._session.collector.missed += self._publisher.missed
+        if used:
+            self._state.take(used[-1].header.stamp, len(used))
         if used and self._session.take(convert.points_from_messages(used)):
             self._tick()
 

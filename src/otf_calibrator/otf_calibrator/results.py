@@ -8,7 +8,6 @@ from concurrent.futures import Future
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from otf_calibrator.children import Answer, Failure, internal_error
 from otf_calibrator.job import CalibrationOutput
@@ -18,9 +17,8 @@ from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
-from otf_core.model.machine import Machine
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable, ErrorTables, GapReport, VolumeErrors
+from otf_msgs.msg import ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
 
 try:
@@ -38,14 +36,10 @@ class ResultPublishers:
         The result that was published last.
     """
 
-    def __init__(self, node: Node, machine: Machine) -> None:
+    def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
         self.latest: ResultMessage | None = None
-        self._node = node
-        self._tables: dict[str, Publisher] = {}
-        for name in machine.motions:
-            self._table(name)
-        self._all = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
+        self._tables = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
         self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
         self._volume = node.create_publisher(VolumeErrors, 'calibrator/volume', qos.RESULT)
         self._alignment = node.create_publisher(
@@ -56,24 +50,15 @@ class ResultPublishers:
             StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
         )
 
-    def _table(self, name: str) -> Publisher:
-        """Publisher of the table of a motion; a machine.yaml may come with others."""
-        if name not in self._tables:
-            topic = f'calibrator/error_table/{name}'
-            self._tables[name] = self._node.create_publisher(ErrorTable, topic, qos.RESULT)
-        return self._tables[name]
-
     def publish(self, outcome: CalibrationOutput) -> list[str]:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
         request = outcome.request
         messages = messages_of(result, now, request.files.method, provisional=not request.final)
-        for name, table in messages.tables.items():
-            self._table(name).publish(table)
-        together, message = messages.together, messages.result
-        together.output_directory = str(outcome.folder or '')
-        self._all.publish(together)
+        tables, message = messages.tables, messages.result
+        tables.output_directory = str(outcome.folder or '')
+        self._tables.publish(tables)
         self._place_tracker(messages.alignment)
         self._volume.publish(messages.volume)
         message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
@@ -126,11 +111,9 @@ class ResultPublishers:
 class OutcomePublisher:
     """Publishes what a calibration or a diagnosis ended with."""
 
-    def __init__(
-        self, node: Node, session: Session, state: StatePublisher, machine: Machine
-    ) -> None:
+    def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
         self._log, self._session, self._state = node.get_logger(), session, state
-        self.results = ResultPublishers(node, machine)
+        self.results = ResultPublishers(node)
 
     def finish(self, job: Future[CalibrationOutput]) -> None:
         """Publish the result of a calibration, or why there is none."""

@@ -8,6 +8,7 @@ import re
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from otf_calibrator.children import Answer, Failure
@@ -23,6 +24,8 @@ from otf_ros import qos
 
 REPEAT = 0.5
 """s; the state is published at least so often."""
+ACKNOWLEDGED = 500
+"""Samples after which it is published too: a simulated or replayed stream waits for that."""
 NAMES = {
     CalibratorState.WAITING_FOR_PATH: 'WAITING_FOR_PATH',
     CalibratorState.BUFFERING: 'BUFFERING',
@@ -54,6 +57,11 @@ class StatePublisher:
         self._at = 0.0
         self._warned: set[str] = set()
         self._time_left = TimeLeft()
+        self._taken, self._unsaid = Time(), 0
+
+    def take(self, last: Time, count: int) -> None:
+        """Remember that so many samples were taken, and the stamp of the last of them."""
+        self._taken, self._unsaid = last, self._unsaid + count
 
     def done(self, outcome: CalibrationOutput) -> None:
         """Remember that the run was calibrated."""
@@ -100,14 +108,15 @@ class StatePublisher:
         stage = _stage(session)
         work = stage, collector.run
         time_left = self._time_left.estimate(work, progress, now) if stage else math.nan
-        if shown == self._shown and now - self._at < REPEAT:
+        due = now - self._at >= REPEAT or self._unsaid >= ACKNOWLEDGED
+        if shown == self._shown and not due:
             return
         if state != self._shown[0]:
             if state == CalibratorState.FAILED:  # rclpy wants one severity per line of code
                 self._node.get_logger().error(f'{NAMES[state]}: {text}')
             else:
                 self._node.get_logger().info(f'{NAMES[state]}: {text}')
-        self._shown, self._at = shown, now
+        self._shown, self._at, self._unsaid = shown, now, 0
         message = CalibratorState(
             state=state,
             name=NAMES[state],
@@ -123,6 +132,8 @@ class StatePublisher:
             diagnosing=diagnosis[0],
             diagnosis_progress=diagnosis[1],
             diagnosis=diagnosis[2],
+            stream_id=collector.stream_id,
+            taken=self._taken,
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)

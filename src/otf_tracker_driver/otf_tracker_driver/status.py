@@ -128,8 +128,8 @@ class Status:
 
     @property
     def pace(self) -> float:
-        """Samples per second that the source promises, Hz; 0 if it does not."""
-        return self.message.rate * (self._backend.time_scale if self._backend else 1.0)
+        """Samples per second that are to be expected, Hz; 0 if the source does not tell."""
+        return self.message.rate * (self._backend.real_time_factor if self._backend else 1.0)
 
     def describe(self, name: str) -> None:
         """State which backend will deliver samples."""
@@ -191,6 +191,8 @@ class Status:
         clock = health.clock or ClockState()
         message.clock_settled, message.clock_rate = clock.settled, clock.rate
         message.clock_spread, message.clock_jumps = clock.spread, clock.jumps
+        streamed = self._backend is not None and message.stream_id
+        message.real_time_factor = self._backend.real_time_factor if streamed else 0.0
         self._publisher.publish(message)
 
     def _header(self) -> Header:

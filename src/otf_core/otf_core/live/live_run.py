@@ -23,16 +23,6 @@ RATE_OVER = 2.0
 """s; over so long the rate of samples is the mean."""
 DRIVING = 'BUFFERING'
 """State of the calibrator while it collects samples."""
-NUMBERS = {
-    'distance_from_path': 'm; of the newest sample, once the place of the tracker is known',
-    'sample_rate': 'Hz; as samples arrive at the calibrator',
-    'samples': 'so far',
-    'samples_lost': 'published and not arrived, those that may be on their way not counted',
-    'progress': '0 to 1; of driving, or of the calibration under way',
-    'time_left': 's; estimated',
-    'residual': 'm; mean distance from the path that compensation leaves, as solved so far',
-}
-"""Names with their units and meaning."""
 
 
 @dataclass(frozen=True)
@@ -146,19 +136,6 @@ class LiveRun:
         self.track.set_pose(None)
         self._counted.clear()
         self.pose, self.solved, self.rate = None, None, math.nan
-
-
-def numbers(run: LiveRun) -> dict[str, float]:
-    """Return the present value of each of NUMBERS; NaN where it is not known."""
-    return {
-        'distance_from_path': run.track.distance,
-        'sample_rate': run.rate,
-        'samples': float(run.progress.samples),
-        'samples_lost': float(run.progress.lost),
-        'progress': run.progress.fraction,
-        'time_left': run.progress.time_left,
-        'residual': float('nan') if run.solved is None else run.solved.left,
-    }
 
 
 # A run under way as plain data for a page: what stays (scene) and what moves (now).
