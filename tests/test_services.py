@@ -65,7 +65,7 @@ def publish_samples(graph, samples):
 
 def test_failed_calibration_leaves_the_node_alive(graph, machine_file):
     given = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
-    calibrator = graph.start('calibrator', **given, save_bag=False, idle_timeout=0.0)
+    graph.start('calibrator', **given, save_bag=False, idle_timeout=0.0)
     publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
     now = graph.ear().get_clock().now().to_msg()
     square = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
