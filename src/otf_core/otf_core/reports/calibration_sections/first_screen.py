@@ -111,7 +111,7 @@ def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
     for name in (*MOTIONS, *SQUARENESS):
         known = name not in result.not_identifiable
         value, wide = (
-            size_and_expanded(name, facts.tables, result.budget_with_typical, result.prior)
+            size_and_expanded(name, facts.tables, result.budget_with_typical)
             if known
             else (0.0, 0.0)
         )
@@ -287,7 +287,7 @@ def _overview_lines(facts: CalibrationFacts) -> tuple[str, ...]:
         f'mean distance from the path {micro(fit.path_mae_before)} um, compensated '
         f'{micro(fit.path_mae_after)} um; residual rms {micro(fit.residual_rms)} um',
         f'the volumetric error is that of {result.headline.points} points of a regular grid over '
-        f'the whole volume, best rigid motion removed',
+        f'the driven volume, best rigid motion removed',
     )
 
 
