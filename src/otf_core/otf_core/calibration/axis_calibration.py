@@ -143,7 +143,7 @@ class AxisCalibration:
     @cached_property
     def volume(self) -> AxesVolumetricError:
         """Errors over the driven ranges, with the uncertainty of the headline."""
-        return AxesVolumetricError(self.tables, self.covariance_with_typical, {}, self.made.hidden)
+        return AxesVolumetricError(self.tables, self.covariance_with_typical)
 
     @cached_property
     def headline(self) -> Headline:

@@ -59,7 +59,7 @@ from otf_core.solving.joint import JointSolution, SolvedRun, settle_covariance, 
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
 from otf_core.solving.system import deviations
-from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, prior_of, tabulate
+from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, tabulate, unseen_sizes
 from otf_core.threads import one_thread
 
 COLLINEAR_WITHIN = 1e-3
@@ -200,10 +200,9 @@ def assemble(
     solution, covariance = joint.solution, budget.covariance
     findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
-    prior = prior_of(joint, tables, config.unidentifiable_above)
     stated = with_typical(budget, assessed.typical)
     whole = budget.covariance if assessed.typical is None else stated.covariance
-    volume = VolumetricError(tables, whole, prior, hidden)
+    volume = VolumetricError(tables, whole)
     return CalibrationResult(
         run_id=run_id([r.recording for r in runs], config),
         tables=tables,
@@ -233,7 +232,7 @@ def assemble(
         ),
         fraction=table.fraction,
         table_costs=table.costs,
-        prior=prior,
+        prior=unseen_sizes(tables, solution.accepted),
         not_identifiable=hidden,
         typical=assessed.typical,
         warnings=(
@@ -251,7 +250,7 @@ def assemble(
         config=config,
         origin=origins(r.recording for r in runs),
         effects=removed.stated if removed is not None else (),
-        machine_verdict=judge(tables, whole, stated, hidden, prior),
+        machine_verdict=judge(tables, whole, stated, hidden),
     )
 
 

@@ -281,7 +281,8 @@ def run_predict(arguments: argparse.Namespace) -> int:
         note(f'otf predict: {text}')
     heads, within = header.split(','), prediction.inside.astype(int).tolist()
     rows = zip(columns.tolist(), within, strict=True) if arguments.json else ()
-    data = {'points': [dict(zip(heads, [*row, inside], strict=True)) for row, inside in rows]}
+    listed = [dict(zip(heads, [*row, inside], strict=True)) for row, inside in rows]
+    data = {'points': [{k: v if v == v else None for k, v in p.items()} for p in listed]}
     about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
     answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0

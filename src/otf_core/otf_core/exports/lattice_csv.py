@@ -50,7 +50,8 @@ class LatticeCsv(Format):
         u = predict(request.content, q).u.round(DECIMALS)
         rows = np.hstack([q.round(DECIMALS) + 0.0, rounded.error.reshape(-1, 3), u]).tolist()
         lines = [f'# {line}' for line in request.header(self)]
-        lines += [','.join(HEADER), *(','.join(map(repr, row)) for row in rows)]
+        lines += [','.join(HEADER)]  # no u outside the driven volume
+        lines += [','.join(repr(v) if v == v else '' for v in row) for row in rows]
         return ExportedFiles(
             {request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at, remarks
         )

@@ -160,10 +160,11 @@ def write_csv(
     Parameters
     ----------
     columns : ndarray, shape (n, columns)
+        What is not a number is an empty field.
     flags : ndarray of bool, shape (n,), optional
         A last column of 1 and 0.
     """
-    rows = [','.join(map(repr, row)) for row in columns.tolist()]
+    rows = [','.join(repr(v) if v == v else '' for v in row) for row in columns.tolist()]
     if flags is not None:
         rows = [f'{row},{int(flag)}' for row, flag in zip(rows, flags, strict=True)]
     write_text(path, '\n'.join([header, *rows]) + '\n')

@@ -152,7 +152,7 @@ def result_to_dict(
         'run_id': result.run_id,
         'gauge': GAUGE,
         'spacing': _spacing_to_dict(result),
-        'prior': {name: asdict(known) for name, known in result.prior.items()},
+        'prior': {name: {'sd': size} for name, size in result.prior.items()},
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
         'driven': driven_volume(

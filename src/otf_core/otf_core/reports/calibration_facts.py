@@ -215,10 +215,9 @@ class CalibrationFacts:
 
     @cached_property
     def volume(self) -> VolumetricError:
-        """Errors on a grid over the whole volume, with the uncertainty of the headline."""
+        """Errors on a grid over the volume of the tables, with the uncertainty of the headline."""
         own = self.result
-        covariance = own.covariance_with_typical
-        return VolumetricError(own.tables, covariance, own.prior, own.not_identifiable)
+        return VolumetricError(own.tables, own.covariance_with_typical)
 
     @cached_property
     def condition_number(self) -> float:

@@ -111,7 +111,7 @@ def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
     for name in (*MOTIONS, *SQUARENESS):
         known = name not in result.not_identifiable
         value, wide = (
-            size_and_expanded(name, facts.tables, result.budget_with_typical, result.prior)
+            size_and_expanded(name, facts.tables, result.budget_with_typical)
             if known
             else (0.0, 0.0)
         )
