@@ -19,7 +19,7 @@ from command import HERE, ROOT, otf, read
 SHARE = 0.1
 """Most that a value or a u may depart from the golden one, in u."""
 SMALL = 1e-10
-"""m or rad: below this nothing counts; u of a value that the gauge sets is zero but for rounding."""
+"""m or rad: below this nothing counts; u of a value set by the gauge is zero but for rounding."""
 
 
 @dataclass(frozen=True)
