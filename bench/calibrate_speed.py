@@ -43,8 +43,10 @@ BYTES = 32
 
 def command(bag: Path, out: Path, machine: Path = MACHINE) -> list[str | Path]:
     """Words of the command."""
-    words = ['calibrate', bag, '--machine', machine, '--out', out, '--overwrite', '--no-report']
-    return ['-m', 'otf_core.cli', *words]
+    config = out.parent / 'no-report.yaml'
+    config.write_text('report: false\n', encoding='utf-8')
+    words = ['calibrate', bag, '--machine', machine, '--out', out, '--overwrite']
+    return ['-m', 'otf_core.cli', *words, '--config', config]
 
 
 def inside(costs: list[Cost], name: str) -> list[float]:
@@ -55,7 +57,9 @@ def inside(costs: list[Cost], name: str) -> list[float]:
 def beside_rosbags(folder: Path, laps: int, repeats: int) -> None:
     """Print the table of whole processes and the one of their insides."""
     bag = folder / 'bag'
-    words = ['simulate', '--machine', MACHINE, '--out', bag, '--passes', str(laps)]
+    config = folder / 'laps.yaml'
+    config.write_text(f'passes: {laps}\n', encoding='utf-8')
+    words = ['simulate', '--machine', MACHINE, '--out', bag, '--config', config]
     measured(['-m', 'otf_core.cli', *words, '--seed', str(SEED)])
     lines = {
         'rosbags AnyReader, read only': [JOBS, 'rosbags', bag],

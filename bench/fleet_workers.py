@@ -37,8 +37,7 @@ MACHINE = {
 }
 OTF = [sys.executable, '-m', 'otf_core.cli']
 SEED = 20_261_122
-SIMULATED = ('--levels', '2', '--passes', '1', '--rate', '50', '--corner-dwell', '0.02',
-             '--feed', '60000')  # fmt: skip
+SIMULATED = {'levels': 2, 'passes': 1, 'rate': 50, 'corner_dwell': 0.02, 'feed': 1.0}
 
 
 def make(folder: Path, runs: int, broken: int, bags: int) -> Path:
@@ -49,10 +48,12 @@ def make(folder: Path, runs: int, broken: int, bags: int) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     machine = folder / 'machine.yaml'
     machine.write_text(yaml.safe_dump(MACHINE))
+    config = folder / 'config.yaml'
+    config.write_text(yaml.safe_dump(SIMULATED))
     lines = ['name,bag,machine']
     for k in range(bags):
         command = [*OTF, 'simulate', '--machine', machine, '--out', folder / f'bag{k}', '--seed',
-                   SEED + k, '--quiet', *SIMULATED]  # fmt: skip
+                   SEED + k, '--config', config]  # fmt: skip
         subprocess.run(list(map(str, command)), check=True)
     for k in range(runs - broken):
         lines.append(f'run{k:03d},bag{k % bags},machine.yaml')
@@ -76,7 +77,7 @@ def measured(runs: Path, workers: int, *, kill: bool) -> tuple[float, float, flo
     """Seconds, processor seconds, peak memory of the largest process (MB), fleet.json."""
     out = runs.parent / f'out-{workers}'
     command = [*OTF, 'fleet', 'calibrate', '--list', str(runs), '--out', str(out), '--workers',
-               str(workers), '--quiet']  # fmt: skip
+               str(workers)]  # fmt: skip
     start = time.monotonic()
     with open(runs.parent / f'said-{workers}.txt', 'w') as said:
         process = subprocess.Popen(command, stderr=said)

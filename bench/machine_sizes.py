@@ -48,7 +48,9 @@ def gantries(folder: Path) -> Iterator[Line]:
     for length in (3.0, 6.0):
         machine, plan, bag = (folder / f'{length:g}m-{part}' for part in ('y', 'plan', 'bag'))
         machine.write_text(GANTRY.format(length=length), encoding='utf-8')
-        measured([*CLI, 'plan', '--machine', machine, '--out', plan, '--passes', '1'])
+        once = folder / 'once.yaml'
+        once.write_text('passes: 1\n', encoding='utf-8')
+        measured([*CLI, 'plan', '--machine', machine, '--out', plan, '--config', once])
         run = ['--machine', machine, '--path', plan / 'plan.json', '--seed', str(SEED)]
         measured([*CLI, 'simulate', *run, '--out', bag])
         facts = json.loads((bag / 'simulation.json').read_text(encoding='utf-8'))
@@ -81,7 +83,7 @@ def stores(folder: Path) -> Iterator[Line]:
     for machines in (10, 100, 200):
         store = folder / f'store-{machines}'
         measured([__file__, '--fill', store, '--from', write(found, folder), str(machines)])
-        out = ['--out', folder / f'page-{machines}', '--quiet']
+        out = ['--out', folder / f'page-{machines}']
         yield 'page of a history', machines, measured([*CLI, 'history', store, *out])
 
 

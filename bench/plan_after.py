@@ -43,7 +43,7 @@ CAUSES: dict[str, dict[str, float]] = {
     'thermal_structure_drift': {'tau': 60.0, 'D_Z': 4e-6, 'D_X': -2e-6},
     'vibration': {'frequency': 7.0, 'S_Z': 1.5e-6, 'S_X': 1.0e-6},
 }
-ONE_FEED = ('--passes', '1', '--levels', '2', '--feed', '12000', '--rate', '100')
+ONE_FEED = 'passes: 1\nlevels: 2\nfeed: 0.2\nrate: 100\n'
 BUDGET = '240'
 
 
@@ -70,10 +70,12 @@ def circle(cause: str, seed: int, folder: Path) -> str:
     machine, effects = folder / 'machine.yaml', folder / 'effects.yaml'
     machine.write_text(yaml.safe_dump(MACHINE))
     effects.write_text(yaml.safe_dump([{'effect': cause, 'parameters': CAUSES[cause]}]))
-    cell = ('--machine', str(machine), '--effects', str(effects), '--quiet')
+    cell = ('--machine', str(machine), '--effects', str(effects))
     first, second = folder / 'first', folder / 'second'
-    run('simulate', *cell, '--out', str(first), '--seed', str(seed), *ONE_FEED)
-    known = ('--machine', str(machine), '--quiet')
+    (folder / 'one_feed.yaml').write_text(ONE_FEED)
+    once = ('--config', str(folder / 'one_feed.yaml'), '--seed', str(seed))
+    run('simulate', *cell, '--out', str(first), *once)
+    known = ('--machine', str(machine))
     run('diagnose', str(first), *known, '--out', str(folder / 'diagnosis'))
     before = rivals(folder / 'diagnosis', cause)
     if not before:

@@ -59,7 +59,8 @@ def main() -> None:
             print(row(f'plan, {name}', cost), flush=True)
         gantry, plan, bag = folder / 'gantry.yaml', folder / 'plan', folder / 'bag'
         gantry.write_text(GANTRY, encoding='utf-8')
-        once = ('--passes', '1')
+        (folder / 'once.yaml').write_text('passes: 1\n', encoding='utf-8')
+        once = ('--config', folder / 'once.yaml')
         print(row('plan, gantry', command('plan', '--machine', gantry, '--out', plan, *once)))
         run = ('--machine', gantry, '--path', plan / 'plan.json', '--seed', str(SEED))
         print(row('simulate, gantry', command('simulate', *run, '--out', bag)), flush=True)

@@ -65,7 +65,7 @@ CENTRE, RADIUS, INSIDE = (0.15, 0.1, -0.1), 0.08, 20e-6
 def recordings() -> list[list[str]]:
     """Commands that make the recordings, the first of which makes the path that all drive."""
     drive = ['--path', 'plan/plan.json', '--rate', '100']
-    plan = ['plan', '--machine', 'machine.yaml', '--out', 'plan', '--levels', '2']
+    plan = ['plan', '--machine', 'machine.yaml', '--out', 'plan']
     made = [plan, ['simulate', '--machine', 'machine.yaml', '--out', 'plain', *drive]]
     truth = ['--tables', 'plain/truth_tables.json']
     for name in EFFECTS:

@@ -9,20 +9,18 @@ import policies
 import pytest
 from cells import ERROR_SIZE
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PointStamped
+from geometry_msgs.msg import Point
 
 from otf_core.model.kinematics import exact_position
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import ErrorTables, MotionTable, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_msgs.msg import Compensation
 from otf_msgs.msg import ErrorTables as ErrorTablesMessage
 from otf_msgs.srv import Compensate
 from otf_ros import qos
 
 SECOND_ORDER = 5e-8
 """m; what the first order of the tables leaves of errors of 50 um."""
-RATE, COUNT = 1000.0, 1500
 
 
 @pytest.fixture
@@ -65,34 +63,6 @@ def test_service_answers_what_to_command(graph, truth, tmp_path):
     absurd = Compensate.Request(wanted=[Point(x=100.0, y=50.0, z=0.0)])
     answer = graph.call(Compensate, 'compensator/compensate', absurd)
     assert not answer.success and 'points are in m' in answer.message
-
-
-def test_every_position_of_a_stream_of_1_khz_is_answered(graph, truth, tmp_path):
-    node = graph.start('compensator', tables_file=tmp_path / 'tables.json')
-    ear = graph.ear()
-    publisher = ear.create_publisher(PointStamped, 'compensator/wanted', qos.COMMAND)
-    heard = graph.listen(Compensation, 'compensator/compensation', qos.COMMAND)
-    early = PointStamped(point=Point(x=0.1, y=0.1, z=-0.1))
-    early.header.frame_id, early.header.stamp.sec = 'machine', 1
-    graph.wait(lambda: publisher.publish(early) or heard, 'both ways to be there')
-
-    def answers():
-        return [c for c in heard if c.header.stamp.sec == 0]
-
-    wanted = points(truth, COUNT)
-    for k, (x, y, z) in enumerate(wanted.tolist()):
-        message = PointStamped(point=Point(x=x, y=y, z=z))
-        message.header.frame_id = 'machine'
-        message.header.stamp.nanosec = int(k * 1e9 / RATE) % 1_000_000_000
-        publisher.publish(message)
-        if k % 50 == 49:
-            graph.wait(lambda k=k: len(answers()) > k - 500, 'answers')
-    publisher.publish(PointStamped())  # without frame: not answered, said once
-    graph.wait(lambda: len(answers()) == COUNT, 'all answers')
-    heard = answers()
-    assert [c.header.stamp.nanosec for c in heard[:3]] == [0, 1_000_000, 2_000_000]
-    np.testing.assert_array_equal(array(c.wanted for c in heard), wanted)
-    graph.wait(lambda: "expected 'machine'" in node.last_lines(20), 'the warning')
 
 
 def test_tables_are_read_anew_and_stay_if_they_cannot_be(graph, truth, tmp_path):

@@ -216,7 +216,6 @@ def test_demo_states_samples_that_were_lost_in_words(tmp_path, capsys):
     (tmp_path / 'error_tables.json').write_text(
         json.dumps({**tables_to_dict(tables), 'headline': head})
     )
-    (tmp_path / 'summary.txt').write_text('')
     for lost, stated in ((0, False), (56, True)):
         found = CalibrationResult(output_directory=str(tmp_path), samples=944, samples_lost=lost)
         demonstration._report(tables, found)

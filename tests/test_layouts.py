@@ -2,7 +2,6 @@
 """Ready layouts name only what the graph really has: topics, their types, fields, namespaces."""
 
 import json
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,16 @@ from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult, CalibratorState
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+KINDS = {
+    '/calibrator/state': CalibratorState,
+    '/calibrator/result': CalibrationResult,
+}
+OTHERS = {
+    '/view/scene': MARKERS,
+    '/view/live': MARKERS,
+    '/view/distance_from_path': 'std_msgs/msg/Float64',
+}
+"""Types of the topics of Foxglove's layout."""
 VECTOR = {'X', 'Y', 'Z'}
 RVIZ = {
     'Displays': {'Class', 'Name', 'Property Tree Widget'},
@@ -53,19 +62,6 @@ FOXGLOVE = {
 }  # fmt: skip
 """Keys of panels in foxglove.layouts of foxglove-sdk (August 2026), those used here."""
 SERIES = {'value', 'enabled', 'timestampMethod', 'label', 'color', 'showLine'}
-OPTIONS = ('use_header_stamp', 'discard_large_arrays', 'max_array_size',
-           'boolean_strings_to_number', 'remove_suffix_from_strings',
-           'selected_topics')  # fmt: skip
-PLOTJUGGLER = {
-    'root': set(), 'tabbed_widget': {'name', 'parent'}, 'Tab': {'tab_name', 'containers'},
-    'Container': set(), 'DockSplitter': {'orientation', 'count', 'sizes'}, 'DockArea': {'name'},
-    'plot': {'style', 'mode', 'flip_x', 'flip_y'}, 'range': {'left', 'right', 'top', 'bottom'},
-    'limitY': {'min', 'max'}, 'curve': {'name', 'color'}, 'currentTabIndex': {'index'},
-    'use_relative_time_offset': {'enabled'}, 'Plugins': set(), 'plugin': {'ID'},
-    'previouslyLoaded_Streamer': {'name'}, 'customMathEquations': set(), 'snippets': set(),
-    **{name: {'value'} for name in OPTIONS},
-}  # fmt: skip
-"""Elements and attributes that PlotJuggler 3.17 and its ROS plugins read."""
 
 
 @pytest.fixture(scope='module')
@@ -119,19 +115,6 @@ def foxglove_paths(layouts):
             yield topic, field
 
 
-def plotjuggler_topics(layouts):
-    root = ET.parse(layouts / 'plotjuggler.xml').getroot()
-    subscriber = root.find('Plugins/plugin')
-    assert subscriber.get('ID') == root.find('previouslyLoaded_Streamer').get('name')
-    topics = subscriber.find('selected_topics').get('value').split(';')
-    curves = {curve.get('name') for curve in root.iter('curve')}
-    assert curves == {f'{topic}/data' for topic in topics}
-    splitter = root.find('.//DockSplitter')
-    areas = splitter.findall('DockArea')
-    assert int(splitter.get('count')) == len(areas) == len(splitter.get('sizes').split(';'))
-    return topics
-
-
 def classes(node):
     """Parts of an RViz configuration that name their class, with the keys that it may have."""
     for name, value in node.items():
@@ -156,25 +139,18 @@ def test_layouts_hold_only_keys_that_their_programs_read(layouts):
         kind = name.partition('!')[0]
         assert set(config) - {'foxglovePanelTitle'} <= FOXGLOVE[kind], name
         assert all(set(series) <= SERIES for series in config.get('paths', ()))
-    for element in ET.parse(layouts / 'plotjuggler.xml').getroot().iter():
-        assert set(element.attrib) <= PLOTJUGGLER[element.tag], element.tag
 
 
 def test_every_topic_of_the_layouts_is_there_with_its_type(graph, machine_file, layouts):
     graph.start('viewer')
     graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
     wanted = {(topic, MARKERS) for topic in rviz_topics(layouts)}
-    wanted |= {(topic, 'std_msgs/msg/Float64') for topic in plotjuggler_topics(layouts)}
-    kinds = {'': MARKERS, 'data': 'std_msgs/msg/Float64', 'name': 'otf_msgs/msg/CalibratorState'}
-    paths = list(foxglove_paths(layouts))
-    assert ['/view/distance_from_path', 'data'] in paths
-    for topic, field in paths:
-        kind = 'otf_msgs/msg/CalibrationResult' if topic.endswith('provisional') else kinds[field]
-        wanted.add((topic, kind))
+    for topic, field in foxglove_paths(layouts):
+        kind = KINDS.get(topic)
+        wanted.add((topic, f'otf_msgs/msg/{kind.__name__}' if kind else OTHERS[topic]))
+        assert not kind or not field or field in kind.get_fields_and_field_types()
     has(graph, wanted)
-    assert 'name' in CalibratorState.get_fields_and_field_types()
     assert 'data' in Float64.get_fields_and_field_types()
-    assert 'motion_u' in CalibrationResult.get_fields_and_field_types()
 
 
 def test_layouts_know_every_layer_and_every_state(layouts):

@@ -114,7 +114,9 @@ def test_live_diagnosis_follows_the_tables_and_is_that_of_the_bag(graph, machine
     live = (folder / 'gap.json').read_text()
     assert_same_content(report, json.loads(live))
     bag = folder / 'samples'
-    option = f'--piece-length={PIECE_LENGTH}'
+    config = tmp_path / 'config.yaml'
+    config.write_text(f'piece_length: {PIECE_LENGTH}')
+    option = f'--config={config}'
     again = offline_diagnosis(bag, machine_file, tmp_path / 'offline', option)
     live = without_date(live.encode()).decode()
     # a run is known by the name of its bag, in the answer by the way to it

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pacing of known samples: each exactly once, when it is due, never in a flood."""
+"""Pacing of known samples: each once, when it is due, no flood, never far ahead of its readers."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from otf_core.config import Parameters
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
+from otf_tracker_driver.window import AHEAD, UNTAKEN, Window
 
 
 class Known(PacedBackend):
@@ -86,3 +87,58 @@ def test_samples_that_were_recorded_keep_their_stamps():
     backend.connect()
     backend.start()
     assert backend.poll().stamp_ns[0] == 1_700_000_000_000_000_000
+
+
+def test_source_waits_for_who_takes_its_samples_and_says_how_fast_it_is():
+    backend = Known(time_scale=10.0)
+    backend.connect()
+    backend.start()
+    backend.allowed, taken = 50, []
+    while not backend.finished:
+        backend.now += 0.1
+        batch = backend.poll()
+        taken.extend(batch.stamp_ns)
+        assert len(batch) <= 50 and len(taken) <= backend.allowed
+        assert len(taken) < 300 or backend.real_time_factor == pytest.approx(5.0, rel=0.1)
+        assert not taken or backend.count_until(taken[-1]) == len(taken)
+        backend.allowed += 50
+    assert np.array_equal(np.diff(taken), np.full(999, 10_000_000))
+    assert backend.real_time_factor == pytest.approx(5.0, rel=0.06)
+
+
+def test_window_is_open_without_a_calibrator_and_follows_the_slowest():
+    window = Window(['a', 'b'])
+    assert window.allowed is None
+    window.hear('a', 0, 0)
+    window.hear('b', 0, 0)
+    assert window.allowed == AHEAD
+    window.hear('a', 3000, 3500)
+    assert window.allowed == AHEAD
+    window.hear('b', 2000, 3500)
+    assert window.allowed == 2000 + AHEAD
+    window.hear('c', 0, 5000)  # it came later: what was published before is not for it
+    window.keep(['a', 'c'])
+    assert window.allowed == 3000 + AHEAD
+    window.keep([])
+    assert window.allowed is None
+
+
+def test_calibrator_that_was_started_again_takes_what_is_published_from_then_on():
+    window = Window(['a'])
+    window.hear('a', 2000, 6000)
+    window.hear('a', 0, 6000)
+    assert window.allowed == 6000 + AHEAD
+    window.hear('a', 6500, 7000)
+    assert window.allowed == 6500 + AHEAD
+
+
+def test_samples_that_a_calibrator_will_never_take_do_not_hold_up_the_stream_for_ever():
+    window = Window(['a'])
+    for _ in range(UNTAKEN - 1):
+        window.hear('a', 0, AHEAD)
+    assert window.allowed == AHEAD
+    window.hear('a', 0, AHEAD)
+    assert window.allowed == 2 * AHEAD
+    for _ in range(2 * UNTAKEN):  # all taken: nothing is missing
+        window.hear('a', AHEAD, AHEAD)
+    assert window.allowed == 2 * AHEAD

@@ -68,7 +68,7 @@ def test_all_that_could_not_be_saved_is_named(tmp_path):
     recording = Recording(samples, path, None, 'samples')
     before, said = 'not added to the history: no', []
     worker = Worker(said.append)
-    first = {'summary.txt': 'the disk is full'}
+    first = {'error_tables.csv': 'the disk is full'}
     outcome = CalibrationOutput(request, recording, None, tmp_path, later, before, first)
     saved = worker.save(outcome).result()
     worker.close()

@@ -28,6 +28,8 @@ FOLDERS = (
 
 
 def _shown(value: Any) -> str:
+    if value == ():
+        return 'empty'
     if isinstance(value, bool):
         return 'true' if value else 'false'
     return (f'`{value}`' if value else 'empty') if isinstance(value, str) else str(value)
@@ -58,10 +60,20 @@ def tables() -> str:
         if folder not in sys.path:
             sys.path.append(folder)
     from otf_bringup.params_file import NODES, infos
-    from otf_core.config import ForecastConfig
+    from otf_core.config import (
+        DiagnosisConfig,
+        ForecastConfig,
+        ReadingConfig,
+        SimulationConfig,
+        WritingConfig,
+    )
 
     shown = {f'`{node}`': infos(node) for node in NODES}
-    shown['forecast of `./otf plan`'] = ForecastConfig.infos()
+    shown['`--config`: reading a bag'] = ReadingConfig.infos()
+    shown['`--config` of `calibrate`: files'] = WritingConfig.infos()
+    shown['`--config` of `diagnose`'] = DiagnosisConfig.infos()
+    shown['`--config` of `plan`: forecast'] = ForecastConfig.infos()
+    shown['`--config` of `simulate`'] = SimulationConfig.infos()
     parts: list[str] = []
     for title, its_infos in shown.items():
         parts += [f'**{title}**', '', *rows(its_infos), '']

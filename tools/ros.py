@@ -19,7 +19,6 @@ BUILD_ROOT = Path(layout.build_root())
 VENV = BUILD_ROOT / '.venv'
 WHEELS = VENV / 'ros'
 CONSTRAINTS = ROOT / 'requirements' / 'constraints.txt'
-FASTDDS_PROFILE = BUILD_ROOT / 'src/otf_bringup/config/fastdds.xml'
 
 # Set by a sourced workspace or underlay. A build on wheels starts without them.
 ROS_VARIABLES = (
@@ -170,7 +169,6 @@ _otf_prepend LD_LIBRARY_PATH {libraries}
 export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
 export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
 export OTF_WHEELS={prefix}
-export FASTRTPS_DEFAULT_PROFILES_FILE="${{FASTRTPS_DEFAULT_PROFILES_FILE:-"{profile}"}}"
 unset -f _otf_prepend
 """
 
@@ -182,7 +180,6 @@ def write_setup_files(prefix: Path) -> None:
     text = SETUP.format(
         prefix=shlex.quote(str(prefix)),
         libraries=shlex.quote(libraries),
-        profile=re.sub(r'([\\"$`])', r'\\\1', str(FASTDDS_PROFILE)),
     )
     (prefix / 'local_setup.sh').write_text(text)
     call = f'. {shlex.quote(str(prefix / "local_setup.sh"))}\n'
@@ -208,7 +205,7 @@ def underlay_environment(underlay: Underlay | None) -> dict[str, str]:
     if underlay is None:
         return sourced(VENV / 'setup.sh', clean(os.environ))
     path = os.pathsep.join([str(VENV / 'bin'), os.environ.get('PATH', '')])
-    return {'FASTRTPS_DEFAULT_PROFILES_FILE': str(FASTDDS_PROFILE), **os.environ, 'PATH': path}
+    return {**os.environ, 'PATH': path}
 
 
 def workspace_environment(underlay: Underlay | None) -> dict[str, str]:

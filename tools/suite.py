@@ -126,6 +126,7 @@ def absolute(word: str) -> str:
 def run(arguments: list[str]) -> int:
     env = workspace.set_up_workspace(dev=True)
     env.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    env.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(ROOT / 'tests/fastdds.xml'))
     checks = chosen_checks(env, arguments) if arguments else all_checks(env)
     results = []
     for check in checks:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of the emScon protocol, by offsets and sizes of its description; and damaged ones."""
 
+import pickle
 import random
 import struct
 
@@ -9,6 +10,7 @@ import pytest
 
 from otf_tracker_driver.emscon import codes, commands, packets
 from otf_tracker_driver.emscon.codes import Command, PacketType
+from otf_tracker_driver.emscon.errors import CommandRefused
 from otf_tracker_driver.emscon.framing import LARGEST, Framer, ProtocolError
 
 SIZES = {
@@ -179,3 +181,9 @@ def fuzz(count, seed):
 def test_damaged_streams_are_read_or_refused_and_nothing_else():
     read, refused = fuzz(MUTATIONS, 5)
     assert read > 500 and refused > 500
+
+
+def test_a_refused_command_keeps_its_message_between_processes():
+    refused = CommandRefused(5, 3)
+    again = pickle.loads(pickle.dumps(refused))
+    assert (str(again), again.status) == (str(refused), 3)

@@ -17,10 +17,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from ament_index_python.packages import (
-    get_package_share_directory,
-    get_packages_with_prefixes,
-)
+from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
@@ -56,8 +53,6 @@ ARGUMENTS = [
     ('planner', '', 'namespace of the path planner, if not that of the cell'),
     ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
-if 'diagnostic_aggregator' in get_packages_with_prefixes():
-    ARGUMENTS.append(('aggregate', 'false', 'sum up /diagnostics on /diagnostics_agg'))
 FILES = 'cell.launch.py', 'replay.launch.py'
 RESPAWN_DELAY = 0.3
 """s"""
@@ -126,23 +121,6 @@ def nodes(context, known):
     return [
         *(node(name, given, *parameters_of[name]) for name in parameters_of if name in wanted),
         *(node(name, given, [], {}) for name in viewers),
-        *aggregator(given),
-    ]
-
-
-def aggregator(given):
-    """Return the node that sums up what the others diagnose, if it is wanted."""
-    if 'aggregate' not in given or not is_on(given, 'aggregate'):
-        return []
-    return [
-        Node(
-            package='diagnostic_aggregator',
-            executable='aggregator_node',
-            name='diagnostic_aggregator',
-            namespace=LaunchConfiguration('namespace'),
-            parameters=[str(CONFIG / 'diagnostic_aggregator.yaml')],
-            output='screen',
-        )
     ]
 
 

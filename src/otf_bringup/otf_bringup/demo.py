@@ -123,7 +123,7 @@ def _run(options: argparse.Namespace) -> int:
             address = view.open_page(nodes[0]) if options.view else ''
             if address:
                 print(f'Live view: {address}\n', flush=True)
-            result, gap = monitor_run(domain, nodes, options.diagnose)
+            result, stream, gap = monitor_run(domain, nodes, options.diagnose)
             took = time.monotonic() - started
             if result.run_id:
                 (_report_axes if truth.machine.rotary_names else _report)(truth, result)
@@ -133,7 +133,10 @@ def _run(options: argparse.Namespace) -> int:
                 view.keep_open(address)
     if not result.run_id:
         raise DemoError(f'calibration failed: {result.message}\nlogs: {out / "log"}')
-    print(f'Took {took:.0f} s.')
+    print(
+        f'Took {took:.0f} s; the machine was simulated at {stream.real_time_factor:.3g} times '
+        f'its speed.'
+    )
     return int(result.status or (gap.status if gap else 0))
 
 
@@ -192,8 +195,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
     fields = before, before - displacement(calibrated.tables, q)
     lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
     alone = calibrated.extra['headline']['noise_and_misfit_alone']['U']
-    summary = (folder / 'summary.txt').read_text(encoding='utf-8')
-    print(summary.partition('\n\n')[0])
+    print(result.message)
     print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')
     for when, length in zip(('as it stands', 'compensated'), lengths, strict=True):
         mean, largest = (
@@ -216,7 +218,7 @@ def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
     q = evenly_spread(machine.lower, machine.upper, PLACES)
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
     before = exact_position_of(truth, sight, q) - sight.nominal(q)
-    print((folder / 'summary.txt').read_text(encoding='utf-8').partition('\n\n')[0])
+    print(result.message)
     print(f'\nAgainst the true errors of this simulation, at {len(q)} positions of all axes:')
     for when, field in (
         ('as it stands', before),
@@ -241,12 +243,8 @@ def _report_end(result: CalibrationResult, folder: Path) -> None:
     """Print what was lost, and where the files are."""
     if result.samples_lost:
         share = 100 * result.samples_lost / (result.samples + result.samples_lost)
-        print(
-            f'{result.samples_lost} samples ({share:.1f} %) were lost on the way to the '
-            f'calibrator: this computer is too slow for this multiple of the speed of the '
-            f'machine. The remaining samples were used.'
-        )
-    print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
+        print(f'{result.samples_lost} samples ({share:.1f} %) were lost on the way.')
+    print(f'Report: {folder / "report.html"}')
 
 
 def _report_gap(gap: GapReport) -> None:

@@ -11,14 +11,15 @@ from rclpy.node import Node
 
 from otf_bringup.processes import NodeProcess
 from otf_core.errors import OtfError
-from otf_msgs.msg import CalibrationResult, CalibratorState, GapReport
+from otf_msgs.msg import CalibrationResult, CalibratorState, GapReport, TrackerStatus
 from otf_ros import qos
 from otf_ros.app import EndRequest, running_ros
+from otf_ros.convert import ns_from_time
 
-PATIENCE = 60.0
-"""s; without any progress for so long, something is wrong."""
-DIAGNOSIS_PATIENCE = 300.0
-"""s; the same during a diagnosis, which tells its progress in few and large steps."""
+PATIENCE = 300.0
+"""s; without any progress for so long, something is wrong: on a computer that does other work, a
+step of a calibration or of a diagnosis may take minutes. A node that has ended is noticed at once.
+"""
 LINE_PERIOD = 5.0
 """s between progress lines where they cannot be overwritten."""
 
@@ -28,7 +29,7 @@ class GraphError(OtfError):
 
 
 class Monitor(Node):
-    """Listens to state, result and, if wanted, diagnosis of the calibrator."""
+    """Listens to state, result and, if wanted, diagnosis of the calibrator, and to the driver."""
 
     def __init__(self, diagnose: bool) -> None:
         super().__init__('demo_monitor')
@@ -36,6 +37,8 @@ class Monitor(Node):
         self.state: CalibratorState | None = None
         self.result: CalibrationResult | None = None
         self.gap: GapReport | None = None
+        self.stream = TrackerStatus()
+        self.create_subscription(TrackerStatus, 'tracker/status', self._on_stream, qos.STATUS)
         self.create_subscription(CalibratorState, 'calibrator/state', self._on_state, qos.STATUS)
         self.create_subscription(
             CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT
@@ -51,13 +54,11 @@ class Monitor(Node):
             return False
         return self.state.state in (CalibratorState.DONE, CalibratorState.FAILED)
 
-    @property
-    def patience(self) -> float:
-        """How long nothing may move, s."""
-        return DIAGNOSIS_PATIENCE if self.state and self.state.diagnosing else PATIENCE
-
     def _on_state(self, message: CalibratorState) -> None:
         self.state = message
+
+    def _on_stream(self, message: TrackerStatus) -> None:
+        self.stream = message
 
     def _on_result(self, message: CalibrationResult) -> None:
         self.result = message
@@ -68,8 +69,8 @@ class Monitor(Node):
 
 def monitor_run(
     domain: int, nodes: list[NodeProcess], diagnose: bool
-) -> tuple[CalibrationResult, GapReport | None]:
-    """Show progress until there is a result, and return it.
+) -> tuple[CalibrationResult, TrackerStatus, GapReport | None]:
+    """Show progress until there is a result; return it, the stream's end, and the diagnosis.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def monitor_run(
     nodes : list of NodeProcess
         Watched: the end of one of them ends this.
     diagnose : bool
-        Wait for the diagnosis of the run, and return it too.
+        Wait for the diagnosis of the run.
 
     Raises
     ------
@@ -96,13 +97,14 @@ def monitor_run(
             for node in nodes:
                 if node.exit_code is not None:
                     raise GraphError(_obituary(node))
-            if shown.show(monitor.state):
+            if shown.show(monitor.state, monitor.stream.real_time_factor):
                 moved = time.monotonic()
-            elif time.monotonic() - moved > monitor.patience:
+            elif time.monotonic() - moved > PATIENCE:
                 logs = '\n'.join(f'{n.name}: {n.last_lines(2)}' for n in nodes)
-                raise GraphError(f'no progress for {monitor.patience:.0f} s\n{logs}')
+                raise GraphError(f'no progress for {PATIENCE:.0f} s\n{logs}')
         shown.end()
-        return monitor.result, monitor.gap
+        assert monitor.result is not None, 'as it has ended'
+        return monitor.result, monitor.stream, monitor.gap
 
 
 def _obituary(node: NodeProcess) -> str:
@@ -117,14 +119,17 @@ class _Progress:
         self._at = 0.0
         self._live = sys.stdout.isatty()
 
-    def show(self, state: CalibratorState | None) -> bool:
-        """Show a state; True if it differs from the one before."""
+    def show(self, state: CalibratorState | None, factor: float) -> bool:
+        """Show a state and the multiple of real time; True if there is progress since the last.
+
+        Every sample that the calibrator has taken is progress.
+        """
         if state is None:
             return False
         name, progress = state.name, state.progress
         if state.diagnosing:
             name, progress = 'DIAGNOSING', state.diagnosis_progress
-        seen = (name, state.samples, progress)
+        seen = (name, ns_from_time(state.taken), progress)
         if seen == self._seen:
             return False
         changed, self._seen = seen[:1] != self._seen[:1], seen
@@ -134,6 +139,8 @@ class _Progress:
             bar = '#' * round(20 * progress)
             text = f'{name:<16} [{bar:<20}] {state.samples:>7} samples, '
             text += f'{state.travelled:6.1f} of {state.path_length:.1f} m driven'
+            if state.state == CalibratorState.BUFFERING and factor:
+                text += f', {factor:.1f} times as fast as measured'
             if state.time_left > 0.5:  # not so if it is not known: NaN
                 text += f', about {state.time_left:.0f} s left'
             sys.stdout.write(f'\r{text}\033[K' if self._live else f'{text}\n')

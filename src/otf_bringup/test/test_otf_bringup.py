@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of the package fit the nodes: parameters, diagnostics, quality of service."""
+"""Files of the package fit the nodes: parameters, quality of service."""
 
 from pathlib import Path
 
@@ -15,16 +15,6 @@ def test_parameters_file_is_that_of_the_nodes():
     assert (CONFIG / 'params.yaml').read_text() == '\n'.join(params_file.lines()) + '\n', (
         'run python3 -m otf_bringup.params_file'
     )
-
-
-def test_every_analyzer_of_diagnostics_looks_for_a_node_that_diagnoses():
-    (node,) = yaml.safe_load((CONFIG / 'diagnostic_aggregator.yaml').read_text()).values()
-    analyzers = {k: v for k, v in node['ros__parameters'].items() if isinstance(v, dict)}
-    assert {name for one in analyzers.values() for name in one['contains']} == {
-        'tracker_driver:', 'calibrator:', 'compensator:',
-    }  # fmt: skip
-    for one in analyzers.values():
-        assert one['type'] == 'diagnostic_aggregator/GenericAnalyzer' and one['timeout'] > 1.0
 
 
 @pytest.mark.parametrize(

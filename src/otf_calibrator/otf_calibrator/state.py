@@ -8,13 +8,14 @@ import re
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.messages import summary
-from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
 from otf_core.rotary.run_progress import PartsWatcher
@@ -23,6 +24,8 @@ from otf_ros import qos
 
 REPEAT = 0.5
 """s; the state is published at least so often."""
+ACKNOWLEDGED = 500
+"""Samples after which it is published too: a simulated or replayed stream waits for that."""
 NAMES = {
     CalibratorState.WAITING_FOR_PATH: 'WAITING_FOR_PATH',
     CalibratorState.BUFFERING: 'BUFFERING',
@@ -34,7 +37,6 @@ NAMES = {
 SILENCE = 2.0
 """s without samples that the state speaks of."""
 STAGES = {
-    LAST_SAMPLES: CalibratorState.BUFFERING,
     'aligning': CalibratorState.ALIGNING,
     'solving': CalibratorState.SOLVING,
 }
@@ -55,6 +57,11 @@ class StatePublisher:
         self._at = 0.0
         self._warned: set[str] = set()
         self._time_left = TimeLeft()
+        self._taken, self._unsaid = Time(), 0
+
+    def take(self, last: Time, count: int) -> None:
+        """Remember that so many samples were taken, and the stamp of the last of them."""
+        self._taken, self._unsaid = last, self._unsaid + count
 
     def done(self, outcome: CalibrationOutput) -> None:
         """Remember that the run was calibrated."""
@@ -90,7 +97,7 @@ class StatePublisher:
         """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
-        troubles = [*troubles, *session.intake.troubles()]
+        troubles = [*troubles, *session.troubles()]
         self._warn(troubles)
         text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
@@ -101,14 +108,15 @@ class StatePublisher:
         stage = _stage(session)
         work = stage, collector.run
         time_left = self._time_left.estimate(work, progress, now) if stage else math.nan
-        if shown == self._shown and now - self._at < REPEAT:
+        due = now - self._at >= REPEAT or self._unsaid >= ACKNOWLEDGED
+        if shown == self._shown and not due:
             return
         if state != self._shown[0]:
             if state == CalibratorState.FAILED:  # rclpy wants one severity per line of code
                 self._node.get_logger().error(f'{NAMES[state]}: {text}')
             else:
                 self._node.get_logger().info(f'{NAMES[state]}: {text}')
-        self._shown, self._at = shown, now
+        self._shown, self._at, self._unsaid = shown, now, 0
         message = CalibratorState(
             state=state,
             name=NAMES[state],
@@ -116,7 +124,7 @@ class StatePublisher:
             progress=progress,
             time_left=time_left,
             samples=len(collector.buffer),
-            samples_lost=collector.count_surely_lost(now),
+            samples_lost=collector.count_lost(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             **_part(collector),
@@ -124,6 +132,8 @@ class StatePublisher:
             diagnosing=diagnosis[0],
             diagnosis_progress=diagnosis[1],
             diagnosis=diagnosis[2],
+            stream_id=collector.stream_id,
+            taken=self._taken,
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
@@ -152,6 +162,11 @@ class StatePublisher:
             )
         if not len(collector.buffer):
             text = 'waiting for tracker/point: activate the tracker driver'
+            if collector.ended and collector.published:
+                text = (
+                    f'no samples: the stream of the tracker driver has ended, and none of the '
+                    f'{collector.published} samples that it published has arrived; drive again'
+                )
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
         silence = collector.silence(time.monotonic())
@@ -159,6 +174,8 @@ class StatePublisher:
         parts = _part(collector)
         if parts['parts'] > 1:
             text += f"part {parts['part']} of {parts['parts']}, target '{parts['target']}'; "
+        if session.judging:
+            return CalibratorState.BUFFERING, _driven(collector), text + 'the end is being judged'
         if silence > SILENCE and collector.ended:
             text += 'the stream has ended: call calibrator/calibrate, or drive again; '
             text += 'a new stream sets these samples aside'

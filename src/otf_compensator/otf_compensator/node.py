@@ -23,7 +23,7 @@ SUCCESS = TransitionCallbackReturn.SUCCESS
 
 
 class Compensator(SteadyLifecycleNode):
-    """``compensator/wanted`` in, ``compensator/compensation`` out; service for many at once.
+    """Service ``compensator/compensate``: positions in, what to command out.
 
     configure = read the tables, activate = answer, deactivate = answer no more, cleanup = forget.
 
@@ -53,8 +53,6 @@ class Compensator(SteadyLifecycleNode):
             if self._error:
                 raise self._error
             self.trigger_activate()
-        # last: positions may come at once
-        self._answers.listen()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the tables that the parameters name."""

@@ -9,6 +9,7 @@ errors are told here, too, and nothing is lost but time.
 
 from __future__ import annotations
 
+import ctypes
 import io
 import os
 import pickle
@@ -26,7 +27,6 @@ from multiprocessing.process import BaseProcess, current_process
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
-from otf_core.memory import of_c
 from otf_core.threads import one_by_one, side_by_side
 
 A = TypeVar('A')
@@ -82,20 +82,11 @@ class Aside(Generic[R]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """Give up what is not needed any more."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
             self._answer.close()
             self._process = None
-
-    @property
-    def under_way(self) -> bool:
-        """Whether another process is at it; if not, the work is done when it is asked for."""
-        return self._process is not None
 
     def result(self) -> R:
         """What was found; waits for it."""
@@ -161,9 +152,7 @@ def _tickets(queue: io.FileIO) -> Iterator[int]:
 
 def _end_with(parent: int) -> None:
     """End as soon as the process ends that this one is a copy of, whatever ends it."""
-    control = of_c('prctl')
-    if control is not None:
-        control(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # copies are made on Linux alone
     if os.getppid() != parent:  # it was faster
         os._exit(1)
 

@@ -19,6 +19,10 @@ OTF, STANDSTILL = METHODS = ('otf', 'standstill')
 """Of calibration: on the fly, or from the stops at the corner points."""
 
 
+KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'a text',
+         tuple: 'a list of texts'}  # fmt: skip
+
+
 def parameter(
     default: Any,
     meaning: str,
@@ -49,8 +53,10 @@ class ParameterInfo:
         kind = type(self.default)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
+        if kind is tuple and isinstance(value, list) and all(isinstance(v, str) for v in value):
+            value = tuple(value)
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise ConfigError(f'{self.name}: expected {kind.__name__}, got {value!r}')
+            raise ConfigError(f'{self.name}: expected {KINDS[kind]}, got {value!r}')
         if kind is float and not math.isfinite(value):
             raise ConfigError(f'{self.name}: {value} is not finite')
         if (self.low is not None and value < self.low) or (
@@ -88,10 +94,11 @@ class Parameters:
         cls.__doc__ = '\n'.join([text, *heading, *rows, mark + examples]).rstrip()
 
     @classmethod
-    def infos(cls) -> Iterator[ParameterInfo]:
-        """Yield what is known of every parameter."""
+    def infos(cls, *only: str) -> Iterator[ParameterInfo]:
+        """Yield what is known of every parameter, or of ``only`` some."""
         for f in dataclasses.fields(cls):  # type: ignore[arg-type]  # subclasses are dataclasses
-            yield ParameterInfo(f.name, f.default, **f.metadata)
+            if not only or f.name in only:
+                yield ParameterInfo(f.name, f.default, **f.metadata)
 
     def __post_init__(self) -> None:
         """Check types, bounds and choices."""
@@ -215,24 +222,6 @@ class SimulationConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class LoopConfig(Parameters):
-    """The loop on a real control: its motion, and the simulated machine and tracker."""
-
-    seed: int = parameter(1, 'seed of machine, tracker and verification lines', '', 0, 2**31 - 1)
-    feed: float = parameter(0.4, 'feed of all programs', 'm/s', 1e-3, 5.0)
-    acceleration: float = parameter(5.0, 'acceleration of the axes', 'm/s^2', 0.01, 100)
-    rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
-    error_size: float = parameter(
-        5e-5, 'mean volumetric error of the machine before compensation', 'm', 1e-6, 1e-3
-    )
-    centre_error: float = parameter(
-        1e-4,
-        'standard deviation of the position errors of rotary axes, beside the error size',
-        'm', 0, 9e-4,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class ForecastConfig(Parameters):
     """Conditions of a forecast: sampling rate, drives, permitted tracker positions.
 
@@ -255,3 +244,35 @@ class ForecastConfig(Parameters):
     max_range: float = parameter(
         20.0, 'longest beam: tracker positions further away are left out', 'm', 0.1, 100
     )
+
+
+@dataclass(frozen=True)
+class ReadingConfig(Parameters):
+    """How a recording is read where it does not say so itself."""
+
+    topic: str = parameter(
+        '', 'topic of the samples in a bag, in any frame; empty: /tracker/point, else the only '
+        'topic of points'
+    )  # fmt: skip
+    path_topic: str = parameter(
+        '', 'topic of the path in a bag, in any frame; empty: /planner/path, else the only path'
+    )
+    recover: bool = parameter(False, 'skip damaged parts inside a bag')
+
+
+@dataclass(frozen=True)
+class DiagnosisConfig(Parameters):
+    """What a diagnosis considers."""
+
+    exclude: tuple[str, ...] = parameter((), 'effects that are not considered')
+    own_causes: str = parameter(
+        '', 'folder of named empirical effects (.yaml) beside the catalogue; relative to the file'
+    )
+
+
+@dataclass(frozen=True)
+class WritingConfig(Parameters):
+    """What is written of a calibration beside error_tables.json and error_tables.csv."""
+
+    report: bool = parameter(True, 'write report.html')
+    residuals_csv: bool = parameter(False, 'also write the residuals as residuals.csv')

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands of the tests: run in this process, their files and messages."""
 
+import json
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +11,23 @@ import numpy as np
 from otf_core import cli
 
 
+def words_of(*arguments):
+    """Words of a command line; a mapping becomes the file of ``--config``."""
+    words = []
+    for argument in arguments:
+        if isinstance(argument, dict):
+            with tempfile.NamedTemporaryFile('w', suffix='.yaml', delete=False) as file:
+                json.dump(argument, file)  # JSON is YAML
+            words += ['--config', file.name]
+        else:
+            words.append(str(argument))
+    return words
+
+
 def run(*arguments):
-    """Exit code of one command, in this process."""
+    """Exit code of one command, in this process; see ``words_of``."""
     try:
-        return cli.main([str(a) for a in arguments])
+        return cli.main(words_of(*arguments))
     except SystemExit as leaving:
         return leaving.code
 

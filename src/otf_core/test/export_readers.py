@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of exports, written from the descriptions of the formats alone."""
 
-import io
 import re
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -116,45 +114,29 @@ def read_isg(files, q, sign):
     return by_iso_names(columns, square, q, sign)
 
 
-def read_heidenhain(files, q, sign):
+def etalon_blocks(text):
+    """Numbers and tables of the Etalon exchange format by the name of their block."""
+    values, columns, name, rows = {}, {}, None, None
+    for line in text.splitlines():
+        words = line.partition('//')[0].replace('=', ' = ').split()
+        if words[:1] and words[0].startswith('['):
+            name = words[0].strip('[]')
+            assert name not in {**values, **columns}, name
+        elif words[:2] == ['VALUE', '=']:
+            values[name] = float(words[2])
+        elif words == ['Gridpoints', '=', '{']:
+            rows = []
+        elif words == ['}']:
+            columns[name], rows = tuple(np.array(rows).T), None
+        elif words:
+            rows.append([float(word) for word in words])
+    return values, columns
+
+
+def read_etalon(files, q, sign):
     (text,) = (f.decode() for f in files.values())
-    said = re.search(r'C0Y (\S+), B0Z (\S+), A0Z (\S+)', text).groups()
-    square = dict(zip(('C0Y', 'B0Z', 'A0Z'), map(float, said), strict=True))
-    header, *rows = [line.split(',') for line in numbers(text, '#')]
-    assert header == ['AXIS', 'AXISPOS', 'C1', 'C2', 'C3', 'C4', 'C5', 'C6']
-    columns = {}
-    for axis in 'XYZ':
-        own = np.array([row[1:] for row in rows if row[0] == axis], float)
-        for k, direction in enumerate('XYZABC', start=1):
-            columns[f'E{direction}{axis}'] = own[:, 0], own[:, k]
-    return by_iso_names(columns, square, q, sign)
-
-
-def read_qif(files, q, sign):
-    (data,) = files.values()
-    root = ElementTree.fromstring(data)
-    names = {'q': 'http://qifstandards.org/xsd/qif3'}
-    test = root.find('.//q:CartesianCMMFPSTest', names)
-    square = {
-        'C0Y': float(test.find('q:XYSquareness', names).text),  # X-Y above 90: Y tilts to -X
-        'B0Z': -float(test.find('q:XZSquareness', names).text),  # X-Z above 90: Z tilts to -X
-        'A0Z': float(test.find('q:YZSquareness', names).text),  # Y-Z above 90: Z tilts to -Y
-    }
-    rotations = {'X': 'ABC', 'Y': 'BAC', 'Z': 'CAB'}
-    columns = {}
-    for axis in 'XYZ':
-        wanted = {f'{axis}Linearity': f'E{axis}{axis}'}
-        wanted |= {f'{axis}AxisStraightness{d}': f'E{d}{axis}' for d in 'XYZ' if d != axis}
-        words = zip(('Roll', 'Pitch', 'Yaw'), rotations[axis], strict=True)
-        wanted |= {f'{axis}Axis{word}': f'E{d}{axis}' for word, d in words}
-        for name, motion in wanted.items():
-            function = test.find(f'q:{name}', names)
-            columns[motion] = tuple(
-                np.array(function.find(f'q:{part}', names).text.split(), float)
-                for part in ('DomainValues', 'RangeValues')
-            )
-            assert int(function.get('n')) == len(columns[motion][0]) == len(columns[motion][1])
-    return by_iso_names(columns, square, q, sign)
+    values, columns = etalon_blocks(text)
+    return by_iso_names(columns, values, q, sign)
 
 
 def trilinear(axes, error, q):
@@ -170,13 +152,6 @@ def read_lattice_csv(files, q, sign):
     values = np.array([row.split(',') for row in rows], float)
     axes = [np.unique(values[:, k]) for k in range(3)]
     return trilinear(axes, values[:, 3:6].reshape(*map(len, axes), 3), q)
-
-
-def read_lattice_npz(files, q, sign):
-    (data,) = files.values()
-    with np.load(io.BytesIO(data)) as held:
-        axes = [held[a] for a in 'xyz']
-        return trilinear(axes, held['error'], q)
 
 
 ROTARY_ONLY = ('pivot',)

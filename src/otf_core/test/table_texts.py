@@ -89,25 +89,22 @@ READ = {
     'spaces, unit once': (table('# t x y z [mm]', ROWS, '  '), {}),
     'spaces, units apart': (table('t [s] X [mm] Y [mm] Z [mm]', ROWS, '  '), {}),
     'spaces': (table('# t x y z', ROWS, '  '), {}),
-    'date between spaces': (
-        table('time x_mm y_mm z_mm',
-              [[f'2026-03-14 09:30:{0.04 * k:08.5f}', *ROWS[k][1:]] for k in range(COUNT)], ' '),
+    'date and time between spaces': (
+        table('date time x_mm y_mm z_mm',
+              [['2026-03-14', f'09:30:{0.04 * k:08.5f}', *ROWS[k][1:]] for k in range(COUNT)], ' '),
         {},
+    ),
+    'time in another form': (
+        table(';'.join(['time', *HEAD[1:]]),
+              [[f'14.03.2026 09:30:{0.04 * k:08.5f}', *ROWS[k][1:]] for k in range(COUNT)]),
+        {'time_format': '%d.%m.%Y %H:%M:%S.%f'},
     ),
     'quotes': (table('"time_s","x_mm","y_mm","z_mm"', [[f'"{f}"' for f in r] for r in ROWS], ','), {}),
     'quoted decimal commas': (
         table(','.join(HEAD), [[f'"{f}"' for f in r] for r in commas(ROWS)], ','), {}
     ),
-    'line break in the head': (table('"time\n[s]";"X\n[mm]";"Y\n[mm]";"Z\n[mm]"', ROWS), {}),
     'decimal commas': (table('Zeit [s];X [mm];Y [mm];Z [mm]', commas(ROWS)), {}),
     'decimal commas between spaces': (table('Zeit X Y Z', commas(ROWS), ' '), {}),
-    'thousands, English': (table('time_s;x_um;y_um;z_um', grouped(',', '.')), {}),
-    'thousands, English, in quotes': (
-        table('time_s,x_um,y_um,z_um', [[f'"{f}"' for f in r] for r in grouped(',', '.')], ','), {}
-    ),
-    'thousands, German': (table('Zeit [s];X [µm];Y [µm];Z [µm]', grouped('.', ',')), {}),
-    'thousands, Swiss': (table('Zeit [s];X [µm];Y [µm];Z [µm]', grouped("'", '.')), {}),
-    'thousands, French': (table('Temps [s]\tX [µm]\tY [µm]\tZ [µm]', grouped('\u202f', ','), '\t'), {}),
     'comment among the data': (
         '# t x y z\n' + points(lambda k, *p: f'{SECONDS[k]} {" ".join(p)}' + '\n# pause' * (k == 9)), {}
     ),
@@ -115,7 +112,6 @@ READ = {
     'separator at the end of the head': (table(';'.join([*HEAD, '']), ROWS), {}),
     'empty rows of a spreadsheet': (table(';'.join(HEAD), ROWS) + ';;;\n;;;\n', {}),
     'units in a line of their own': (table('t;X;Y;Z\ns;mm;mm;mm', ROWS), {}),
-    'groups above the names': (both('Take;1\n;Nominal;;;Measured;;\ntime_s;X;Y;Z;X;Y;Z'), {}),
     'English': (both('Time [s];Nom X [mm];Nom Y [mm];Nom Z [mm];Meas X [mm];Meas Y [mm];Meas Z [mm]'), {}),
     'English, in brackets': (both('t [s];X (cmd);Y (cmd);Z (cmd);X (act);Y (act);Z (act)'), {}),
     'English, one word': (both('time [s];xCmd;yCmd;zCmd;xAct;yAct;zAct'), {}),
@@ -123,21 +119,8 @@ READ = {
     'German, with units': (
         both('Zeit [s];' + ';'.join(f'{a}-{w}wert [mm]' for w in ('Soll', 'Ist') for a in 'XYZ')), {}
     ),
-    'French, measured': (
-        both('Temps [s];' + ';'.join(f'{a} {w}' for w in ('théorique', 'mesuré') for a in 'XYZ')), {}
-    ),
-    'Italian, measured': (
-        both('Tempo [s];' + ';'.join(f'{a} {w}' for w in ('nominale', 'misurato') for a in 'XYZ')), {}
-    ),
-    'Spanish, measured': (
-        both('Tiempo [s];' + ';'.join(f'{a} {w}' for w in ('teórico', 'medido') for a in 'XYZ')), {}
-    ),
-    'Chinese, measured': (both('时间[s];理论X;理论Y;理论Z;实测X;实测Y;实测Z'), {}),
     'only the other one is said to be nominal': (both('time_s;x_ref;y_ref;z_ref;x;y;z'), {}),
     'velocity beside': (both('time_s;vx;vy;vz;x;y;z'), {}),
-    'velocity beside, German': (
-        both('Zeit [s];' + ';'.join(f'{w} {a}' for w in ('Geschwindigkeit', 'Lage') for a in 'XYZ')), {}
-    ),
     'rotation beside': (both('time_s;Rot X;Rot Y;Rot Z;Pos X;Pos Y;Pos Z'), {}),
     'deviation beside': (both('time_s;dX;dY;dZ;X;Y;Z'), {}),
     'twist beside': (
@@ -148,18 +131,14 @@ READ = {
               [[*r, '0', '0', '0', '1'] for r in in_units(1e-3, 7)], ' '), {}
     ),
     'x y z t': (table('x y z t', [[*r[1:], r[0]] for r in ROWS], ' '), {}),
-    'PLY': (
-        f'ply\nformat ascii 1.0\nelement vertex {COUNT}\nproperty float x\nproperty float y\n'
-        'property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n'
-        + points(lambda k, *p: ' '.join(p)) + '3 0 1 2\n', RATE,
-    ),
     'number of points first': (f'{COUNT}\n' + points(lambda k, *p: ' '.join(p)), RATE),
     'SpatialAnalyzer, names': (AXES + points(lambda k, *p: f'p{k},  {",  ".join(p)}'), RATE),
     'SpatialAnalyzer, numbers': (AXES + points(lambda k, *p: f'{k + 1},  {",  ".join(p)}'), RATE),
     'SpatialAnalyzer, group, number': (AXES + points(lambda k, *p: f'A, F9, {k}, {", ".join(p)}'), RATE),
     'SpatialAnalyzer, spaces': (AXES + points(lambda k, *p: f'Run1 p{k} {" ".join(p)}'), RATE),
     'SpatialAnalyzer, stamps': (
-        AXES + points(lambda k, *p: f'A, p{k}, {", ".join(p)}, 03/14/25 16:56:{0.04 * k:08.5f}'), {}
+        AXES + points(lambda k, *p: f'A, p{k}, {", ".join(p)}, 03/14/25 16:56:{0.04 * k:08.5f}'),
+        {'time_format': '%m/%d/%y %H:%M:%S.%f'},
     ),
     'numbers first, on request': (
         points(lambda k, *p: f'{k + 1};{";".join(p)}'), {**RATE, 'columns': '-,x_mm,y_mm,z_mm'}
@@ -193,7 +172,7 @@ LEFT_OUT = {
     'commented out': (
         0, '# t x y z\n' + points(lambda k, *p: f'{"# " * (k == 0)}{SECONDS[k]} {" ".join(p)}'), ''
     ),
-    'a word': (2, changed(2, 1, 'broken'), 'x_mm is not a number (line 4)'),
+    'a word': (2, changed(2, 1, 'broken'), "x_mm is 'broken' (line 4)"),
 }  # fmt: skip
 """Which row is lost, the text, and why; empty: by a comment."""
 
@@ -217,8 +196,19 @@ REFUSED = {
     'thousands between commas': (
         table('time_s,x_um,y_um,z_um', grouped(',', '.'), ','), {}, ('names 4 columns, the lines have 7',)
     ),
-    'points and commas mixed': (changed(0, 1, '219,3'), {}, ('x_mm: line 3 has', 'line 2 has')),
-    'thousands spoilt': (changed(3, 1, '1,02.5'), {}, ("line 5: x_mm: '1,02.5' is not written",)),
+    'points and commas mixed': (changed(0, 1, '219,3'), {}, ("line 3: x_mm: '220.0312' and line 2: x_mm: '219,3'", 'are mixed')),
+    'thousands, English': (
+        table('time_s;x_um;y_um;z_um', grouped(',', '.')), {}, ("line 2: x_um: '220,428.6'", 'thousands')
+    ),
+    'thousands, German': (
+        table('Zeit [s];X [µm];Y [µm];Z [µm]', grouped('.', ',')), {}, ("line 2: X [µm]: '220.428,6'",)
+    ),
+    'thousands, Swiss': (
+        table('Zeit [s];X [µm];Y [µm];Z [µm]', grouped("'", '.')), {}, ('thousands separators',)
+    ),
+    'thousands, French': (
+        table('t [s]\tX [µm]\tY [µm]\tZ [µm]', grouped('\u202f', ','), '\t'), {}, ('thousands separators',)
+    ),
     'thousands or decimals': (
         't;x_mm;y_mm;z_mm\n0;999;1;2\n1;1,234;5;6\n2;1,300;5;6\n', {}, ('thousands separator or decimals',)
     ),
@@ -247,37 +237,41 @@ REFUSED = {
         table(';'.join(HEAD), [[r[0], '#N/A' if k % 2 else r[1], *r[2:]] for k, r in enumerate(ROWS)]), {},
         ("60 of 120 lines are not samples: 60 lines: x_mm is '#N/A' (first line 3)",),
     ),
-    'PLY cut': (
-        'ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\n'
-        'property float z\nend_header\n1 2 3\n4 5 6\n', RATE, ('9 vertices, but the file contains fewer',),
+    'time of another form': (
+        table(';'.join(['time', *HEAD[1:]]), [[f'14/03/2026 09:30:0{k % 9}', *r[1:]] for k, r in enumerate(ROWS)]),
+        {}, ("line 2: time: '14/03/2026 09:30:00' is not", '--time-format "%d/%m/%Y %H:%M:%S"'),
     ),
-    'PLY binary': (
-        'ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n', RATE, ('write it as ascii',)
+    'unit of time not stated': (
+        table('t;x_mm;y_mm;z_mm', [[f'{1.5 * k}', *r[1:]] for k, r in enumerate(ROWS)]), {},
+        ("the unit of '0.0', in steps of 1.5,", '--columns time_s,x_mm,y_mm,z_mm or --columns time_ms,'),
+    ),
+    'six digits of a spreadsheet': (
+        table('timestamp;x;y;z', [['1.70000E+18', *r[1:]] for r in ROWS]), {},
+        ("all 120 times are '1.70000E+18'", '--columns -,x,y,z', '--rate'),
+    ),
+    'groups above the names': (
+        both('Take;1\n;Nominal;;;Measured;;\ntime_s;X;Y;Z;X;Y;Z'), {}, ('columns 2, 3, 4',)
     ),
 }  # fmt: skip
 """Text, options, and words of the message."""
 
 KINDS = (
     ('separator', 'tab, `;`, `\\|`, `,` or white space: the one with which most lines of the whole '
-     'file have the same number of columns; between white space a date and the time after it are '
-     'one field', ('commas', 'tabs', 'strokes', 'spaces', 'date between spaces')),
-    ('quotes', 'as in RFC 4180; a field of the header may span several lines',
-     ('quotes', 'line break in the head')),
-    ('decimal comma', 'read, also in quotes; points and commas mixed in one column are refused',
+     'file have the same number of columns',
+     ('commas', 'tabs', 'strokes', 'spaces', 'date and time between spaces')),
+    ('quotes', 'as in RFC 4180', ('quotes',)),
+    ('decimal comma', 'read, also in quotes; points and commas mixed in one table are refused',
      ('decimal commas', 'decimal commas between spaces', 'quoted decimal commas',
       'points and commas mixed', 'decimal commas between commas')),
-    ('thousands', 'set off by comma, point, space or apostrophe: decided for the column as a whole, '
-     'from all its fields; a field that departs from it, or an undecided column, is refused with '
-     'its line',
-     ('thousands, English', 'thousands, English, in quotes', 'thousands, German',
-      'thousands, Swiss', 'thousands, French', 'thousands between commas', 'thousands spoilt',
-      'thousands or decimals')),
+    ('thousands separators', 'refused with the line, as are numbers that may have them',
+     ('thousands, English', 'thousands, German', 'thousands, Swiss', 'thousands, French',
+      'thousands between commas', 'thousands or decimals')),
     ('comments', '`#`, `//`, `%`, `!` before the data; within the data only with a sign that was '
      'used before, or on a line with another number of columns',
      ('comment among the data', 'commented out')),
     ('header', 'the last line of names before the data; it must have as many columns as the lines, '
-     'otherwise both numbers are stated; a separator at the end of every line adds no column; lines '
-     'above may name groups, a line below units; anything else below it is data',
+     'otherwise both numbers are stated; a separator at the end of every line adds no column; a line '
+     'below may state units; anything else below it is data',
      ('separator at the end of lines', 'separator at the end of the head',
       'units in a line of their own', 'groups above the names', 'head too long',
       'head too short')),
@@ -287,18 +281,18 @@ KINDS = (
       'half of the lines', 'empty rows of a spreadsheet')),
     ('a field too few or too many, another separator', 'likewise',
      ('a field too few', 'another separator')),
-    ('several points in a header', 'the measured one if words identify it, in English, German, French, '
-     'Italian, Spanish or Chinese (for paths and points the nominal one); otherwise refused, with a '
-     '`--columns` for each',
+    ('several points in a header', 'the measured one if words identify it, in English or German (for '
+     'paths and points the nominal one); otherwise refused, with a `--columns` for each',
      ('English', 'English, in brackets', 'English, one word', 'German, measured',
-      'German, with units', 'French, measured', 'Italian, measured', 'Spanish, measured',
-      'Chinese, measured', 'only the other one is said to be nominal', 'names twice',
+      'German, with units', 'only the other one is said to be nominal', 'names twice',
       'names with numbers', 'two sources', 'nominal only')),
     ('velocity, rotation, deviation next to the position', 'ignored',
-     ('velocity beside', 'velocity beside, German', 'rotation beside', 'deviation beside',
-      'twist beside')),
+     ('velocity beside', 'rotation beside', 'deviation beside', 'twist beside')),
     ('a column that counts 1, 2, 3', 'not a time: `--rate` is required, unless the header states a '
      'unit of time', ('counts lines, no head', 'counts lines, called t', 'numbers first, on request')),
+    ('times', 'see below; what can be read in two ways is refused with the option that settles it',
+     ('time in another form', 'time of another form', 'unit of time not stated',
+      'six digits of a spreadsheet')),
     ('units', 'm, dm, cm, mm, µm (um), inch, in brackets, after `_`, `in` or `/`, below the header',
      ('micrometres', 'inches', 'inches in brackets', 'units after a word',
       'spaces, unit once', 'spaces, units apart')),
@@ -311,7 +305,6 @@ KINDS = (
      'the line `AXES = CARTESIAN: ...`; cylindrical and spherical coordinates are refused',
      ('SpatialAnalyzer, names', 'SpatialAnalyzer, numbers', 'SpatialAnalyzer, group, number',
       'SpatialAnalyzer, spaces', 'SpatialAnalyzer, stamps', 'spherical')),
-    ('TUM, `x y z t`, PLY (ascii), number of points first', 'read',
-     ('TUM', 'x y z t', 'PLY', 'number of points first', 'PLY cut', 'PLY binary')),
+    ('TUM, `x y z t`, number of points first', 'read', ('TUM', 'x y z t', 'number of points first')),
 )  # fmt: skip
 """Kind, what is done with it, and the texts above that show it."""

@@ -10,8 +10,8 @@ import pytest
 from source_trees import ROOT, package
 
 ROS = {'rclpy', 'ament_index_python', 'tf2_ros', 'launch', 'launch_ros'}
-SIMULATING = ('sim', 'blind', 'validation', 'loop')
-"""Trials, validations, the machine on a control."""
+SIMULATING = ('sim',)
+"""The simulated cell."""
 COMMAND_LINE = 'cli'
 PUBLIC = 'api'
 """Hands the twin to the diagnosis, as the command line does."""

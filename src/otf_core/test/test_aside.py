@@ -88,14 +88,6 @@ def test_work_that_is_not_asked_for_ends_with_its_context():
 
 
 @copies
-def test_work_that_is_stopped_ends():
-    before = children()
-    with Aside(partial(time.sleep, 600.0)) as other:
-        other.stop()
-        assert children() == before
-
-
-@copies
 def test_work_ends_with_the_process_that_wants_it():
     code = (
         'import functools, os, signal, time\n'
@@ -139,16 +131,6 @@ def test_what_is_within_the_known_is_not_copied_either():
         *within, new = other.result()
     assert within[0] is known.odd and within[1] is known.more[0][0]
     assert within[2] is known.more[1]['key'] and isinstance(new, Odd)
-
-
-@copies
-def test_it_is_known_whether_another_process_is_at_it():
-    work = partial(time.sleep, 0.05)
-    assert not Aside(work).under_way
-    with Aside(work) as other:
-        assert other.under_way
-        other.stop()
-        assert not other.under_way
 
 
 @copies

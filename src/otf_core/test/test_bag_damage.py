@@ -117,7 +117,7 @@ def test_damage_inside_needs_recover_and_costs_its_chunk_only(tmp_path):
     data = bytearray(file.read_bytes())
     data[data.index(CONTENT.samples.xyz[60].tobytes())] ^= 1
     file.write_bytes(data)
-    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*--recover'):
+    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*recover: true'):
         read_bag(file)
     found = read_bag(file, recover=True)
     lost = set(CONTENT.samples.stamp_ns.tolist()) - set(found.samples.stamp_ns.tolist())

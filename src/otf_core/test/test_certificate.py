@@ -105,9 +105,11 @@ def test_a_certificate_prints_on_two_pages(plain, stated, tmp_path):
     assert len(re.findall(rb'/Type ?/Page\b', (tmp_path / 'out.pdf').read_bytes())) == 2
 
 
-def test_it_is_written_where_it_is_asked_for(plain, tmp_path):
+def test_it_is_written_where_machine_yaml_has_its_section(plain, tmp_path):
     write_calibration(plain, tmp_path / 'without')
-    files = write_calibration(plain, tmp_path / 'with', certificate=True)
+    machine = replace(plain.tables.machine, stated=FULL)
+    stated = replace(plain, tables=replace(plain.tables, machine=machine))
+    files = write_calibration(stated, tmp_path / 'with')
     assert not (tmp_path / 'without' / 'certificate.html').exists()
     assert tmp_path / 'with' / 'certificate.html' in files
 

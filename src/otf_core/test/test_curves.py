@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of short chords: what counts as one, its pieces, its samples, arcs or chords."""
+"""Curves of short chords: what counts as one, its pieces, its samples, their sagitta."""
 
 import time
 from itertools import pairwise
@@ -16,9 +16,8 @@ from otf_core.tracking.curves import (
     GROUP_LENGTH,
     MAX_TURN,
     Lines,
-    bulge_of,
     curve_boundaries,
-    replace_chords,
+    largest_sagitta,
     shape_of,
 )
 from otf_core.tracking.driving_order import OFF_PATH
@@ -116,31 +115,14 @@ def test_pieces_of_a_perfect_machine_lie_on_the_curve(chord):
     assert np.all(np.diff(pieces.time) > 0)
 
 
-@pytest.mark.parametrize(('driven', 'share'), [(5e-3, 0.0), (1e-4, 1.0)])
-def test_arcs_and_chords_are_told_apart(driven, share):
-    path = np.concatenate([CELL.path.points, circle(5e-3)])
-    program = np.concatenate([CELL.path.points, circle(driven)])
-    recording = record(CELL, drive(program, 0.15, rate=200.0), path)
+@pytest.mark.parametrize(('chord', 'said'), [(1e-3, False), (5e-3, True)])
+def test_coarse_chords_are_said_with_their_sagitta(chord, said):
+    path = np.concatenate([CELL.path.points, circle(chord)])
+    recording = record(CELL, drive(path, 0.15, rate=50.0), path, rate=50.0)
     found = align(recording.samples, recording.path, CONFIG)
-    assert found.bulge.share == pytest.approx(share, abs=0.05)
-    assert found.bulge.u < 0.05
-    assert found.bulge.sagitta == pytest.approx(5e-3**2 / 8 / 0.09, rel=0.02)
-    assert found.remark == ''
-    # taken for arcs, the path has finer chords that still name those published
-    assert (len(found.corners) > 1.5 * len(path)) == (share == 1.0)
-    assert set(found.published) == set(range(len(path) - 1))
-
-
-def test_half_a_bulge_is_said():
-    path = circle(5e-3)
-    lines = Lines.of(shape_of(path))
-    fine, _, parent = replace_chords(lines)
-    middle = 0.5 * (fine.corners[1:] + fine.corners[:-1])
-    foot = path[parent] + lines.along(middle, parent)[:, None] * lines.unit[parent]
-    noise = 1e-7 * np.random.default_rng(1).standard_normal(middle.shape)
-    found = bulge_of(0.5 * (middle + foot) + noise, parent, lines, 0.0)
-    assert found.share == pytest.approx(0.5, abs=0.02)
-    assert 'publish finer chords' in found.remark
+    sagitta = largest_sagitta(Lines.of(found.shape))
+    assert sagitta == pytest.approx(chord**2 / 8 / 0.09, rel=0.02)
+    assert ('publish chords of 1 mm or less' in found.remark) == said
 
 
 def test_twenty_thousand_chords_align_in_seconds():

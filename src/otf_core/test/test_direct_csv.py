@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from core_cells import some_machine
+from direct_instrument import measure_directly
 from direct_texts import write_direct_csv
 
 from otf_core.comparison.direct_csv import read_direct_csv
@@ -11,7 +12,6 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.model.direct_measurement import motion_readings
 from otf_core.model.machine import AXES
 from otf_core.sim.cell import random_tables
-from otf_core.sim.direct_instrument import measure_directly
 
 
 def test_csv_of_a_measurement_is_read_back_exactly(tmp_path):

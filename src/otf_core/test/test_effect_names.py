@@ -14,9 +14,9 @@ from otf_core.model.declared import KEYS
 ROOT = Path(otf_core.__file__).parents[2]
 HOMONYMS = set(REGISTRY) & {*KEYS, 'target_offset'}
 """Keys of machine.yaml that are spelled like the effect they declare."""
-KEYS_OF_OTHERS = {'declared_signals.py', 'forms.py', 'depends.py', 'cause_names.py'}
-"""Names that machine.yaml may hold; names that count as right in a blind trial, which shares
-nothing with the effects; the one table of which inputs and ways to act belong to which name."""
+KEYS_OF_OTHERS = {'declared_signals.py', 'cause_names.py'}
+"""Names that machine.yaml may hold; the one table of which inputs and ways to act belong to which
+name."""
 SOURCES = sorted(
     f for f in ROOT.rglob('*.py')
     if f.name not in KEYS_OF_OTHERS

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exports, read back by independent readers of the formats."""
 
-import io
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from cli_cells import run
 from core_cells import error_of, some_machine
-from export_readers import READERS
+from export_readers import READERS, etalon_blocks
 
 from otf_core.errors import ConfigError
 from otf_core.exports import export_format, lattice
@@ -23,10 +23,11 @@ from otf_core.prediction.predict import predict
 from otf_core.prediction.volumetric import volumetric_error
 from otf_core.sim.cell import random_tables
 
-FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
+FULL = ('isg', 'etalon', 'lattice-csv')
 PARTS = ('linuxcnc', 'sinumerik-enc', 'sinumerik-cec')
-ASKED = ('sinumerik-cec', 'isg', 'heidenhain')
+ASKED = ('sinumerik-cec', 'isg')
 NAMES = tuple(READERS)
+DATA = Path(__file__).parent / 'data'
 
 
 @pytest.fixture(scope='module')
@@ -82,13 +83,9 @@ def test_the_file_says_what_its_values_are_and_info_what_it_is(name, tables, tmp
         assert words.encode() in content, file
         assert run('info', tmp_path / file, '--json') == 0
         found = json.loads(capsys.readouterr().out)
-        assert found['kind'] == 'export', file
-        assert found['facts']['format'] == name
-        assert found['facts']['run'] == 'abc123'
-        assert run('info', tmp_path / file) == 0
-        shown = capsys.readouterr().out
-        assert re.search(rf'values +{re.escape(words)}', shown), file
-        assert re.search(r'target offset +\(', shown), file
+        assert (found['kind'], found['schema']) in (('export', name), ('lattice', name)), file
+        assert 'abc123' in found['headline'] or found['kind'] == 'lattice'
+        assert b'target offset (' in content, file
 
 
 def test_digits_of_what_remains_follow_the_uncertainty_of_the_calibration(tables):
@@ -169,10 +166,10 @@ def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
         assert b'sign: ' in content and b'not in this file: ' in content
         assert b'target offset (20.000000, -30.000000, -150.000000) mm' in content
-        assert (name not in ('isg', 'heidenhain', 'qif')) != (b'rotations act about' in content)
+        assert (name not in ('isg', 'etalon')) != (b'rotations act about' in content)
 
 
-@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'qif'])
+@pytest.mark.parametrize('name', ['isg', 'etalon'])
 def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tables):
     assert not any('zero because' in r for r in exported(name, tables).remarks)
     hidden = {m: replace(tables.motions[m], identifiable=False) for m in ('EAZ', 'ECZ')}
@@ -213,28 +210,36 @@ def test_backlash_stands_in_the_columns_of_the_directions(tables):
         export_format('linuxcnc').export(Request(TablesFile(tables, {'reversal': wrong}), 'a'))
 
 
-def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):
-    data = tables_to_dict(tables)
-    for name in ('EXX', 'EAX'):
-        data['motions'][name]['u'] = [1e-6] * len(data['motions'][name]['u'])
-    from otf_core.model.tables import tables_from_dict
+def test_a_file_typed_by_hand_and_the_one_that_is_written_read_alike(tables):
+    values, columns = etalon_blocks((DATA / 'by_hand.etalon.txt').read_text())
+    assert values == {'C0Y': -21.5e-6, 'B0Z': 12.5e-6, 'A0Z': 0.0}
+    np.testing.assert_array_equal(columns['EXX'], [[0, 150, 300], [0, 1.5e-3, -2.25e-3]])
+    motions = {name: replace(t, value=0.0 * t.value) for name, t in tables.motions.items()}
+    for name, (argument, value) in columns.items():
+        scale = 1e-3 if name[1] in 'XYZ' else 1.0
+        motions[name] = MotionTable(1e-3 * argument, scale * value, 0.0 * value)
+    square = {name: replace(tables.squareness[name], value=v) for name, v in values.items()}
+    made = exported('etalon', replace(tables, motions=motions, squareness=square))
+    again = etalon_blocks(made.files['cell.txt'].decode())
+    assert again[0] == values
+    for name, table in columns.items():
+        np.testing.assert_allclose(again[1][name], table, atol=1e-9)
+    assert not any(again[1][name][1].any() for name in set(again[1]) - set(columns))
 
-    content = tables_from_dict(data, 'tables')
-    made = export_format('lattice-npz').export(Request(content, 'a.npz', points=3))
-    with np.load(io.BytesIO(made.files['a.npz'])) as held:
-        covariance, q = held['covariance'], [held[a] for a in 'xyz']
-        np.testing.assert_allclose(held['u'].ravel(), np.sqrt(np.diag(covariance)), rtol=1e-9)
-    # at a node of X, EXX moves along X alone and EAX turns (y, z) with the lever (some_machine)
-    points = np.stack(np.meshgrid(*q, indexing='ij'), axis=-1).reshape(-1, 3)
-    first = points[0]
-    lever = tables.machine.target_offset + np.array([0, first[1], first[2]])
-    u = np.sqrt(np.diag(covariance)[:3])
-    np.testing.assert_allclose(u, 1e-6 * np.abs([1.0, lever[2], lever[1]]), rtol=1e-9)
+
+def test_an_etalon_file_says_what_the_format_leaves_open(tables):
+    content = TablesFile(tables, {'gauge': 'zero at axis zero'})
+    made = export_format('etalon').export(Request(content, 'cell.txt'))
+    text = made.files['cell.txt'].decode()
+    for words in ('actual minus nominal', 'outside of the grid', 'in no table',
+                  'zero of the tables: zero at axis zero', 'target at ('):  # fmt: skip
+        assert words in text, words
+    assert 'Vendor' in made.remarks[0]
 
 
 @every_format
 def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
-    if name in ('isg', 'heidenhain', 'qif'):
+    if name in ('isg', 'etalon'):
         with pytest.raises(ConfigError, match=rf'--points: {name} holds the nodes'):
             exported(name, tables, points=20)
         return
@@ -250,15 +255,12 @@ def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
         assert 'tables are limited to 200 points' in exported(name, dense).remarks[-1]
 
 
-@pytest.mark.parametrize('name', ['lattice-csv', 'lattice-npz'])
-def test_the_planes_of_a_lattice_stand_at_the_nodes_or_a_remark_says_why_not(name, monkeypatch):
+def test_the_planes_of_a_lattice_stand_at_the_nodes_or_a_remark_says_why_not(monkeypatch):
     tables = random_tables(some_machine(pitch=0.03), 5e-5, np.random.default_rng(11))
-    made = exported(name, tables)
+    name, made = 'lattice-csv', exported('lattice-csv', tables)
     assert made.held(tables.machine.lower[None]).any()
     assert remaining_error(tables, made.held).after_mean < 1e-9
-    assert [r.partition(',')[0] for r in made.remarks] == (
-        ['without covariance'] if name == 'lattice-npz' else []
-    )
+    assert made.remarks == ()
     monkeypatch.setattr(lattice, 'MOST_AT_NODES', len(next(iter(made.files.values()))) // 100)
     monkeypatch.setattr(lattice, 'INSTEAD', 5)
     assert 'do not stand at the nodes' in exported(name, tables).remarks[0]

@@ -13,15 +13,13 @@ import pytest
 from cli_cells import run
 from core_cells import error_of
 
-from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError, InputError
 from otf_core.history.control_chart import MachineStatus, history_of
-from otf_core.history.interim_check import interim_check, interim_path
 from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, load_machine
+from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import (
     ErrorTables,
@@ -32,7 +30,6 @@ from otf_core.model.tables import (
     tables_from_dict,
     tables_to_dict,
 )
-from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.history_report import (
     format_history,
@@ -335,54 +332,6 @@ def test_after_an_event_drift_begins_anew_and_what_changed_is_said(found, tmp_pa
     assert not {'EXX', 'C0Y'} & {n for n, c in h.drift.motions.items() if c.significant}
 
 
-def test_the_interim_path_keeps_its_time_and_crosses_what_drifts(found, tmp_path):
-    h = history(tmp_path, found, [3e-6 * k for k in range(4)], 5)
-    path = interim_path(h, 60.0)
-    machine = h.series.common.machine
-    assert np.all(path.points >= machine.lower - 1e-9)
-    assert np.all(path.points <= machine.upper + 1e-9)
-    # feed, acceleration and dwell of the planner: 0.25 m/s, 2 m/s^2, 0.2 s at every corner
-    assert path.length / 0.25 + len(path.leg_lengths) * 0.2 < 60.0
-    used = np.abs(np.diff(path.points, axis=0)).sum(axis=0)
-    assert used[AXES.index('X')] > 0 and len(path.leg_lengths) > 5
-
-
-def test_tables_hold_for_the_machine_they_are_of_and_not_for_a_changed_one(
-    cell, calibrated, found, tmp_path
-):
-    for file in written(tmp_path, found, [0.0], 6):
-        (tmp_path / 'plain.json').write_text(json.dumps(found.data))
-        add_run(tmp_path / 'store', tmp_path / 'plain.json', '2026-01-01')
-        assert file.exists()
-    series = series_of(read_store(tmp_path / 'store').runs)
-    changed = tables_from_dict(moved({**found.data, **_plain(cell.truth)}, 1e-5), 'made').tables
-    checks = [
-        interim_check(
-            Recording(cell.recording.measured(tables, seed=9), cell.path, cell.machine), series
-        )
-        for tables in (cell.truth, changed)
-    ]
-    assert checks[0].holds and not checks[1].holds
-
-
-def test_the_command_judges_a_bag_with_the_latest_tables(
-    cell, found, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'a.json').write_text(json.dumps(found.data))
-    write_bag('same', BagContent(cell.recording.measured(cell.truth, seed=9), cell.path))
-    write_bag('other', BagContent(cell.recording.measured(cell.truth.scaled(3.0)), cell.path))
-    assert run('history', 's', '--add', 'a.json', '--at', '2026-01-01', '--interim', 'same') == 0
-    assert 'the tables still hold' in capsys.readouterr().out
-    assert run('history', 's', '--interim', 'other', '--json') == 4
-    shown = json.loads(capsys.readouterr().out)['interim']
-    assert not shown['holds'] and shown['ratio'] > 1.25
-
-
-def _plain(tables):
-    return tables_to_dict(tables)
-
-
 def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
     found, tmp_path, monkeypatch, capsys
 ):
@@ -402,8 +351,6 @@ def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
     assert len(pictures) > 15
     for picture in pictures:
         ElementTree.fromstring(picture)
-    header, *rows = (tmp_path / 'page/interim_path.csv').read_text().splitlines()
-    assert header == 'x,y,z' and len(rows) > 5
     assert run('history', 'store', '--name', 'nobody') == 2
     assert run('history', 'store', '--limit', '0') == 2
 

@@ -1,30 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of files: of every kind that is written, against what was written."""
+"""What is said of files: name, schema, headline, provenance."""
 
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from cli_cells import run, write_points
-from core_cells import some_machine
+from cli_cells import run
 
-from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.effects.effects_yaml import write_effects
+from otf_core.cli.info import KINDS
 from otf_core.files.output_folder import MANIFEST, write_manifest
-from otf_core.info.explain import KINDS, explain
 from otf_core.reports.calibration import write_calibration
 
 ROOT = Path(__file__).resolve().parents[3]
 ROOM = ROOT / 'bags/y-carries-the-table'
-
-
-@pytest.fixture(scope='module')
-def results(calibrated, tmp_path_factory):
-    folder = tmp_path_factory.mktemp('results')
-    files = write_calibration(calibrated, folder)
-    write_manifest(folder / MANIFEST, files, 'calibrate')
-    return folder
+PLAN = {
+    'schema': 'otf-rotary-plan/1',
+    'parts': [{'target': 'nest', 'duration': 90.0}],
+    'forecast': {'hidden': {'ECZ': 'why'}},
+}
 
 
 def said(path, capsys):
@@ -32,118 +25,72 @@ def said(path, capsys):
     assert run('info', path, '--json') == 0
     shown = capsys.readouterr()
     answer = json.loads(shown.out)
-    assert shown.err.splitlines()[0] == f'{path}: {answer["kind"]}'
-    return answer['kind'], answer['facts']
+    assert shown.err.splitlines()[0] == f'{path}: {answer["kind"]}, {answer["schema"]}'
+    assert answer['headline'] in shown.err
+    return answer
 
 
-def test_recordings_and_machines(capsys):
-    kind, facts = said(ROOM / 'bag', capsys)
-    assert (kind, facts['samples']) == ('recording', 38280)
-    assert facts['path_length'] == pytest.approx(41.005, abs=1e-3)
-    kind, facts = said(ROOM / 'machine.yaml', capsys)
-    assert (kind, facts['chain']) == ('machine description', 'w-Y-b-X-Z-t')
+def test_recordings_machines_and_lattices(tmp_path, capsys):
+    found = said(ROOM / 'bag', capsys)
+    assert (found['kind'], found['samples']) == ('recording', 38280)
+    assert found['topics']['/planner/path'] == 'nav_msgs/msg/Path'
+    assert found['duration_s'] == pytest.approx(255.2, abs=0.1)
+    found = said(ROOM / 'machine.yaml', capsys)
+    assert found['kind'] == 'machine description' and 'w-Y-b-X-Z-t' in found['headline']
+    (tmp_path / 'l.csv').write_text('# of a control\nx,y,z,dx,dy,dz\n0,0,0,1e-6,0,0\n')
+    found = said(tmp_path / 'l.csv', capsys)
+    assert (found['kind'], found['headline']) == ('lattice', '1 points')
 
 
-def test_tables_of_a_calibration_and_of_others(results, calibrated, capsys):
-    kind, facts = said(results / 'error_tables.json', capsys)
-    assert kind == 'error tables' and facts['not_seen'] == list(calibrated.not_identifiable)
-    kind, facts = said(ROOM / 'truth.json', capsys)
-    assert kind == 'error tables' and facts['fit'] == {}
-    kind, facts = said(ROOT / 'bags/trunnion/truth.json', capsys)
-    assert 'rotary axes' in kind and 'X0C' in facts['location']
+def test_tables_of_a_calibration_and_of_others_and_their_folder(calibrated, tmp_path, capsys):
+    files = write_calibration(calibrated, tmp_path)
+    write_manifest(tmp_path / MANIFEST, files, 'calibrate')
+    found = said(tmp_path / 'error_tables.json', capsys)
+    assert found['kind'] == 'error tables' and found['provenance']['verb'] == 'calibrate'
+    assert calibrated.verdicts.measurement_words in found['headline']
+    assert f'not seen: {", ".join(calibrated.not_identifiable)}' in found['headline']
+    assert 'small-trunnion' in said(ROOT / 'bags/trunnion/truth.json', capsys)['headline']
+    found = said(tmp_path, capsys)
+    assert found['kind'] == 'folder of results' and found['changed'] == []
+    (tmp_path / 'error_tables.csv').write_text('a note\n')
+    assert said(tmp_path, capsys)['changed'] == ['error_tables.csv']
 
 
-def test_residuals(results, calibrated, capsys):
-    kind, facts = said(results / 'residuals.npz', capsys)
-    assert kind == 'residuals' and facts['pieces'] == calibrated.fit.pieces
-    assert facts['mean_residual'] == pytest.approx(calibrated.fit.path_mae_after, rel=1e-9)
-
-
-def test_a_folder_and_what_was_changed_in_it(results, capsys):
-    kind, facts = said(results, capsys)
-    assert kind == 'folder of results' and facts['by'] == 'calibrate' and not facts['changed']
-    text = (results / 'summary.txt').read_text()
-    (results / 'summary.txt').write_text(text + 'a note\n')
-    assert said(results, capsys)[1]['changed'] == ['summary.txt']
-    (results / 'summary.txt').write_text(text)
-
-
-def test_effects_points_and_direct_measurements(tmp_path, capsys):
-    write_effects(
-        tmp_path / 'e.yaml', [AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6})], some_machine()
-    )
-    kind, facts = said(tmp_path / 'e.yaml', capsys)
-    assert kind == 'effects' and facts['effects'][0]['effect'] == 'backlash'
-    write_points(tmp_path / 'p.csv', [[0, 0, 0], [0.1, 0.2, -0.3]])
-    assert said(tmp_path / 'p.csv', capsys) == (
-        'points', {'points': 2, 'lower': [0, 0, -0.3], 'upper': [0.1, 0.2, 0]},
-    )  # fmt: skip
-    (tmp_path / 'd.csv').write_text(
-        '# point Y: 0.3,,-0.2\naxis,run,direction,position_m,EX_m\n'
-        'X,1,forward,0,0\nX,1,backward,0,0\nY,1,forward,0,0\n'
-    )
-    kind, facts = said(tmp_path / 'd.csv', capsys)
-    assert kind == 'direct measurement' and facts['readings'] == {'X': 2, 'Y': 1}
-
-
-def test_every_schema_that_is_written_is_known(tmp_path, capsys):
-    written = set()
-    for file in (ROOT / 'src/otf_core/otf_core').rglob('*.py'):
-        for line in file.read_text(encoding='utf-8').splitlines():
-            if 'SCHEMA = ' in line and "'otf-" in line:
-                written.add(line.split("'")[1])
-    assert len(written) > 8
-    for schema in written:
-        (tmp_path / 'f.json').write_text(json.dumps({'schema': schema}))
-        assert any(kind.is_one(tmp_path / 'f.json') for kind in KINDS), schema
-    (tmp_path / 'f.json').write_text('{"schema": "otf-new/1", "a": 1}')
-    assert said(tmp_path / 'f.json', capsys) == (
-        'other result', {'schema': 'otf-new/1', 'keys': ['schema', 'a']},
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ('data', 'kind', 'words'),
+    [
+        (PLAN, 'plan', 'parts nest (90 s); not shown: ECZ'),
+        (
+            {'schema': 'otf-gap/1', 'verdict': 'none', 'sentence': 'A.'},
+            'diagnosis',
+            'none: A.',
+        ),
+        ({'schema': 'otf-fleet/1', 'done': 3, 'failed': 1}, 'fleet', '3 runs done, 1 failed'),
+        ({'schema': 'otf-new/1', 'a': 1}, 'result', 'holds schema, a'),
+    ],
+)
+def test_results_have_a_headline(data, kind, words, tmp_path, capsys):
+    (tmp_path / 'f.json').write_text(json.dumps(data))
+    found = said(tmp_path / 'f.json', capsys)
+    assert (found['kind'], found['headline']) == (kind, words)
 
 
 @pytest.mark.parametrize(
     ('name', 'content', 'words'),
     [
-        ('a.json', '{"schema": "otf-gap/1"}', "is not a complete 'otf-gap/1'"),
-        ('a.json', '{"schema": "other/1"}', 'is not a file that otf writes or reads'),
+        *(('a.json', json.dumps({'schema': s}), f"not a complete '{s}'") for s in KINDS),
+        ('a.json', '{"schema": "other/1"}', 'not a file that otf writes or reads'),
         ('a.json', '{"schema', 'not valid JSON'),
-        ('a.npz', 'PK\x03\x04nothing', 'is not a residuals.npz'),
+        ('a.npz', 'PK\x03\x04nothing', 'is not a file that otf'),
         ('a.yaml', 'name: [', 'a.yaml'),
         ('a.txt', '', 'is not a file that otf'),
     ],
 )
-def test_a_file_that_cannot_be_explained_is_one_line_and_exit_code_2(
+def test_a_file_that_cannot_be_explained_is_one_line_and_exit_code_3(
     tmp_path, capsys, name, content, words
 ):
     (tmp_path / name).write_text(content)
-    assert run('info', tmp_path / name) == 2
+    assert run('info', tmp_path / name) == 3
     shown = capsys.readouterr()
     assert shown.out == '' and shown.err.count('\n') == 1 and words in shown.err
     assert run('info', tmp_path / 'nothing') == 2
-    assert np.all([p.name != 'nothing' for p in tmp_path.iterdir()])
-
-
-def test_kinds_are_asked_without_an_error_for_any_file(tmp_path):
-    (tmp_path / 'binary.csv').write_bytes(bytes(range(256)))
-    assert not any(kind.is_one(tmp_path / 'binary.csv') for kind in KINDS)
-    assert explain(ROOM / 'machine.yaml')[0].name == 'machine description'
-
-
-def test_a_plan_of_rotary_axes_and_its_files_are_no_recordings(tmp_path, capsys):
-    plan = {
-        'schema': 'otf-rotary-plan/1',
-        'axes': ['X', 'Y', 'Z', 'C'],
-        'parts': [{'target': 'nest', 'duration': 90.0, 'positions': [[0, 0, 0, 0], [0, 0, 0, 1]]}],
-        'forecast': {'grid_u': 7e-7, 'hidden': {'ECZ': 'why'}},
-    }
-    (tmp_path / 'plan.json').write_text(json.dumps(plan))
-    (tmp_path / 'path.csv').write_text('target,x,y,z,c\nnest,0,0,0,0\nnest,0,0,0,1\n')
-    (tmp_path / 'point.csv').write_text('x,y,z,c\n0,0,0,1\n')
-    kind, facts = said(tmp_path / 'plan.json', capsys)
-    assert kind == 'plan of a machine with rotary axes' and facts['parts'] == ['nest']
-    assert said(tmp_path / 'path.csv', capsys) == ('axis positions', {'parts': ['nest']})
-    assert said(tmp_path / 'point.csv', capsys)[0] == 'axis positions'
-    (tmp_path / 'path.mcap').touch()
-    write_manifest(tmp_path / MANIFEST, [tmp_path / 'plan.json'], 'plan')
-    assert said(tmp_path, capsys)[0] == 'folder of results'

@@ -287,7 +287,7 @@ def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
     assert (block['verb'], block['runs'][0]['samples']) == ('noise', len(samples))
     assert data == json.loads(json.dumps(noise_to_dict(noise_report(samples, SPEED))))
     assert (data['standstills'], data['windows']) == (3, 3)
-    assert (tmp_path / 'out' / 'noise.svg').stat().st_size > 1000
+    assert not list((tmp_path / 'out').glob('*.svg'))
     source = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     page = Page(source)
     assert page.faults == [] and unloading(source) == []

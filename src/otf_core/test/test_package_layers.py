@@ -10,20 +10,19 @@ from source_trees import ROOT, parsed
 
 ROOT_MODULES = (
     '__init__',
-    'ahead',
     'arrays',
     'aside',
+    'blocks',
     'config',
     'errors',
-    'memory',
     'threads',
     'version',
 )
 """Modules outside the packages: used everywhere, and the public names, loaded lazily."""
 LAYERS = (
     ('api', 'cli'),
-    ('info', 'installation', 'reports'),
-    ('blind', 'checking', 'history', 'loop', 'validation'),
+    ('reports',),
+    ('checking', 'history'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
@@ -45,12 +44,6 @@ FORBIDDEN = [
     ('diagnosis', 'sim'),
     ('planning', 'sim'),
     ('reports', 'sim'),
-    ('reports', 'blind'),
-    ('validation', 'diagnosis'),
-    ('blind', 'diagnosis'),
-    ('blind', 'calibration'),
-    ('blind', 'solving'),
-    ('blind', 'pieces'),
     ('diagnosis.engine', 'diagnosis.place'),
     ('diagnosis.place', 'diagnosis.engine'),
 ]

@@ -39,25 +39,6 @@ def test_readme_is_read_in_two_minutes():
     assert len(PAGES[0].read_text(encoding='utf-8').splitlines()) <= 150
 
 
-def test_table_of_a_blind_trial_finds_its_marks(monkeypatch):
-    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
-    import blind_table
-
-    text = blind_table.PAGE.read_text(encoding='utf-8')
-    once = blind_table.with_table(text, '| a row |\n')
-    assert once.count('\n\n| a row |\n\n') == 1
-    assert blind_table.with_table(once, '| a row |') == once
-
-
-def test_tables_of_both_blind_trials_become_one(monkeypatch):
-    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
-    import blind_table
-
-    trial, without = (f'```\n{n}\n```\n\n{n} said.\n\n| h |\n|---|\n| {n} |\n' for n in 'ab')
-    whole = blind_table.joined(f'{trial}\nSizes.\n', without)
-    assert whole.endswith('b said.\n\n| h |\n|---|\n| a |\n| b |\n\nSizes.')
-
-
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding='utf-8')
@@ -100,7 +81,7 @@ def test_quality_of_service_is_that_of_the_nodes():
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_named_commands_exist(page):
     verbs = next(a for a in _parser()._actions if a.dest == 'verb').choices
-    known = {*verbs, 'demo', 'soak', 'test', 'env', 'emulate-tracker'}
+    known = {*verbs, 'demo', 'test', 'env', 'emulate-tracker'}
     found = set(re.findall(r'\./otf ([a-z-]+)', page.read_text(encoding='utf-8')))
     assert found <= known
 

@@ -13,6 +13,7 @@ import pytest
 from core_cells import constant_tables, some_machine
 from html_cells import Page, number, unloading
 
+import otf_core
 import otf_core.reports.calibration_sections as of_calibration
 import otf_core.reports.gap_sections as of_gap
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
@@ -28,7 +29,6 @@ from otf_core.reports.calibration import (
     SECTIONS,
     calibration_sections,
     facts_of,
-    format_result,
     write_calibration,
 )
 from otf_core.reports.calibration_sections.first_screen import error_sizes
@@ -243,7 +243,7 @@ def test_squareness_in_the_page_is_that_of_json_in_both_habits_of_sign(page, tab
         )
 
 
-def test_volumetric_error_agrees_in_page_terminal_and_json(page, tables, result, folder):
+def test_volumetric_error_agrees_in_page_terminal_and_json(page, tables, result):
     entry = tables['volumetric_error']
     now, wide, alone, measured = (row[1:] for row in page.rows('Volumetric error'))
     sizes, first = ('mean', 'p95', 'max'), tables['headline']
@@ -256,9 +256,7 @@ def test_volumetric_error_agrees_in_page_terminal_and_json(page, tables, result,
             assert len(cell.replace('.', '').lstrip('0')) == 2 or row is now, 'two digits of U'
     assert all(number(b) < number(a) for a, b in zip(wide, alone, strict=True))
     assert measured[0] == 'not measured'
-    said = (folder / 'summary.txt').read_text()
-    assert result.headline.error_words in said
-    assert said.rstrip('\n') == format_result(result)
+    assert result.headline.error_words in otf_core.summary(result)
 
 
 def test_budget_of_the_volume_agrees_and_its_squares_add_up(page, tables):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_cells import message, run
+from cli_cells import run
 from test_rotary_exports import five_axes
 
 from otf_core.comparison.rotary_axes import compare_rotary
@@ -94,17 +94,13 @@ def test_compare_refuses_other_nominal_lines_and_direct_measurements(tables, tmp
         compare_rotary(a, tmp_path / 'x.csv')
 
 
-def test_history_takes_machines_with_rotary_axes_but_no_interim_check(tables, tmp_path, capsys):
+def test_history_takes_machines_with_rotary_axes(tables, tmp_path):
     a, store = written(tmp_path, 'a', tables), tmp_path / 'store'
     for day in ('01', '02'):
         assert run('history', store, '--add', a, '--at', f'2026-01-{day}') == 0
     assert run('history', store, '--out', tmp_path / 'page') == 0
     names = {f.name for f in (tmp_path / 'page').iterdir()}
     assert {'history.html', 'history.json'} <= names
-    assert 'interim_path.csv' not in names
-    capsys.readouterr()
-    assert run('history', store, '--interim', 'bag') == 2
-    assert '--interim: not available for machines with rotary axes' in message(capsys)
 
 
 def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_cells import message, run
-from export_readers import evenly, sinumerik_values
+from export_readers import etalon_blocks, evenly, sinumerik_values
 from test_joints import constant, machine_of
 
 from otf_core.errors import ConfigError
@@ -163,15 +163,12 @@ class IsgReader:
         return found
 
 
-class HeidenhainReader(IsgReader):
-    """The same by columns for the table editor: mm, degrees, rad."""
+class EtalonReader(IsgReader):
+    """The same by the blocks of the Etalon exchange format: errors alone."""
 
     def __init__(self, text, sign='error'):
-        head, _, rows = text.partition('\nAXIS,AXISPOS,C1,C2,C3,C4,C5,C6,OWN\n')
-        factor = 1.0 if sign == 'error' else -1.0
-        (constants,) = re.findall(r'constants for the kinematics: (.*)', head)
-        words = [entry.split() for entry in constants.split(', ')]
-        self.constant = {name: factor * float(value) for name, value, _ in words}
+        head = '\n'.join(line for line in text.splitlines() if line.startswith('//'))
+        self.constant, self.columns = etalon_blocks(text)
         vector = r'\((\S+), (\S+), (\S+)\)'
         self.direction = {}
         for name, *values in re.findall(
@@ -180,18 +177,11 @@ class HeidenhainReader(IsgReader):
             self.direction[name] = np.array(values[:3], float)
             centre = zip('XYZ', values[3:], strict=True)
             self.constant |= {f'P{d}{name}': float(v) for d, v in centre}
-        self.columns = {}
-        table = [row.split(',') for row in rows.splitlines()]
-        for axis in {row[0] for row in table}:
-            values = np.array([row[1:] for row in table if row[0] == axis], float)
-            for k, direction in enumerate('XYZABC'):
-                own = values[:, 7] if axis == direction and axis in 'ABC' else values[:, 1 + k]
-                self.columns[f'E{direction}{axis}'] = values[:, 0], factor * own
         self.chain = re.search(r'chain (\S+),', head)[1]
         self.target = np.array(re.search(rf'target offset {vector} mm', head).groups(), float)
 
 
-READERS = {'isg': IsgReader, 'heidenhain': HeidenhainReader}
+READERS = {'isg': IsgReader, 'etalon': EtalonReader}
 
 
 def units(machine):
@@ -212,7 +202,7 @@ def left_by_file(tables, q, sign='error', name='isg'):
 
 
 @pytest.mark.parametrize(
-    ('name', 'chain'), [*(('isg', chain) for chain in CHAINS), ('heidenhain', CHAINS[1])]
+    ('name', 'chain'), [*(('isg', chain) for chain in CHAINS), ('etalon', CHAINS[1])]
 )
 def test_a_file_takes_the_position_error_off_in_five_axes(name, chain):
     tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
@@ -389,28 +379,6 @@ def test_a_machine_without_rotary_axis_has_no_pivot():
         exported('pivot', random_tables(machine_of('w-b-X-Y-Z-t'), 5e-5, np.random.default_rng(1)))
 
 
-def test_columns_of_heidenhain_hold_rotary_axes_in_degrees_and_their_positioning_apart():
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
-    for sign, factor in (('error', 1.0), ('correction', -1.0)):
-        text = exported('heidenhain', tables, sign).files['cell.txt'].decode()
-        header, *rows = [r.split(',') for r in text.splitlines() if not r.startswith('#')]
-        assert header == ['AXIS', 'AXISPOS', *(f'C{k}' for k in range(1, 7)), 'OWN']
-        for axis in 'AC':
-            own = np.array([row[1:] for row in rows if row[0] == axis], float)
-            at = np.radians(own[:, 0])
-            for k, direction in enumerate('XYZABC'):
-                column = 7 if direction == axis else 1 + k
-                scale = 1e-3 if direction in 'XYZ' else 1.0
-                wanted = factor * tables.motions[f'E{direction}{axis}'].at(at)
-                np.testing.assert_allclose(scale * own[:, column], wanted, atol=1e-9)
-            assert not own[:, 1 + 'XYZABC'.index(axis)].any()
-        found = re.search(r'X0C (\S+) mm.* A0C (\S+) rad', text)
-        wanted = [1e3 * tables.location['X0C'].value, tables.location['A0C'].value]
-        np.testing.assert_allclose(
-            [float(v) for v in found.groups()], np.multiply(factor, wanted), atol=1e-6
-        )
-
-
 # Positioning of rotary axes in SINUMERIK ENC_COMP.
 
 
@@ -496,7 +464,7 @@ def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
     assert 'rotary axes at zero' in text
 
 
-@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'sinumerik-enc', 'linuxcnc', 'pivot'])
+@pytest.mark.parametrize('name', ['isg', 'etalon', 'sinumerik-enc', 'linuxcnc', 'pivot'])
 def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
     file = tmp_path / 'error_tables.json'
@@ -506,7 +474,7 @@ def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     assert run('export', file, '--format', name, '--out', out, *sign) == 0
     assert 'this file leaves' in capsys.readouterr().out
     assert run('info', out, '--json') == 0
-    assert json.loads(capsys.readouterr().out)['facts']['format'] == name
-    assert run('export', file, '--format', 'qif', '--out', tmp_path / 'x.xml') == 2
+    assert json.loads(capsys.readouterr().out)['schema'] == name
+    assert run('export', file, '--format', 'lattice-csv', '--out', tmp_path / 'x.xml') == 2
     assert 'holds three linear axes only' in message(capsys)
     assert not (tmp_path / 'x.xml').exists()

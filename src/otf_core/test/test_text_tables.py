@@ -22,8 +22,8 @@ from otf_core.tracking import no_match
 DOCS = Path(__file__).resolve().parents[3] / 'docs' / 'commands.md'
 
 
-def reading(folder, text, name='', **options):
-    file = folder / ('run.ply' if name.startswith('PLY') else 'run.csv')
+def reading(folder, text, **options):
+    file = folder / 'run.csv'
     file.write_text(text, encoding='utf-8')
     return TextReading(file, **options)
 
@@ -31,7 +31,7 @@ def reading(folder, text, name='', **options):
 @pytest.mark.parametrize('name', READ)
 def test_every_form_holds_the_same_points(tmp_path, name):
     text, options = READ[name]
-    got = reading(tmp_path, text, name, **options)
+    got = reading(tmp_path, text, **options)
     raw = got.received()
     np.testing.assert_allclose(1e3 * raw.xyz, XYZ, atol=1e-4 * (1 + ('in' in text)))
     np.testing.assert_allclose(raw.stamp_ns - raw.stamp_ns[0], 4e7 * np.arange(COUNT), atol=2)
@@ -67,7 +67,7 @@ def test_of_points_none_is_left_out(tmp_path, name):
 def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path, name):
     text, options, words = REFUSED[name]
     with pytest.raises(InputError) as caught:
-        reading(tmp_path, text, name, **options)
+        reading(tmp_path, text, **options)
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 

@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from otf_core.memory import BLOCK
+from otf_core.blocks import BLOCK
 from otf_core.model.observation import Samples
 from otf_core.tracking.measured_track import HOP, STRIDE_TIME, measured_track, reversals, simplify
 

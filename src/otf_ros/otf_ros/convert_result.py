@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,6 @@ from otf_core.calibration.calibration_result import (
     motion_sizes,
     volume_errors,
 )
-from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.machine_verdict import (
     FAIL,
     NOT_STATED,
@@ -49,16 +48,14 @@ ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
 STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
 
 
-def tables_to_messages(tables: ErrorTables, run_id: str, stamp: Time) -> dict[str, ErrorTable]:
+def _tables_to_messages(tables: ErrorTables) -> list[ErrorTable]:
     """Return one message per error motion, EXX to ECZ first."""
-    messages = {}
+    messages = []
     for name in tables.machine.motions:
         table, axis = tables.motions[name], tables.machine.axes[name.axis]
         seen = table.node_identifiable
         straight = name.is_straightness and not axis.rotary
-        messages[str(name)] = ErrorTable(
-            header=header(stamp),
-            run_id=run_id,
+        message = ErrorTable(
             motion=name,
             axis=name.axis,
             unit=unit_of(name),
@@ -72,14 +69,14 @@ def tables_to_messages(tables: ErrorTables, run_id: str, stamp: Time) -> dict[st
             else seen.tolist(),
             gauge=STRAIGHTNESS_GAUGE if straight else ZERO_GAUGE,
         )
+        messages.append(message)
     return messages
 
 
-def all_tables_to_message(
+def tables_to_message(
     result: CalibrationResult | AxisCalibration,
     alignment: RigidTransform,
     hidden: Collection[str],
-    tables: Iterable[ErrorTable],
     stamp: Time,
     method: str,
 ) -> TablesMessage:
@@ -91,8 +88,6 @@ def all_tables_to_message(
         Place of the tracker.
     hidden : collection of str
         Errors that the data do not show.
-    tables : iterable of ErrorTable
-        As of ``tables_to_messages``.
     """
     machine, run = result.tables.machine, result.origin[0]
     squareness = {name: result.tables.squareness[name] for name in machine.squareness}
@@ -103,7 +98,7 @@ def all_tables_to_message(
         chain=str(machine.chain),
         method=method,
         passed=not result.failed_gates,
-        tables=list(tables),
+        tables=_tables_to_messages(result.tables),
         squareness=list(squareness),
         squareness_value=[entry.value for entry in squareness.values()],
         squareness_u=[entry.u for entry in squareness.values()],
@@ -136,7 +131,7 @@ def common_result(
     stamp: Time,
     method: str,
 ) -> ResultMessage:
-    """Return what the summaries of all machines have in common; see ``all_tables_to_message``."""
+    """Return what the summaries of all machines have in common; see ``tables_to_message``."""
     fit, machine, first = result.fit, result.tables.machine, result.headline
     sizes = motion_sizes(result.tables)
     message = ResultMessage(
@@ -191,19 +186,6 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
     return message
 
 
-def sight_to_message(sight: FirstSight, stamp: Time) -> ResultMessage:
-    """Return the summary of a first look: place of the tracker and distance from the path."""
-    return ResultMessage(
-        header=header(stamp),
-        status=ResultMessage.OK,
-        message=sight.words,
-        alignment=transform_to_message(sight.T_machine_tracker),
-        samples=sight.samples,
-        coverage=sight.share,
-        path_mae_before=sight.distance,
-    )
-
-
 def volume_to_message(volume: VolumeErrors, run_id: str, stamp: Time) -> VolumeMessage:
     """Return predicted errors on a grid."""
     vectors = [
@@ -243,8 +225,7 @@ def volume_from_message(message: VolumeMessage) -> VolumeErrors:
 class Messages:
     """What is published of a calibration; lost samples and folder are left empty."""
 
-    tables: dict[str, ErrorTable]
-    together: TablesMessage
+    tables: TablesMessage
     alignment: TransformStamped
     result: ResultMessage
     volume: VolumeMessage
@@ -260,20 +241,12 @@ def messages_of(
     provisional : bool
         Of a part of the run.
     """
-    tables = tables_to_messages(result.tables, result.run_id, stamp)
+    hidden, place = result.not_identifiable, result.T_machine_tracker
     message = result_to_message(result, stamp, method)
     volume = volume_to_message(volume_errors(result, provisional), result.run_id, stamp)
     return Messages(
-        tables,
-        all_tables_to_message(
-            result,
-            result.T_machine_tracker,
-            result.not_identifiable,
-            tables.values(),
-            stamp,
-            method,
-        ),
-        alignment_to_message(result.T_machine_tracker, stamp),
+        tables_to_message(result, place, hidden, stamp, method),
+        alignment_to_message(place, stamp),
         message,
         volume,
     )

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
@@ -13,14 +12,13 @@ from otf_core.arrays import Array
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose, volume_errors
 from otf_core.reports.rotary_calibration import verdicts_of
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable, TargetPlace
 from otf_msgs.msg import ErrorTables as TablesMessage
+from otf_msgs.msg import TargetPlace
 from otf_ros.convert_result import (
     Messages,
     alignment_to_message,
-    all_tables_to_message,
     common_result,
-    tables_to_messages,
+    tables_to_message,
     volume_to_message,
 )
 
@@ -29,10 +27,8 @@ def messages_of(
     result: AxisCalibration, stamp: Time, method: str, *, provisional: bool = False
 ) -> Messages:
     """Return all messages of a calibration; see ``convert_result.messages_of``."""
-    tables = tables_to_messages(result.tables, result.run_id, stamp)
     return Messages(
-        tables,
-        _together(result, tables.values(), stamp, method),
+        _tables(result, stamp, method),
         alignment_to_message(first_pose(result), stamp),
         _result(result, stamp, method),
         volume_to_message(volume_errors(result, provisional), result.run_id, stamp),
@@ -54,13 +50,11 @@ def summary(result: AxisCalibration) -> str:
     )
 
 
-def _together(
-    result: AxisCalibration, tables: Iterable[ErrorTable], stamp: Time, method: str
-) -> TablesMessage:
+def _tables(result: AxisCalibration, stamp: Time, method: str) -> TablesMessage:
     """All errors of one calibration."""
     machine, hidden = result.machine, result.made.hidden
     location = {name: result.tables.location[name] for name in machine.location}
-    message = all_tables_to_message(result, first_pose(result), hidden, tables, stamp, method)
+    message = tables_to_message(result, first_pose(result), hidden, stamp, method)
     message.location = list(location)
     message.location_value = [entry.value for entry in location.values()]
     message.location_u = [entry.u for entry in location.values()]

@@ -54,7 +54,7 @@ PICTURE = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Markers: every message is the whole picture, and a viewer that starts later sees it at once."""
 
 SCALAR = _profile(10, DurabilityPolicy.VOLATILE)
-"""Numbers for plots, a few per second: ten hold what a busy plotter has not taken yet."""
+"""A number for plots, a few per second: ten hold what a busy plotter has not taken yet."""
 
 COMMAND = _profile(1000, DurabilityPolicy.VOLATILE)
 """Positions that are asked about and the answers: as many as come in a second, no news later."""

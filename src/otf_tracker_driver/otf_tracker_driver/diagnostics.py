@@ -122,6 +122,7 @@ class Rate:
             return Finding(Level.OK, 'the stream has begun')
         rate, nominal = (count - before) / (now - begun), self._status.pace
         values = {'rate [Hz]': rate, 'nominal rate [Hz]': nominal}
+        values['times as fast as measured'] = message.real_time_factor
         if self._status.latency is not None:
             values['age of the oldest sample of a batch [s]'] = self._status.latency
         text = f'{rate:.0f} Hz; {message.message}'

@@ -15,19 +15,20 @@ from trajectory_msgs.msg import JointTrajectory
 from otf_core.config import Parameters
 from otf_core.errors import OtfError
 from otf_core.model.observation import Samples
-from otf_msgs.msg import Plan, TrackerStatus
+from otf_msgs.msg import CalibratorState, Plan, TrackerStatus
 from otf_ros import app, convert, qos
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.backends.base import NO_SAMPLES, join_samples
-from otf_tracker_driver.listeners import calibrators
+from otf_tracker_driver.listeners import Calibrators
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
+from otf_tracker_driver.window import Window
 
 PERIOD = 0.005
 """s; how often the backend is asked for samples."""
-LOOK = 0.1
-"""s; how often it is looked who listens."""
+LOOK, LOOK_AGAIN = 0.1, 1.0
+"""s; how often it is looked who listens, before the stream and during it."""
 MOST_AT_ONCE, MOST_PER_SECOND = 5000, 10_000
 """Samples; what has piled up while the process stood still is published at a pace that subscribers
 can follow: their queues hold 20 000."""
@@ -66,7 +67,8 @@ class Streamer:
         self._plan_wanted = self._streaming = False
         self._pending, self._allowed, self._ticked = NO_SAMPLES, 0.0, time.monotonic()
         self._held_until = 0.0
-        self._listening, self._looked = 0, 0.0
+        self._calibrators = Calibrators(node, self._points.topic_name, self._on_state)
+        self._window = Window()
 
     def _offer_path(self) -> list[Publisher]:
         """Publish the path that comes with the samples, if one does."""
@@ -120,7 +122,6 @@ class Streamer:
         self._streaming = False
         self._timer.cancel()
         self._status.repeat(False)
-        self._status.end()
         self._backend.stop()
         self._plan_wanted = False
 
@@ -129,6 +130,7 @@ class Streamer:
         self.stop()
         self._backend.disconnect()
         self._node.destroy_timer(self._timer)
+        self._calibrators.close()
         self._node.destroy_lifecycle_publisher(self._points)
         for publisher in self._offered:
             self._node.destroy_publisher(publisher)
@@ -143,7 +145,10 @@ class Streamer:
             if not self._streaming:
                 self._backend.start()
                 self._status.begin(self._backend)
-                self._streaming = True
+                self._streaming, self._window = True, Window(self._calibrators.names)
+            if self._calibrators.look(LOOK_AGAIN):
+                self._window.keep(self._calibrators.names)
+            self._backend.allowed = self._window.allowed
             batch = self._due(self._backend.poll())
             self._status.take(batch)
             hindrance, trouble = self._backend.hindrance, self._backend.trouble
@@ -161,14 +166,12 @@ class Streamer:
             text = f'internal error of the backend: {error!r}; the driver ends'
             self._status.report(TrackerStatus.FAULT, text)
             raise
-        published = self._status.message.samples_published - len(batch)
-        stamps = batch.stamp_ns.tolist()
-        for at, message in enumerate(convert.points_to_messages(batch)):
+        for message in convert.points_to_messages(batch):
             self._points.publish(message)
-            self._status.note(published + at + 1, stamps[at])
         if self._backend.finished and not len(self._pending):
             self.stop()
-            text = 'all samples published; deactivate and activate to stream again'
+            text = f'all samples published{self._backend.pace_words}; '
+            text += 'deactivate and activate to stream again'
             self._status.report(TrackerStatus.FINISHED, text)
 
     def _missing(self) -> str:
@@ -176,21 +179,21 @@ class Streamer:
         if self._plan_wanted:
             return 'waiting for planner/plan'
         wanted = self._config.wait_for_subscribers
-        if not self._backend.preparing and self._calibrators() < wanted:
+        self._calibrators.look(LOOK)
+        listening = min(self._calibrators.count, self._points.get_subscription_count())
+        if not self._backend.preparing and listening < wanted:
             return (
-                f'waiting for calibrators that listen to tracker/point: {self._listening} of '
+                f'waiting for calibrators that listen to tracker/point: {listening} of '
                 f'{wanted}; with wait_for_subscribers 0 it waits for none'
             )
         return self._backend.preparing
 
-    def _calibrators(self) -> int:
-        """Calibrators that are matched, as of a moment ago."""
-        now = time.monotonic()
-        if now - self._looked > LOOK:
-            known = calibrators(self._node, self._points.topic_name)
-            self._listening = min(known, self._points.get_subscription_count())
-            self._looked = now
-        return self._listening
+    def _on_state(self, calibrator: str, message: CalibratorState) -> None:
+        """Let the source go on if a calibrator has taken samples."""
+        status, taken = self._status.message, 0
+        if message.stream_id == status.stream_id:
+            taken = self._backend.count_until(convert.ns_from_time(message.taken))
+        self._window.hear(calibrator, taken, status.samples_published)
 
     def _due(self, new: Samples) -> Samples:
         """Take new samples; return what is to be published now, in order."""

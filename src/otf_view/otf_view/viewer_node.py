@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viewer node: markers for RViz and Foxglove, numbers for PlotJuggler and the like."""
+"""Viewer node: markers for RViz and Foxglove, the distance from the path for plots."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 from otf_core.live.layers import moving, scene
-from otf_core.live.live_run import NUMBERS, numbers
 from otf_ros import app, qos
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
@@ -31,18 +30,15 @@ class Viewer(Node):
         self._settings = NodeParameters(self, ViewerConfig)
         self._scene = self.create_publisher(MarkerArray, 'view/scene', qos.PICTURE)
         self._live = self.create_publisher(MarkerArray, 'view/live', qos.PICTURE)
-        self._numbers = {
-            name: self.create_publisher(Float64, f'view/{name}', qos.SCALAR) for name in NUMBERS
-        }
+        self._distance = self.create_publisher(Float64, 'view/distance_from_path', qos.SCALAR)
         self._ears = LiveRunListener(self)
         self._drawn = 0
         create_timer(self, PERIOD, self._publish)
 
     def _publish(self) -> None:
         run = self._ears.run
-        for name, value in numbers(run).items():
-            if math.isfinite(value):
-                self._numbers[name].publish(Float64(data=float(value)))
+        if math.isfinite(run.track.distance):
+            self._distance.publish(Float64(data=float(run.track.distance)))
         if run.path is None:
             return
         if self._drawn != self._ears.news:

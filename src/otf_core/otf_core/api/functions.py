@@ -22,7 +22,6 @@ from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
 from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.live.stages import Progress
-from otf_core.memory import giving_back
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
@@ -35,6 +34,7 @@ from otf_core.prediction import predict as evaluation
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
 from otf_core.reports.calibration import result_to_dict
+from otf_core.reports.calibration_sections.first_screen import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -54,7 +54,7 @@ def read_bag(
     path_topic: str | None = None,
     columns: str | None = None,
     rate: float | None = None,
-    publisher: int | None = None,
+    time_format: str | None = None,
 ) -> Recording:
     """Read a recorded run.
 
@@ -74,8 +74,8 @@ def read_bag(
         not given.
     rate : float, optional
         Hz; of samples in a text without times.
-    publisher : int, optional
-        Whose samples, from 1, where several trackers published on one topic.
+    time_format : str, optional
+        Form of the times in a text, in words of ``strptime``; ISO 8601 or numbers if not given.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_bag(
     return read_recording(
         [source],
         machine,
-        ReadingOptions(path, topic, path_topic, columns, rate, publisher=publisher),
+        ReadingOptions(path, topic, path_topic, columns, rate, time_format=time_format),
     )
 
 
@@ -206,7 +206,7 @@ def write_plan(
     --------
     >>> files = otf_core.write_plan(report, 'plan', dialect='linuxcnc')
     >>> [file.name for file in files]
-    ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.svg', 'report.html', 'plan.json']
+    ['otf_path.ngc', 'path.csv', 'report.html', 'plan.json']
     """
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan_files import write_report
@@ -228,16 +228,16 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration.format_result(of)
+        return calibration_summary(calibration.facts_of(of))
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
     from otf_core.reports.diagnosis import format_diagnosis
-    from otf_core.reports.plan_files import format_report
+    from otf_core.reports.plan_files import plan_summary
 
     if isinstance(of, Diagnosis):
         return format_diagnosis(of)
     if isinstance(of, PlanReport):
-        return format_report(of)
+        return plan_summary(of).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 
@@ -305,16 +305,14 @@ def calibrate(
     runs = _several(recordings)
     if method not in METHODS:
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
-    with giving_back():
-        if effects is None:
-            return calibrate_runs(runs, config, progress, METHODS[method])
-        from otf_core.diagnosis.diagnose import calibrate_with_effects
-        from otf_core.sim.twin import twin_recording
+    if effects is None:
+        return calibrate_runs(runs, config, progress, METHODS[method])
+    from otf_core.diagnosis.diagnose import calibrate_with_effects
+    from otf_core.sim.twin import twin_recording
 
-        result = calibrate_with_effects(
-            runs, str(effects), twin_recording, config, progress, method
-        )
-        return result.result
+    return calibrate_with_effects(
+        runs, str(effects), twin_recording, config, progress, method
+    ).result
 
 
 def diagnose(
@@ -357,8 +355,7 @@ def diagnose(
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.sim.twin import twin_recording
 
-    with giving_back():
-        return diagnose(runs, twin_recording, exclude, config, progress)
+    return diagnose(runs, twin_recording, exclude, config, progress)
 
 
 def predict(

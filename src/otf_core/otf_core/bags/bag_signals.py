@@ -72,49 +72,29 @@ MIN_MESSAGES = 3
 """Messages that make a signal."""
 
 
-def read_signals(
-    source: str | Path, wanted: Sequence[str], declared: Sequence[SignalSpec] = ()
-) -> dict[str, Signal]:
-    """Read signals of a bag.
+def read_signals(source: str | Path, declared: Sequence[SignalSpec]) -> dict[str, Signal]:
+    """Read the signals of a machine from a bag, by name.
 
-    Parameters
-    ----------
-    wanted : sequence of str
-        ``TOPIC`` or ``TOPIC:field``.
-    declared : sequence of SignalSpec
-        Those of the machine; the log says which of them the bag lacks.
-
-    Returns
-    -------
-    dict of str to Signal
-        By ``signal:`` and what was wanted.
+    The log says which of them the bag lacks, and which have too few messages.
 
     Raises
     ------
     ConfigError
-        If a topic is not in the bag, a field not in its messages or no number.
-    InputError
-        If there are too few messages.
+        If a field is not in its messages or no number.
     """
-    declared = [one for one in declared if one.wanted not in wanted]
-    if not wanted and not declared:
+    if not declared:
         return {}
-    names = [*wanted, *(one.wanted for one in declared)]
     held: dict[str, str] = {}
     for _ in locate(source).messages({}, held, []):
         pass
-    for name in wanted:
-        if (topic := name.partition(':')[0]) not in held:
-            known = ', '.join(sorted(held))
-            raise ConfigError(f'--signal: {source} has no topic {topic}; it has {known}')
     for one in declared:
         if one.topic not in held:
             _log.warning('%s: no topic %s, a signal of the machine', source, one.topic)
-    rows = _rows(source, [n for n in names if n.partition(':')[0] in held], held)
+    rows = _rows(source, [one.wanted for one in declared if one.topic in held], held)
     return {
         HEAD + name: signal_of(f'{source}: {name}', own)
         for name, own in rows.items()
-        if name in wanted or _enough(f'{source}: {name}', own)
+        if _enough(f'{source}: {name}', own)
     }
 
 
@@ -199,7 +179,7 @@ def _number(message: Any, name: str, kind: str) -> float:
         value = getattr(value, part, None)
     if not field or not isinstance(value, (bool, int, float, np.number, np.bool_)):
         raise ConfigError(
-            f'--signal: {name}: name a field of {kind} that is one number, as TOPIC:field'
+            f'signals: {name}: name a field of {kind} that is one number, as TOPIC:field'
         )
     return float(value)
 

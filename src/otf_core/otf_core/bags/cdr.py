@@ -250,7 +250,7 @@ def frame_text(what: str, frame: str, expected: str) -> str:
     """Return the message for a frame_id that is not the one the interface fixes."""
     return (
         f"{what}: frame_id is {frame_shown(frame)}, expected '{expected}'; "
-        f'publish in that frame, or name the topic (--topic, --path-topic) to take any'
+        f'publish in that frame, or name the topic in --config (topic, path_topic) to take any'
     )
 
 

@@ -63,20 +63,12 @@ class Clock(Generic[T]):
         """Whether what is held is no accident."""
         return len(self.held) >= CLOCK_CHANGE_SAMPLES
 
-    def take(self, stamp_ns: int, item: T, back_ns: int = MAX_OFF_NS) -> bool:
-        """Return whether a stamp goes on with the clock; it is held if it does not.
-
-        Parameters
-        ----------
-        item : T
-            What it belongs to.
-        back_ns : int
-            ns; it may go back by so much.
-        """
+    def take(self, stamp_ns: int, item: T) -> bool:
+        """Return whether a stamp of an item goes on with the clock; it is held if it does not."""
         if self.held and not self._follows_held(stamp_ns):
             self.drop()
         newest = self.newest_ns
-        if not self.held and (newest is None or -back_ns <= stamp_ns - newest <= MAX_OFF_NS):
+        if not self.held and (newest is None or abs(stamp_ns - newest) <= MAX_OFF_NS):
             self.newest_ns = stamp_ns if newest is None else max(newest, stamp_ns)
             return True
         self.held.append((stamp_ns, item))
@@ -183,36 +175,10 @@ def stamp_words(stamp_ns: NDArray[np.int64]) -> str:
 # Order of reception against order of stamps: which of the two is that of the motion.
 #
 # Transport swaps messages: then the target moves smoothly in the order of the stamps. Where it
-# moves smoothly in the order of reception, and to and fro once sorted, the stamps are wrong. A
-# counter that wraps and a clock that was set back are continued; what else they may be is refused.
+# moves smoothly in the order of reception, and to and fro once sorted, the stamps are wrong.
 
-Stamps = NDArray[np.int64]
-
-S, MS, US = 1_000_000_000, 1_000_000, 1_000
-PERIODS = {
-    'the part of a second alone': S,
-    'the seconds of a minute alone': 60 * S,
-    'minutes and seconds without the hour': 3600 * S,
-    'a 12-hour clock without AM and PM': 43_200 * S,
-    'a time of day': 86_400 * S,
-    'a time of the week': 604_800 * S,
-    'a counter of 2^16 ms': (MS << 16),
-    'a counter of 2^16 us': (US << 16),
-    'a counter of 2^32 ms': (MS << 32),
-    'a counter of 2^32 us': (US << 32),
-    'a counter of 2^32 ns': (1 << 32),
-    'a counter of 2^31 ms': (MS << 31),
-    'a counter of 2^31 us': (US << 31),
-    'a counter of 2^31 ns': (1 << 31),
-}
-"""After how long clocks and counters begin again, ns."""
-LARGEST_GAP = 0.1
-"""Share of its period that a counter may leave out where it begins again."""
 WAY_RATIO = 1.5
 """Ratio of the ways of the target in two orders from which on one of them is none of a motion."""
-LONGEST_STEP, SMALL = 3.0, 0.2
-"""A target that goes on moves no farther than so many of its usual steps; that has to be a small
-share of its range, else there is no telling."""
 MOTION_STEP = 1e-4
 """m; steps up to this are no motion."""
 WRONG_STAMPS = (
@@ -221,50 +187,6 @@ WRONG_STAMPS = (
     ' (seconds and parts of a second joined '
     'without leading zeros, a part of the time left out?); correct them at the source'
 )
-
-
-def continue_stamps(stamp_ns: Stamps, xyz: Array, remarks: list[str]) -> Stamps:
-    """Continue stamps where their clock began again or was set back while the target went on.
-
-    Parameters
-    ----------
-    stamp_ns : ndarray of int64, shape (n,), ns
-        In the order of reception.
-    xyz : ndarray, shape (n, 3), m
-    remarks : list of str
-        Filled with what was done.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,), ns
-        As it was where nothing explains that it goes back.
-    """
-    step = np.diff(stamp_ns)
-    seams = _seams(stamp_ns, step)
-    if not seams.size:
-        return stamp_ns
-    ahead = step[step > 0]
-    usual = int(np.median(ahead)) if ahead.size else 0
-    if usual <= 0:
-        return stamp_ns
-    for what, period in sorted(PERIODS.items(), key=lambda item: item[1]):
-        gaps = step[seams] + period
-        if np.all(gaps > 0) and np.all(gaps <= max(LARGEST_GAP * period, usual)):
-            if not _smooth(xyz, seams):
-                return stamp_ns
-            remarks.append(
-                f'stamps go back {seams.size} times by about {1e-9 * period:.9g} s, first at '
-                f'sample {seams[0] + 1}, as {what} does; they are continued'
-            )
-            return _shifted(stamp_ns, seams, np.full(seams.size, period, np.int64))
-    if step[seams].max() >= -MAX_OFF_NS or not _smooth(xyz, seams):
-        return stamp_ns
-    back = ', '.join(f'{-1e-9 * step[i]:.3f} s at sample {i + 1}' for i in seams[:3])
-    remarks.append(
-        f'stamps go back by {back}, but the target continues from where it was: the clock was set '
-        f'back; they are continued with the usual step of {1e-6 * usual:.6g} ms'
-    )
-    return _shifted(stamp_ns, seams, usual - step[seams])
 
 
 def check_order(where: str, order: NDArray[np.int64], xyz: Array) -> None:
@@ -287,33 +209,6 @@ def check_order(where: str, order: NDArray[np.int64], xyz: Array) -> None:
         raise InputError(f'{where}: {WRONG_STAMPS}')
 
 
-def _seams(stamp_ns: Stamps, step: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Samples after which a good clock goes on from an earlier time, and is good again."""
-    back = np.flatnonzero(step < 0)
-    if not back.size or back.size > len(stamp_ns) // (2 * CLOCK_CHANGE_SAMPLES):
-        return np.empty(0, np.int64)
-    beside = back[:, None] + np.r_[-CLOCK_CHANGE_SAMPLES:0, 1 : CLOCK_CHANGE_SAMPLES + 1]
-    inside = (beside >= 0) & (beside < len(step))
-    near = step[np.clip(beside, 0, len(step) - 1)]
-    clean = (near >= 0) & (near <= MAX_OFF_NS)
-    return np.asarray(back[np.all(clean | ~inside, axis=1)])
-
-
-def _smooth(xyz: Array, seams: NDArray[np.int64]) -> bool:
-    """Return whether the target goes on at seams from where it was."""
-    step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    near = max(LONGEST_STEP * float(np.percentile(step, 90)), MOTION_STEP)
-    if near > SMALL * float(np.ptp(xyz, axis=0).max()):
-        return False
-    return bool(np.all(step[seams] <= near))
-
-
-def _shifted(stamp_ns: Stamps, seams: NDArray[np.int64], by: NDArray[np.int64]) -> Stamps:
-    shift = np.zeros(len(stamp_ns), np.int64)
-    shift[seams + 1] = by
-    return np.asarray(stamp_ns + np.cumsum(shift))
-
-
 # Which points are measurements, and how the others are reported; recorded and live alike.
 #
 # Single bad points are left out and counted, whatever they are: no run is lost for them. Where
@@ -334,10 +229,6 @@ WORDS = {
     FOREIGN: 'in another frame',
     OFF: f'whose stamps are off by more than {1e-9 * MAX_OFF_NS:g} s',
 }
-
-
-class MixedSamples(InputError):
-    """Stamps of several clocks: of publishers, runs, or one that was set back."""
 
 
 def screen_points(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -439,7 +330,7 @@ class Screening:
             text = frame_text(f'{count[FOREIGN]} of {total} points', self._most(), POINT.frame)
             raise InputError(f'{where}: {text}')
         if count[OFF] > MAX_FAR * total:
-            raise MixedSamples(
+            raise InputError(
                 f'{where}: header.stamp of {count[OFF]} of {total} points is off by more than '
                 f'{1e-9 * MAX_OFF_NS:g} s, the first is {self._first[OFF]}; the clock was set '
                 f'back or several runs or trackers are mixed; record each in its own bag'
@@ -473,9 +364,8 @@ class Screening:
 #
 # Transport may swap, repeat and delay messages; the tracker's own stamp says what was measured
 # when. What transport explains is repaired with a remark, and points that are not measurements are
-# left out (``screening``). A clock that begins again is continued where the target shows it
-# (``reception``). What none explains (two trackers on one topic, several runs, no stamps) is an
-# error.
+# left out. What none explains (a clock that was set back, two trackers on one topic, several runs,
+# no stamps) is an error.
 
 MAX_CONFLICTS = 1e-3
 """Share of samples that may repeat a stamp with another point; they are dropped."""
@@ -493,7 +383,6 @@ def sort_by_time(
     Points out of order by up to 1 s are sorted by stamp (stable), exact repetitions are dropped,
     and so are a second point of the same stamp if that is rare (0.1 %), and points that are no
     measurements or whose stamps are off (``clock``) unless they are too many; each with a remark.
-    A counter that wraps or a clock that is set back is continued where the target goes on.
 
     Parameters
     ----------
@@ -517,7 +406,12 @@ def sort_by_time(
     remarks = [] if remarks is None else remarks
     screening = screening or Screening()
     if stamp_ns.any():
-        stamp_ns, xyz = _screened(stamp_ns, xyz, screening, remarks)
+        good = screening.good(stamp_ns, xyz)
+        if good is not None:
+            stamp_ns, xyz = stamp_ns[good], xyz[good]
+        rows = of_one_clock(stamp_ns, screening.off)
+        if rows is not None:
+            stamp_ns, xyz = stamp_ns[rows], xyz[rows]
     screening.check(where)
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
@@ -543,20 +437,6 @@ def sort_by_time(
     return _without_repetitions(where, stamp_ns, xyz, remarks)
 
 
-def _screened(
-    stamp_ns: NDArray[np.int64],
-    xyz: NDArray[np.float64],
-    screening: Screening,
-    remarks: list[str],
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    good = screening.good(stamp_ns, xyz)
-    if good is not None:
-        stamp_ns, xyz = stamp_ns[good], xyz[good]
-    stamp_ns = continue_stamps(stamp_ns, xyz, remarks)
-    rows = of_one_clock(stamp_ns, screening.off)
-    return (stamp_ns, xyz) if rows is None else (stamp_ns[rows], xyz[rows])
-
-
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:
     """Return the path through points, shape (n, 3), m; InputError if it is none."""
     with np.errstate(invalid='ignore'):
@@ -576,7 +456,7 @@ def _check_steps(where: str, stamp_ns: NDArray[np.int64]) -> None:
     back = np.maximum.accumulate(stamp_ns) - stamp_ns
     if back.max() > MAX_OFF_NS:
         i = int(np.argmax(back > MAX_OFF_NS))
-        raise MixedSamples(
+        raise InputError(
             f'{where}: header.stamp goes back by {back[i] * 1e-9:.3f} s at sample {i}; the clock '
             f'was set back or several runs or trackers are mixed; record each in its own bag'
         )

@@ -143,7 +143,7 @@ class AxisCalibration:
     @cached_property
     def volume(self) -> AxesVolumetricError:
         """Errors over the driven ranges, with the uncertainty of the headline."""
-        return AxesVolumetricError(self.tables, self.covariance_with_typical, {}, self.made.hidden)
+        return AxesVolumetricError(self.tables, self.covariance_with_typical)
 
     @cached_property
     def headline(self) -> Headline:
@@ -282,9 +282,7 @@ class _Job:
             joint = solve(runs, fitted=unknown, unknowns=layouts[SMOOTH], tables=tables)
         except UnsettledError as error:
             steps = find_steps(error.joint, LEAST)
-            if not steps:
-                raise
-            raise InputError(steps[0]) from None
+            raise InputError(steps[0] if steps else str(error)) from None
         joint = choose_functions(joint, layouts, self.config.unidentifiable_above)
         joint, fitted = improve(joint, fitted=unknown, repetitions=FIRST_REPETITIONS)
         layout = partial(self._layout, joint.unknowns.bases)

@@ -31,13 +31,11 @@ from otf_core.calibration.calibration_result import CalibrationResult, Fit, RunR
 from otf_core.calibration.lack_of_fit import find_lack_of_fit
 from otf_core.calibration.machine_verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.examine import examine
-from otf_core.contradictions.outlier_places import OutlierPlaces, findings, locate_outliers
+from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch, check_worth, sample_noise
 from otf_core.effects.stated_effect import RemovedEffects
 from otf_core.live.stages import Progress, silent
-from otf_core.memory import give_back, one_heap
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -57,12 +55,11 @@ from otf_core.pieces.finding import (
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose, run_id
 from otf_core.prediction.volumetric import VolumetricError, driven_rows
-from otf_core.solving.curve_lag import curve_remarks, move_onto_curves
 from otf_core.solving.joint import JointSolution, SolvedRun, settle_covariance, tables_of
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
 from otf_core.solving.system import deviations
-from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, prior_of, tabulate
+from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, tabulate, unseen_sizes
 from otf_core.threads import one_thread
 
 COLLINEAR_WITHIN = 1e-3
@@ -143,20 +140,9 @@ class ExaminedRecordings:
 
 @dataclass(frozen=True)
 class SolvedRecordings(ExaminedRecordings):
-    """Recordings that are examined and solved.
-
-    Attributes
-    ----------
-    outliers : tuple of OutlierPlaces
-        What was left out of every run as outliers.
-    """
+    """Recordings that are examined and solved."""
 
     solution: ReversalSolution[Run]
-    outliers: tuple[OutlierPlaces, ...]
-
-    def without_solution(self) -> ExaminedRecordings:
-        """What a solution starts from, without the memory of the one that is known."""
-        return ExaminedRecordings(self.runs, self.nodes, self.findings)
 
 
 def solve_recordings(
@@ -176,30 +162,21 @@ def solve_recordings(
     repair : bool
         Repair what can be repaired, see ``contradictions.examine``.
     """
-    one_heap()
     progress('aligning', 0.0)
     check_recordings(recordings)
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
     runs, nodes = prepare(recordings, config)
-    give_back()
 
     progress('solving', 0.0)
     runs, contradictions = examine(runs, nodes, config, repair=repair)
-    give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
-    on_curves = move_onto_curves(runs, solution)
-    if on_curves is not None:
-        runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 
-    outliers = tuple(
-        locate_outliers(run, own) for run, own in zip(runs, solution.runs, strict=True)
-    )
+    left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
     repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
     if pitch:
         repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
-    stated = (*repairs, *contradictions, *findings(outliers))
-    return SolvedRecordings(runs, nodes, stated, solution, outliers)
+    return SolvedRecordings(runs, nodes, (*repairs, *contradictions, *left_out), solution)
 
 
 def assemble(
@@ -223,10 +200,9 @@ def assemble(
     solution, covariance = joint.solution, budget.covariance
     findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
-    prior = prior_of(joint, tables, config.unidentifiable_above)
     stated = with_typical(budget, assessed.typical)
     whole = budget.covariance if assessed.typical is None else stated.covariance
-    volume = VolumetricError(tables, whole, prior, hidden)
+    volume = VolumetricError(tables, whole)
     return CalibrationResult(
         run_id=run_id([r.recording for r in runs], config),
         tables=tables,
@@ -256,7 +232,7 @@ def assemble(
         ),
         fraction=table.fraction,
         table_costs=table.costs,
-        prior=prior,
+        prior=unseen_sizes(tables, solution.accepted),
         not_identifiable=hidden,
         typical=assessed.typical,
         warnings=(
@@ -266,7 +242,6 @@ def assemble(
             *filter(None, [assessed.lack_of_fit]),
             *mixture_warnings([r.machine for r in runs], hidden),
             *(r.alignment.remark for r in runs if r.alignment.remark),
-            *curve_remarks(runs, joint),
         ),
         failed_gates=(
             *words_of(findings, GATE),
@@ -275,7 +250,7 @@ def assemble(
         config=config,
         origin=origins(r.recording for r in runs),
         effects=removed.stated if removed is not None else (),
-        machine_verdict=judge(tables, whole, stated, hidden, prior),
+        machine_verdict=judge(tables, whole, stated, hidden),
     )
 
 
@@ -318,7 +293,6 @@ def assess(
     as_solved = tables_of(runs[0].machine, joint.unknowns, joint.solution)
     pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, as_solved))
     parts = noise_parts(runs, joint)
-    give_back()
     joint = settle_covariance(joint, config.unidentifiable_above, parts.normal)
     unknowns, machine = joint.unknowns, runs[0].machine
     results = [_run_result(r, s, config) for r, s in zip(runs, joint.runs, strict=True)]
@@ -332,7 +306,6 @@ def assess(
     table = tabulate(machine, joint, grid_u, config.unidentifiable_above)
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
-    give_back()
     typical = typical_systematic(
         runs,
         joint,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Result of a calibration: tables, uncertainties, fit, headline, predictions and their display.
 
-The headline is the volumetric error on one grid (``evaluation.lattice`` over the whole volume,
+The headline is the volumetric error on one grid (``evaluation.lattice`` over the driven volume,
 best rigid motion removed) with one coverage factor, mean beside mean and largest beside largest.
 Its uncertainty includes the systematic contributions: those of machine.yaml, and typical values
 for what it does not declare. pandas and matplotlib are used by ``to_frame`` and ``plot`` alone.
@@ -41,7 +41,6 @@ from otf_core.noise.noise_model import Misfit, NoiseModel
 from otf_core.noise.standstill import LostSamples
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
-from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
 from otf_core.solving.reversal import Reversal
@@ -136,7 +135,7 @@ class Headline(ExpectedRemainder):
     Attributes
     ----------
     points : int
-        Of the grid over the whole volume.
+        Of the grid over the driven volume.
     error : mapping of 'mean', 'p95', 'max' to float, m
         Lengths of the error vectors as found.
     of_largest : float, m
@@ -199,7 +198,7 @@ def headline_of(
     Parameters
     ----------
     volume : VolumetricError
-        Of the tables; what they do not hold beyond the driven range counts in all uncertainties.
+        Of the tables.
     budget : Budget
         With typical contributions where nothing is declared, see ``typical.with_typical``.
     typical : TypicalSystematic, optional
@@ -209,10 +208,10 @@ def headline_of(
     k, _ = budget.expansion(variances)
     own = np.array([name in OBSERVED for name in budget.names])
     at = int(np.argmax(volume.length))
-    longest = budget.variances(volume.length_rows[[at]]).sum() + volume.length_beyond[at]
+    longest = budget.variances(volume.length_rows[[at]]).sum()
 
     def sizes(parts: Array) -> dict[str, float]:
-        variance = parts.sum(axis=0).reshape(-1, 3) + volume.beyond
+        variance = parts.sum(axis=0).reshape(-1, 3)
         return length_sizes(k * np.sqrt(variance.sum(axis=1)))
 
     return Headline(
@@ -498,8 +497,8 @@ class CalibrationResult:
         Nodes of the tables stand ``table_pitch / fraction`` apart.
     table_costs : mapping of fraction to TableCost
         What straight lines between the nodes cost, for 1 and for the fraction taken.
-    prior : mapping of motion or squareness error to MotionPrior
-        What is known of them where no data hold them.
+    prior : mapping of motion to float
+        Standard deviations of rotations that were not seen, rad: they count for another tool.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
     typical : TypicalSystematic, optional
@@ -526,7 +525,7 @@ class CalibrationResult:
     reversal: Reversal
     fraction: int
     table_costs: Mapping[int, TableCost]
-    prior: Mapping[str, MotionPrior]
+    prior: Mapping[str, float]
     not_identifiable: tuple[str, ...]
     typical: TypicalSystematic | None
     warnings: tuple[str, ...]

@@ -38,8 +38,6 @@ PLACE_LENGTH = 0.008
 """m; pieces whose middles lie in the same stretch of a line are the same place."""
 SAME_LINE, SAME_DIRECTION = 2e-3, 1e-3
 """m, and change of a unit vector, below which lines count as the same."""
-MAX_BEND = 1e-9
-"""m/s^2; pieces on curves are left out: their chords are no lines of their own."""
 MAX_PAIRS = 400
 """Pairs of pieces of which the share of the unknowns is worked out."""
 MIN_REPEATED_LINES = 12
@@ -176,8 +174,8 @@ def _pairs(
         lines.append(np.rint(np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])))
         cells.append(np.floor(along / PLACE_LENGTH).astype(np.int64))
         legs.append(np.column_stack([np.full(len(q), k), run.pieces.leg]))
-        bend = run.pieces.bend if len(run.pieces.bend) else np.zeros((len(q), 3))
-        straight.append(np.linalg.norm(bend, axis=1) < MAX_BEND)
+        on_curves = not run.shape.straight and run.shape.curved[run.pieces.line]
+        straight.append(np.broadcast_to(np.logical_not(on_curves), len(q)))
     use = np.flatnonzero(np.concatenate(straight))
     if not len(use):
         return use, use, use, np.zeros(0, dtype=bool)

@@ -6,8 +6,8 @@ The first is by the quality gates. The second is by the limits of machine.yaml, 
 
 A value y with expanded uncertainty U (95 %) keeps a limit if y + U is at most the limit, breaks
 it if y - U is above; in between lies the zone in which neither is proven. Only kept limits pass.
-``uncertainty`` is itself an expanded uncertainty and is compared as it stands. Where the volume
-reaches beyond what was driven, U holds what tables say nothing of there, as in ``table_prior``.
+``uncertainty`` is itself an expanded uncertainty and is compared as it stands. Where an axis was
+not driven over its range, its motions and the volume are not known.
 
 References
 ----------
@@ -28,16 +28,14 @@ from otf_core.budget.budget import Budget
 from otf_core.model.evaluation import lattice
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
-    coverage_factor,
     micro_significant,
     micro_unit,
     micro_with_expanded,
 )
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
-from otf_core.model.motions import SQUARENESS, ErrorMotion, unit_of
+from otf_core.model.motions import SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places, table_values
 from otf_core.rotary.tabulation import field_rows
 
@@ -203,7 +201,6 @@ def judge(
     covariance: Array,
     budget: Budget,
     hidden: Collection[str],
-    prior: Mapping[str, MotionPrior],
 ) -> Verdict | None:
     """Compare a calibration with the limits of its machine.
 
@@ -214,8 +211,6 @@ def judge(
         Of the same nodes: coverage factors.
     hidden : collection of str
         Motions and squareness errors that the data cannot see.
-    prior : mapping of motion or squareness error to MotionPrior
-        What is known beyond the tables.
 
     Returns
     -------
@@ -225,8 +220,13 @@ def judge(
     limits = tables.machine.limits
     if limits is None:
         return None
-    volume = VolumetricError(tables, covariance, prior, hidden)
-    unseen = {*hidden, *((VOLUMETRIC, UNCERTAINTY) if _an_axis_stood(tables) else ())}
+    volume = VolumetricError(tables, covariance)
+    short = _partly_driven(tables)
+    unseen = {
+        *hidden,
+        *((VOLUMETRIC, UNCERTAINTY) if short else ()),
+        *(m for m in tables.machine.motions if m.axis in short),
+    }
     judged = []
     for name, limit in limits.values.items():
         unit = KEYS[name][0]
@@ -238,7 +238,7 @@ def judge(
         elif name == UNCERTAINTY:
             value, wide = _uncertainty(volume, budget), 0.0
         else:
-            value, wide = size_and_expanded(name, tables, budget, prior)
+            value, wide = size_and_expanded(name, tables, budget)
         judged.append(
             LimitVerdict(name, unit, limit, value, wide, _with_guard(value, wide, limit))
         )
@@ -269,9 +269,7 @@ def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) 
     machine = tables.machine
     if machine.limits is None:
         return None
-    low, high = table_ranges(tables)
-    covered = np.all(high - low >= RANGE_COVERED * (machine.upper - machine.lower))
-    unseen = {*hidden, *(() if covered else (VOLUMETRIC, UNCERTAINTY))}
+    unseen = {*hidden, *((VOLUMETRIC, UNCERTAINTY) if _partly_driven(tables) else ())}
     judged = list[LimitVerdict]()
     volume = {VOLUMETRIC, UNCERTAINTY} & {n for n in machine.limits.values if n not in unseen}
     sizes = _axes_volume(tables, covariance, machine.limits.values) if volume else {}
@@ -335,10 +333,11 @@ def _axes_volume(
     return {VOLUMETRIC: (float(length[at]), float(wide[at])), UNCERTAINTY: (largest, 0.0)}
 
 
-def _an_axis_stood(tables: ErrorTables) -> bool:
-    """Return whether an axis did not move: nothing at all is known of its motions."""
-    low, high = table_ranges(tables)
-    return bool(np.any(high <= low))
+def _partly_driven(tables: ErrorTables) -> list[str]:
+    """Axes whose tables cover only a part of their range."""
+    machine, (low, high) = tables.machine, table_ranges(tables)
+    short = high - low < RANGE_COVERED * (machine.upper - machine.lower)
+    return [a for a, part in zip(machine.axis_names, short.tolist(), strict=True) if part]
 
 
 def _expanded(budget: Budget, rows: Array) -> Array:
@@ -349,8 +348,7 @@ def _expanded(budget: Budget, rows: Array) -> Array:
 
 def _largest(volume: VolumetricError, budget: Budget, limit: float) -> tuple[float, float]:
     """Length and U of the vector that decides: proven to be too long, else longest with U."""
-    beyond = coverage_factor(np.inf) * np.sqrt(volume.length_beyond)
-    wide = np.hypot(_expanded(budget, volume.length_rows), beyond)
+    wide = _expanded(budget, volume.length_rows)
     sure = volume.length - wide
     at = int(np.argmax(sure if sure.max() > limit else volume.length + wide))
     return float(volume.length[at]), float(wide[at])
@@ -361,20 +359,15 @@ def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
     return k * float(volume.u_size.max())
 
 
-def size_and_expanded(
-    name: str, tables: ErrorTables, budget: Budget, prior: Mapping[str, MotionPrior]
-) -> tuple[float, float]:
+def size_and_expanded(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:
     """Size of a squareness error, or largest less smallest value of a motion, and its U."""
     place = table_places(tables)[name]
     row = np.zeros((1, len(budget.rows)))
     if name in SQUARENESS:
         row[0, place] = 1.0
         return abs(tables.squareness[name].value), float(_expanded(budget, row)[0])
-    table, axis = tables.motions[name], tables.machine.axes[ErrorMotion.of(name).axis]
+    table = tables.motions[name]
     high, low = int(table.value.argmax()), int(table.value.argmin())
     row[0, place.start + high] += 1.0
     row[0, place.start + low] -= 1.0
-    ends = np.array([table.position[0] - axis.min, axis.max - table.position[-1]])
-    beyond = coverage_factor(np.inf) * np.sqrt(prior.get(name, MotionPrior()).beyond(ends).max())
-    wide = np.hypot(_expanded(budget, row)[0], beyond)
-    return float(table.value[high] - table.value[low]), float(wide)
+    return float(table.value[high] - table.value[low]), float(_expanded(budget, row)[0])

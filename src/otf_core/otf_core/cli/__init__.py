@@ -18,10 +18,10 @@ from otf_core.cli.arguments import (
     add_planning_verbs,
 )
 from otf_core.cli.exporting import add_exporting_verbs, add_keeping_verbs
-from otf_core.cli.options import Handler
+from otf_core.cli.options import Handler, read_config
 from otf_core.cli.output import LONGEST_MESSAGE, OutputFull, answer, log_to_stderr, note
-from otf_core.cli.parser import Parser, parse_arguments
-from otf_core.cli.simulating import add_closing_verbs, add_plant_verbs
+from otf_core.cli.parser import HelpFormatter, Parser, parse_arguments
+from otf_core.cli.simulating import add_plant_verbs
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.errors import OtfError
 from otf_core.files.message_text import without_middle
@@ -44,17 +44,16 @@ def _parser() -> Parser:
     def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
         sub: argparse.ArgumentParser = verbs.add_parser(
             name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=HelpFormatter,
         )  # fmt: skip
-        sub.set_defaults(handler=handler)
+        sub.set_defaults(handler=handler, config_values={})
         sub.add_argument(
             '--json', action='store_true', help='print one JSON object; text goes to stderr'
         )
-        sub.add_argument('--quiet', action='store_true', help='print only warnings and errors')
         return sub
 
     own = (add_checking_verbs, add_measuring_verbs, add_judging_verbs, add_planning_verbs)
-    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    others = (add_exporting_verbs, add_plant_verbs, add_keeping_verbs)
     for add in (*own, *others):
         add(verb)
     return parser
@@ -75,7 +74,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     arguments = parse_arguments(_parser(), _joined(sys.argv[1:] if argv is None else argv))
     try:
-        with log_to_stderr(quiet=arguments.quiet):
+        with log_to_stderr():
+            if getattr(arguments, 'config', None):
+                verb = getattr(arguments, 'what', arguments.verb)
+                arguments.config_values = read_config(arguments.config, verb)
             return int(arguments.handler(arguments))
     except OutputFull as error:
         note(f'otf {arguments.verb}: {error}')
@@ -85,7 +87,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not arguments.json:
             note(words)
         else:
-            arguments.quiet = False
             answer(arguments, words, {'exit': error.exit_code, 'error': str(error)})
         return error.exit_code
     except KeyboardInterrupt:

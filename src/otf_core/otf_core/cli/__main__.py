@@ -10,8 +10,6 @@ import sys
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from otf_core.memory import seldom_look_for_cycles
-
 SIGTERM_WAIT = 2.0
 """s after which SIGTERM counts as unheard: code in C may clear what a handler raises."""
 
@@ -51,7 +49,7 @@ def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
     sys.unraisablehook = _raise_pending_end
-    seldom_look_for_cycles()
+    gc.set_threshold(1_000_000)  # looking for cycles takes a twelfth of the time otherwise
     # read when NumPy is loaded; idle threads of its library take processor time (otf_core.threads)
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     for stream in (sys.stdout, sys.stderr):

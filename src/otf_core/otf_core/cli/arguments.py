@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of the verbs; exporting, closing, plant and keeping add those of their own."""
+"""Arguments of the verbs; exporting, plant and keeping add those of their own."""
 
 from __future__ import annotations
 
 import argparse
 
+from otf_core.cli.doctor import run_doctor
+from otf_core.cli.info import run_info
 from otf_core.cli.measuring import (
     run_calibrate,
     run_check,
     run_compare,
     run_diagnose,
-    run_doctor,
-    run_info,
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading, add_verbose
+from otf_core.cli.options import AddVerb, add_config, add_out, add_parameters, add_reading
 from otf_core.cli.parser import SHELLS, run_completion
-from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.simulating import run_plan, run_simulate
 from otf_core.config import (
     METHODS,
     OTF,
-    CalibrationConfig,
-    ForecastConfig,
     PlannerConfig,
     SimulationConfig,
 )
@@ -46,10 +44,10 @@ def add_checking_verbs(verb: AddVerb) -> None:
         '--machine', help='machine.yaml: adds checks of axes and noise, and a forecast of u'
     )
     add_reading(sub)
-    add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
+    add_config(sub, 'check')
 
     sub = verb('info', run_info)
-    sub.add_argument('file', help='a file or folder that otf writes or reads')
+    sub.add_argument('file', help='recording, machine.yaml, lattice, or result of otf')
 
     verb('doctor', run_doctor)
 
@@ -60,25 +58,19 @@ def add_checking_verbs(verb: AddVerb) -> None:
 def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         'bag', nargs='+',
-        help='rosbag2 folders, .mcap files or tables of samples as text: runs of one machine, '
-        'e.g. with other stations, feeds or target offsets',
+        help='runs of one machine: rosbag2 folders, .mcap files or text tables',
     )  # fmt: skip
     sub.add_argument(
         '--machine', required=True, action='append', metavar='M.yaml',
-        help='machine.yaml of all bags; or given once per bag, in their order',
-    )  # fmt: skip
-    sub.add_argument(
-        '--signal', action='append', default=[], metavar='TOPIC[:FIELD]',
-        help='a quantity recorded with the samples, such as a temperature, that a diagnosis '
-        'considers as a possible cause; may be repeated',
+        help='machine.yaml of all bags, or one per bag in order',
     )  # fmt: skip
     sub.add_argument(
         '--join', action='store_true',
-        help='the bags are parts of one run whose recording was interrupted and restarted',
+        help='the bags are parts of one interrupted recording',
     )  # fmt: skip
     sub.add_argument(
         '--same-station', action='store_true',
-        help='the tracker was not moved between the recordings (machines with rotary axes)',
+        help='tracker not moved between bags (rotary axes only)',
     )  # fmt: skip
     add_reading(sub)
 
@@ -86,25 +78,13 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
 def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or only from the stops at the corner points (default {OTF})',
+        help=f'on the fly, or from stops at corners (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',
-        help='correct for effects and include them in u: those that a diagnosis finds, or those '
-        'of an effects.yaml, whose coefficients are estimated again where the data determine '
-        'them; plain/ keeps the calibration without correction',
+        help='take effects off, with their u: those that a diagnosis finds, or those of an '
+        'effects.yaml; plain/ keeps the calibration without',
     )  # fmt: skip
-    sub.add_argument(
-        '--residuals-csv', action='store_true', help='also write the residuals as residuals.csv'
-    )
-    sub.add_argument(
-        '--certificate', action='store_true',
-        help='also write certificate.html, two pages to print; customer, number etc. come from '
-        'the sections certificate, instrument and conditions of machine.yaml',
-    )  # fmt: skip
-    sub.add_argument(
-        '--no-report', dest='report', action='store_false', help='do not write report.html'
-    )
 
 
 def _add_diagnose(verb: AddVerb) -> None:
@@ -112,18 +92,7 @@ def _add_diagnose(verb: AddVerb) -> None:
     sub = verb('diagnose', run_diagnose)
     _add_runs(sub)
     add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude',
-        action='append',
-        default=[],
-        metavar='EFFECT',
-        help='do not consider this effect',
-    )
-    sub.add_argument(
-        '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried in addition to the catalogue',
-    )  # fmt: skip
-    add_parameters(sub, CalibrationConfig)
+    add_config(sub, 'diagnose')
 
 
 def _add_predict_options(sub: argparse.ArgumentParser) -> None:
@@ -133,7 +102,7 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
         required=True,
         help='CSV with the header x,y,z in m, or a text table that states its units',
     )
-    add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1')
+    add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1; no u outside')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
@@ -147,8 +116,7 @@ def add_measuring_verbs(verb: AddVerb) -> None:
     _add_runs(sub)
     add_out(sub, 'folder for the results')
     _add_calibrate_options(sub)
-    add_verbose(sub, 'summary.txt')
-    add_parameters(sub, CalibrationConfig)
+    add_config(sub, 'calibrate')
 
     _add_diagnose(verb)
 
@@ -162,7 +130,7 @@ def add_judging_verbs(verb: AddVerb) -> None:
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; the topic /tracker/point suffices')
     add_out(sub, 'folder for the results')
     add_reading(sub, path=False)
-    add_parameters(sub, CalibrationConfig, ('standstill_speed',))
+    add_config(sub, 'noise')
 
     sub = verb('compare', run_compare)
     sub.add_argument(
@@ -177,41 +145,17 @@ def add_judging_verbs(verb: AddVerb) -> None:
     sub.add_argument('--points', help='CSV with the header x,y,z (default: a grid)')
     add_out(sub, 'folder for the results')
 
-    sub = verb('validate', run_validate)
-    add_out(sub, 'folder for table and figures')
-    sub.add_argument(
-        '--quick', action='store_true', help='two cells instead of eight, with shorter stops'
-    )
-    sub.add_argument('--cells', type=int, metavar='N', help='number of cells')
-    sub.add_argument(
-        '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
-        help='seed of the first cell (default 2001)',
-    )  # fmt: skip
-
-    sub = verb('blind', run_blind)
-    sub.add_argument('--trials', type=int, required=True, help='number of cells')
-    sub.add_argument('--seed', type=int, required=True, help='seed of all random draws')
-    add_out(sub, 'folder; an interrupted trial resumes there')
-    sub.add_argument('--jobs', type=int, default=2, help='parallel processes (default 2)')
-    sub.add_argument(
-        '--leave-one-out',
-        action='store_true',
-        help='diagnose every effect with that effect removed from the catalogue',
-    )
-    sub.add_argument('--five-axes', action='store_true', help='only machines with rotary axes')
-
 
 def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--time-budget', type=float, metavar='S',
-        help='choose lines, passes and feeds up to --feed that give the smallest grid '
-        'uncertainty within this time, including accelerations and dwells; overrides --passes, '
-        '--feed-ratio and --levels (s)',
+        help='choose lines, passes and feeds up to --feed for the smallest grid uncertainty '
+        'within this time (s)',
     )  # fmt: skip
     sub.add_argument(
         '--wanted-uncertainty', type=float, metavar='UM',
-        help='choose lines, passes and feeds that reach this forecast mean grid uncertainty in a '
-        'short time (um, k = 1)',
+        help='choose lines, passes and feeds that reach this mean grid uncertainty in a short '
+        'time (um, k = 1)',
     )  # fmt: skip
     sub.add_argument(
         '--tracker-place', metavar='X,Y,Z',
@@ -229,16 +173,15 @@ def add_planning_verbs(verb: AddVerb) -> None:
     sub = verb('plan', run_plan)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
-    add_verbose(sub, 'forecast.txt')
     sub.add_argument('--path', help='use this path: CSV x,y,z, plan.json or NC program')
     sub.add_argument(
         '--after', metavar='DIR',
-        help='folder of a diagnosis: find the shortest path, up to --time-budget, that '
-        'distinguishes the causes it could not distinguish',
+        help='folder of a diagnosis: find the shortest path that distinguishes the causes that '
+        'it could not distinguish',
     )  # fmt: skip
     _add_plan_options(sub)
-    add_parameters(sub, PlannerConfig)
-    add_parameters(sub, ForecastConfig)
+    add_parameters(sub, PlannerConfig, 'feed')
+    add_config(sub, 'plan')
 
     sub = verb('simulate', run_simulate)
     sub.add_argument('--machine', required=True, help='machine.yaml')
@@ -250,5 +193,6 @@ def add_planning_verbs(verb: AddVerb) -> None:
         'tracker position (default: a planned path)',
     )
     sub.add_argument('--effects', help='effects.yaml: effects to add to the cell')
-    add_parameters(sub, SimulationConfig)
-    add_parameters(sub, PlannerConfig)
+    add_parameters(sub, SimulationConfig, 'seed', 'rate', 'error_size', 'acceleration')
+    add_parameters(sub, PlannerConfig, 'feed')
+    add_config(sub, 'simulate')

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +15,6 @@ from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
 if TYPE_CHECKING:
-    from otf_core.history.control_chart import History
-    from otf_core.history.interim_check import InterimCheck
-    from otf_core.model.machine import Machine
     from otf_core.model.tables import TablesFile
 
 
@@ -162,15 +158,7 @@ def add_keeping_verbs(verb: AddVerb) -> None:
         '--limit', type=float, metavar='UM',
         help='permitted mean volumetric drift (um; default: twice u of the latest tables)',
     )  # fmt: skip
-    sub.add_argument(
-        '--interim', metavar='BAG',
-        help='check the latest tables with a run, e.g. of interim_path.csv; exit code 4: invalid',
-    )  # fmt: skip
-    sub.add_argument(
-        '--out',
-        help='folder for history.json, history.html, and interim_path.csv (--name if several): '
-        'a two-minute path that shows the drift best',
-    )
+    sub.add_argument('--out', help='folder for history.json and history.html')
     sub.add_argument('--overwrite', action='store_true', help='replace existing results')
 
 
@@ -210,10 +198,6 @@ def run_history(arguments: argparse.Namespace) -> int:
             f'--name: no {arguments.name} in the store; it contains: {", ".join(store.machines)}'
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
-    if arguments.interim is not None and len(machines) > 1:
-        raise ConfigError(
-            f'--interim: the store contains several machines; give --name {"|".join(machines)}'
-        )
     reports, alone = [], len(machines) == 1
     for machine in machines:  # one at a time: its tables take megabytes
         history = history_of(store, machine, limit)
@@ -222,39 +206,6 @@ def run_history(arguments: argparse.Namespace) -> int:
     if out is not None:
         with out.filled('history') as folder:
             names = [f.name for f in write_history(reports, folder)]
-            if alone and not _machine_of(history).rotary_names:
-                names.append(_interim_path(history, folder))
         words += report_files([out.path / n for n in names], arguments.out)
-    data = store_to_dict(reports)
-    if arguments.interim is None:
-        answer(arguments, words, data)
-        return 0
-    check = _interim_check(history, arguments.interim)
-    data['interim'] = {**asdict(check), 'ratio': check.ratio, 'holds': check.holds}
-    answer(arguments, f'{words}\n\n{check.words}', data)
-    return 0 if check.holds else QUALITY_GATE_FAILED
-
-
-def _interim_path(history: History, folder: Path) -> str:
-    """Write the path of an interim check; its file name."""
-    from otf_core.files.writing import write_csv
-    from otf_core.history.interim_check import interim_path
-
-    name = 'interim_path.csv'
-    write_csv(folder / name, 'x,y,z', interim_path(history).points)
-    return name
-
-
-def _interim_check(history: History, bag: str) -> InterimCheck:
-    """Judge the latest tables of a machine by a run."""
-    from otf_core.history.interim_check import interim_check
-    from otf_core.inputs.recordings import read_recording
-
-    machine = _machine_of(history)
-    refuse_rotary(machine, '--interim')
-    return interim_check(read_recording([bag], machine), history.series)
-
-
-def _machine_of(history: History) -> Machine:
-    """The machine as it was in the latest run."""
-    return history.series.runs[-1].content.tables.machine
+    answer(arguments, words, store_to_dict(reports))
+    return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs on recordings and tables: calibrate, diagnose, noise, predict, compare, check, info."""
+"""Verbs on recordings and tables: calibrate, diagnose, noise, predict, compare, check."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters, reading_options, refuse_rotary
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
-from otf_core.config import CalibrationConfig
+from otf_core.config import CalibrationConfig, DiagnosisConfig, WritingConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
-    from otf_core.calibration.calibration_result import CalibrationResult
     from otf_core.files.output_folder import OutputFolder
     from otf_core.pieces.runs import Recording
     from otf_core.reports.calibration_facts import CalibrationFacts
@@ -65,17 +64,18 @@ def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
     config = parameters(CalibrationConfig, arguments)
+    writing = parameters(WritingConfig, arguments)
     if arguments.effects:
-        return _calibrate_with_effects(arguments, config)
+        return _calibrate_with_effects(arguments, config, writing)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
     from otf_core.reports.calibration import facts_of, write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
-    with progress_of(arguments, 'reading', CALIBRATE) as progress:
+    with progress_of('reading', CALIBRATE) as progress:
         recordings = read_recordings(arguments)
         if recordings[0].machine.rotary_names:
-            return _calibrate_axes(arguments, config, recordings, out, progress)
+            return _calibrate_axes(arguments, config, writing, recordings, out, progress)
         result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
         progress('writing', 0.0)
         facts = facts_of(result)
@@ -83,27 +83,27 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
             files = write_calibration(
                 result,
                 folder,
-                residuals_csv=arguments.residuals_csv,
-                report=arguments.report,
-                certificate=arguments.certificate,
+                residuals_csv=writing.residuals_csv,
+                report=writing.report,
                 facts=facts,
                 missing=out.missing,
             )
     _note_missing(out)
     _answer_calibration(arguments, facts, files)
-    return _exit_code(arguments, result)
+    return result.verdicts.exit_code
 
 
 def _calibrate_axes(
     arguments: argparse.Namespace,
     config: CalibrationConfig,
+    writing: WritingConfig,
     recordings: list[Recording],
     out: OutputFolder,
     progress: Callable[[str, float], None],
 ) -> int:
     """Error tables of a machine with rotary axes."""
     from otf_core.calibration.axis_calibration import calibrate_axes
-    from otf_core.reports.page import sections_to_dict, sections_to_text
+    from otf_core.reports.page import sections_to_dict
     from otf_core.reports.rotary_calibration import (
         budget_lines_of,
         sections,
@@ -121,20 +121,14 @@ def _calibrate_axes(
         files = write_calibration(
             result,
             folder,
-            residuals_csv=arguments.residuals_csv,
-            report=arguments.report,
-            certificate=arguments.certificate,
+            residuals_csv=writing.residuals_csv,
+            report=writing.report,
             lines=lines,
             missing=out.missing,
         )
     _note_missing(out)
-    all_sections = sections(result, lines)
-    words = sections_to_text(all_sections) if arguments.verbose else summary(result)
-    open_next = 'report.html' if arguments.report else 'summary.txt'
-    words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
-    answer_from(arguments, words, files, TABLES, report=sections_to_dict(all_sections))
-    if arguments.quiet and result.failed_gates:
-        note(f'otf: {"; ".join(result.failed_gates)}')
+    report = sections_to_dict(sections(result, lines)) if arguments.json else {}
+    answer_from(arguments, summary(result), files, TABLES, report=report)
     return verdicts_of(result).exit_code
 
 
@@ -150,29 +144,15 @@ def _answer_calibration(
     """Print a calibration."""
     from otf_core.reports.calibration import calibration_sections
     from otf_core.reports.calibration_sections.first_screen import calibration_summary
-    from otf_core.reports.page import sections_to_dict, sections_to_text
+    from otf_core.reports.page import sections_to_dict
 
-    sections = calibration_sections(facts) if arguments.verbose or arguments.json else []
-    report = sections_to_dict(sections)
-    words = calibration_summary(facts)
-    if arguments.verbose:
-        words += f'\n\n{sections_to_text(sections)}'
-    names = {file.name for file in files}
-    order = ('report.html', 'summary.txt', 'error_tables.csv', 'error_tables.json')
-    open_next = next(name for name in order if name in names)
-    words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
-    answer_from(arguments, words, files, TABLES, report=report)
+    report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
+    answer_from(arguments, calibration_summary(facts), files, TABLES, report=report)
 
 
-def _exit_code(arguments: argparse.Namespace, result: CalibrationResult) -> int:
-    """Exit code of a calibration; with --quiet a verdict that is not good stands on stderr."""
-    verdicts = result.verdicts
-    if arguments.quiet and verdicts.exit_code:
-        note(f'otf: {verdicts.machine_words if verdicts.good else verdicts.measurement_words}')
-    return verdicts.exit_code
-
-
-def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
+def _calibrate_with_effects(
+    arguments: argparse.Namespace, config: CalibrationConfig, writing: WritingConfig
+) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.diagnose import AUTO, calibrate_with_effects
     from otf_core.reports.calibration import facts_of, write_with_effects
@@ -182,7 +162,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
     out = output_folder(
         arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
     )
-    with progress_of(arguments, 'reading', DIAGNOSE) as progress:
+    with progress_of('reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
         refuse_rotary(recordings[0].machine, 'calibrate --effects')
         calibration = calibrate_with_effects(
@@ -193,14 +173,13 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
             files = write_with_effects(
                 calibration,
                 folder,
-                residuals_csv=arguments.residuals_csv,
-                report=arguments.report,
-                certificate=arguments.certificate,
+                residuals_csv=writing.residuals_csv,
+                report=writing.report,
                 missing=out.missing,
             )
     _note_missing(out)
     _answer_calibration(arguments, facts_of(calibration.result), files)
-    return _exit_code(arguments, calibration.result)
+    return calibration.result.verdicts.exit_code
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
@@ -214,16 +193,20 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.reports.page import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
-    unknown = sorted(set(arguments.exclude) - set(EVERY))
+    search = parameters(DiagnosisConfig, arguments)
+    unknown = sorted(set(search.exclude) - set(EVERY))
     if unknown:
-        raise ConfigError(f'--exclude: {unknown[0]} is not an effect; known: {", ".join(EVERY)}')
+        raise ConfigError(
+            f'{arguments.config}: exclude: {unknown[0]} is not an effect; known: '
+            f'{", ".join(EVERY)}'
+        )
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
-    with progress_of(arguments, 'reading', DIAGNOSE) as progress:
+    with progress_of('reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
-        causes = arguments.own_causes
+        causes = search.own_causes
         own = read_own_causes(causes, recordings[0].machine) if causes else ()
         diagnosis = diagnose(
-            recordings, twin_recording, arguments.exclude, config, progress, own=own,
+            recordings, twin_recording, search.exclude, config, progress, own=own,
             same_station=arguments.same_station,
         )  # fmt: skip
         progress('writing', 0.0)
@@ -246,8 +229,8 @@ def run_noise(arguments: argparse.Namespace) -> int:
     from otf_core.reports.noise_report import format_noise, write_noise
 
     out = output_folder(arguments, arguments.bag)
-    speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
-    with progress_of(arguments, 'looking at standstills'):
+    speed = parameters(CalibrationConfig, arguments).standstill_speed
+    with progress_of('looking at standstills'):
         reading = open_reading(arguments.bag, reading_options(arguments))
         samples = points_of(reading, arguments.bag)
         try:
@@ -298,7 +281,8 @@ def run_predict(arguments: argparse.Namespace) -> int:
         note(f'otf predict: {text}')
     heads, within = header.split(','), prediction.inside.astype(int).tolist()
     rows = zip(columns.tolist(), within, strict=True) if arguments.json else ()
-    data = {'points': [dict(zip(heads, [*row, inside], strict=True)) for row, inside in rows]}
+    listed = [dict(zip(heads, [*row, inside], strict=True)) for row, inside in rows]
+    data = {'points': [{k: v if v == v else None for k, v in p.items()} for p in listed]}
     about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
     answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0
@@ -329,7 +313,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
         return _compare_rotary(arguments, out, about)
     a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
     result = compare(a, b, points)
-    with progress_of(arguments, 'drawing'), out.filled('compare') as folder:
+    with progress_of('drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
     answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
     return 0
@@ -351,50 +335,18 @@ def _compare_rotary(
     return 0
 
 
-# Verbs that answer in seconds: check, info, doctor.
-
-CHECK_PARAMETERS = ('match_tolerance', 'standstill_speed')
+# Verb that answers in seconds: check.
 
 
 def run_check(arguments: argparse.Namespace) -> int:
     """State whether a recording is usable."""
-    config = parameters(CalibrationConfig, arguments, CHECK_PARAMETERS)
+    config = parameters(CalibrationConfig, arguments)
     from otf_core.checking.checks import check, format_check
     from otf_core.model.machine import load_machine
 
     machine = load_machine(arguments.machine) if arguments.machine else None
     path = arguments.path[-1] if arguments.path else None
-    with progress_of(arguments, 'checking'):
+    with progress_of('checking'):
         report = check(arguments.bag, machine, config, reading_options(arguments, path))
     answer(arguments, format_check(report), report.to_dict())
     return 0 if report.usable else InputError.exit_code
-
-
-def run_doctor(arguments: argparse.Namespace) -> int:
-    """State what is wrong with an installation."""
-    from otf_core.installation.doctor import ERROR, OK, examine
-
-    states = examine()
-    lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
-    wrong = [s for s in states if s.severity != OK]
-    need = 'no problems found'
-    if wrong:
-        need = f'{len(wrong)} item{"s" * (len(wrong) > 1)} need{"s" * (len(wrong) == 1)} attention'
-    lines += ['', need]
-    healthy = all(s.severity != ERROR for s in states)
-    parts = [dataclasses.asdict(s) for s in states]
-    answer(arguments, '\n'.join(lines), {'healthy': healthy, 'parts': parts})
-    return 0 if healthy else ConfigError.exit_code
-
-
-def run_info(arguments: argparse.Namespace) -> int:
-    """Identify a file and summarise its contents."""
-    from otf_core.info.explain import explain
-
-    kind, explanation = explain(arguments.file)
-    width = max([len(name) for name, _ in explanation.rows] + [0])
-    lines = [f'{arguments.file}: {kind.name}', kind.what, '']
-    lines += [f'{name:<{width}}  {text}' for name, text in explanation.rows]
-    about = {'file': arguments.file, 'kind': kind.name, 'what': kind.what}
-    answer(arguments, '\n'.join(lines), {**about, 'facts': dict(explanation.facts)})
-    return 0

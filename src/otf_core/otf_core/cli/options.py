@@ -1,48 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command-line options of the parameter dataclasses, in the units machine users use."""
+"""Command-line options that several verbs share, and the parameters of ``--config FILE``."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.config import ParameterInfo, Parameters
+from otf_core.config import (
+    CalibrationConfig,
+    DiagnosisConfig,
+    ForecastConfig,
+    ParameterInfo,
+    Parameters,
+    PlannerConfig,
+    ReadingConfig,
+    SimulationConfig,
+    WritingConfig,
+)
 from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from otf_core.files.output_folder import OutputFolder
     from otf_core.inputs.recordings import ReadingOptions
 
-CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
-"""Options stated in another unit than the parameter, as machine users do: name, factor."""
+FEED, FEED_UNIT = 60000.0, 'mm/min'
+"""The option ``--feed`` is in this unit, so many of it in 1 m/s; all else is SI."""
+
+CONFIG_KEYS: dict[str, tuple[ParameterInfo, ...]] = {
+    'calibrate': (*CalibrationConfig.infos(), *ReadingConfig.infos(), *WritingConfig.infos()),
+    'diagnose': (*CalibrationConfig.infos(), *ReadingConfig.infos(), *DiagnosisConfig.infos()),
+    'check': (
+        *CalibrationConfig.infos('match_tolerance', 'standstill_speed'),
+        *ReadingConfig.infos(),
+    ),
+    'noise': (
+        *CalibrationConfig.infos('standstill_speed'),
+        *ReadingConfig.infos('topic', 'recover'),
+    ),
+    'plan': (*PlannerConfig.infos(), *ForecastConfig.infos()),
+    'simulate': (*SimulationConfig.infos(), *PlannerConfig.infos()),
+}
+"""What ``--config`` may state, by verb."""
 
 Handler = Callable[[argparse.Namespace], int]
 AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
 """Adds a verb and returns its parser."""
-
-
-def _option(name: str) -> str:
-    return '--' + name.replace('_', '-')
-
-
-def _add_parameter(group: Any, info: ParameterInfo) -> None:
-    kind = type(info.default)
-    unit, factor = CLI_UNITS.get(info.name, (kind.__name__.upper(), 1))
-    bounds = ''
-    if info.low is not None and info.high is not None:
-        bounds = f', {info.low * factor:g} to {info.high * factor:g}'
-    stated = info.unit if factor == 1 else 'mm/min'
-    default = info.default if isinstance(info.default, str) else info.default * factor
-    text = f'{info.meaning} ({stated or kind.__name__}{bounds}; default {default})'
-    group.add_argument(
-        _option(info.name),
-        dest=info.name,
-        type=kind,
-        choices=info.choices or None,
-        metavar=None if info.choices else unit,
-        help=text.replace('%', '%%'),
-    )
 
 
 def refuse_rotary(machine: Any, verb: str) -> None:
@@ -61,60 +66,44 @@ def add_out(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument(
         '--overwrite',
         action='store_true',
-        help='replace existing results; other files are never deleted',
+        help='replace existing results; no other file is deleted',
     )
-
-
-def add_verbose(parser: argparse.ArgumentParser, where: str) -> None:
-    """Add --verbose: all numbers on the terminal too, which otherwise stand in a file."""
-    parser.add_argument('--verbose', action='store_true', help=f'print all numbers, as in {where}')
 
 
 def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     """Add the options that say how recordings are read."""
-    group = parser.add_argument_group('how recordings are read')
     if path:
-        group.add_argument(
+        parser.add_argument(
             '--path', action='append', metavar='FILE',
-            help='plan.json, CSV x,y,z of the corner points, or the NC program that was driven, '
-            'if the recording contains no path or to replace it; once for all recordings, or '
-            'once per recording',
+            help='path in place of that in the recording: plan.json, CSV x,y,z or NC program; '
+            'once, or once per recording',
         )  # fmt: skip
-        group.add_argument('--path-topic', metavar='NAME', help='topic of the path in a bag')
-    group.add_argument(
-        '--topic', metavar='NAME',
-        help='topic of the samples in a bag: PointStamped, PoseStamped, TransformStamped or '
-        'Odometry, in any frame',
-    )  # fmt: skip
-    group.add_argument(
-        '--publisher', type=int, metavar='N',
-        help='which samples to use if several trackers published on one topic; the message '
-        'that refuses such a recording lists the choices',
-    )  # fmt: skip
-    group.add_argument(
+    parser.add_argument(
         '--columns', metavar='LIST',
-        help='content of the columns of a text table, e.g. time_s,-,x_mm,y_mm,z_mm (default: '
-        'as in its header)',
+        help='columns of a text table, e.g. time_s,-,x_mm,y_mm,z_mm (default: its header)',
     )  # fmt: skip
-    group.add_argument(
+    parser.add_argument(
         '--rate', type=float, metavar='HZ', help='sampling rate of a text table without times'
     )
-    group.add_argument('--recover', action='store_true', help='skip damaged parts inside a bag')
+    parser.add_argument(
+        '--time-format', metavar='FORMAT',
+        help='form of the times in a text table, e.g. "%%d.%%m.%%Y %%H:%%M:%%S.%%f"',
+    )  # fmt: skip
 
 
 def reading_options(arguments: argparse.Namespace, path: str | None = None) -> ReadingOptions:
-    """How recordings are read, by the options."""
+    """How recordings are read, by the options and --config."""
     from otf_core.inputs.recordings import ReadingOptions
 
+    config = parameters(ReadingConfig, arguments)
     return ReadingOptions(
         path=path,
-        topic=arguments.topic,
-        path_topic=getattr(arguments, 'path_topic', None),
+        topic=config.topic or None,
+        path_topic=config.path_topic or None,
         columns=arguments.columns,
         rate=arguments.rate,
-        recover=arguments.recover,
-        signals=tuple(getattr(arguments, 'signal', ())),
-        publisher=arguments.publisher,
+        recover=config.recover,
+        time_format=arguments.time_format,
     )
 
 
@@ -125,42 +114,88 @@ def output_folder(arguments: argparse.Namespace, *inputs: str, **words: str) -> 
     return OutputFolder(arguments.out, overwrite=arguments.overwrite, inputs=inputs, **words)
 
 
-def add_parameters(
-    parser: argparse.ArgumentParser, kind: type[Parameters], only: Sequence[str] = ()
-) -> None:
-    """Add the parameters of a dataclass, or ``only`` some, as options."""
-    group = parser.add_argument_group((kind.__doc__ or '').split('.')[0].lower())
-    for info in kind.infos():
-        if not only or info.name in only:
-            _add_parameter(group, info)
+def add_config(parser: argparse.ArgumentParser, verb: str) -> None:
+    """Add --config; the names that it may state stand at the end of the help."""
+    parser.add_argument('--config', metavar='FILE', help='YAML file of name: value, in SI units')
+    names = ', '.join(info.name for info in CONFIG_KEYS.get(verb, ()))
+    if names:
+        words = textwrap.fill(names, 76)
+        parser.add_argument_group('names in --config', words)
 
 
-def _scaled(info: ParameterInfo, value: float, scale: float) -> Any:
-    """Value of an option in its own unit; ConfigError in that unit too."""
-    try:
-        return info.check(value / scale)
-    except ConfigError:
-        if info.low is None or info.high is None:
-            raise
-        unit = CLI_UNITS[info.name][0].lower().replace('_per_', '/')
-        raise ConfigError(
-            f'{info.name}: {value:g} is out of range, {info.low * scale:g} to '
-            f'{info.high * scale:g} {unit} are possible'
-        ) from None
+def read_config(file: str, verb: str) -> dict[str, Any]:
+    """Return what a --config file states for a verb, by name.
 
+    Raises
+    ------
+    ConfigError
+        Names the file and the key that is unknown, not for this verb, mistyped or out of range.
+    """
+    from otf_core.files.strict_yaml import Fields, read_yaml
 
-def parameters(kind: type[Any], arguments: argparse.Namespace, only: Sequence[str] = ()) -> Any:
-    """Build a parameter dataclass from the options that were given; ConfigError names them."""
-    given = {}
-    for info in kind.infos():
-        if only and info.name not in only:
-            continue
-        value = getattr(arguments, info.name)
-        if value is None:
-            continue
+    known = {info.name: info for info in CONFIG_KEYS[verb]}
+    fields, values = Fields(read_yaml(file), file), {}
+    for name in fields.keys:
+        if name not in known:
+            others = [v for v, keys in CONFIG_KEYS.items() if name in {info.name for info in keys}]
+            kind = f'a key of otf {", ".join(others)} only' if others else 'unknown key'
+            fields.fail(name, f'{kind}; known to otf {verb}: {", ".join(known)}')
         try:
-            scale = CLI_UNITS.get(info.name, ('', 1))[1]
-            given[info.name] = info.check(value) if scale == 1 else _scaled(info, value, scale)
+            values[name] = known[name].check(fields.take(name))
         except ConfigError as error:
-            raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name) :]}') from None
-    return kind(**given)
+            raise ConfigError(f'{file}: {error}') from None
+        except (OverflowError, ValueError):  # Python writes no number of thousands of digits
+            fields.fail(name, 'the number is too large')
+    if values.get('own_causes'):
+        values['own_causes'] = str(Path(file).parent / values['own_causes'])
+    return values
+
+
+def add_parameters(parser: argparse.ArgumentParser, kind: type[Parameters], *only: str) -> None:
+    """Add the parameters of a dataclass, or ``only`` some, as options."""
+    for info in kind.infos(*only):
+        factor, unit = (FEED, FEED_UNIT) if info.name == 'feed' else (1, info.unit)
+        in_unit = f'{unit}, ' if unit else ''
+        parser.add_argument(
+            _option(info.name),
+            type=type(info.default),
+            metavar='N' if isinstance(info.default, int) else 'VALUE',
+            help=f'{info.meaning} ({in_unit}default {info.default * factor:g})',
+        )
+
+
+def _option(name: str) -> str:
+    return '--' + name.replace('_', '-')
+
+
+def given(arguments: argparse.Namespace, kind: type[Parameters]) -> dict[str, Any]:
+    """Return the parameters of a dataclass that an option, else --config, states; SI units.
+
+    Raises
+    ------
+    ConfigError
+        Names the option that is out of range, in its own unit.
+    """
+    values = {}
+    for info in kind.infos():
+        stated = getattr(arguments, info.name, None)
+        if stated is None and info.name in arguments.config_values:
+            values[info.name] = arguments.config_values[info.name]
+        elif stated is not None:
+            factor = FEED if info.name == 'feed' else 1
+            try:
+                values[info.name] = info.check(stated if factor == 1 else stated / factor)
+            except ConfigError as error:
+                problem = str(error)[len(info.name) :]
+                if factor != 1 and info.low is not None and info.high is not None:
+                    problem = (
+                        f': {stated:g} is out of range, {info.low * factor:g} to '
+                        f'{info.high * factor:g} {FEED_UNIT} are possible'
+                    )
+                raise ConfigError(_option(info.name) + problem) from None
+    return values
+
+
+def parameters(kind: type[Any], arguments: argparse.Namespace) -> Any:
+    """Build a parameter dataclass from the options and --config; ConfigError names them."""
+    return kind(**given(arguments, kind))

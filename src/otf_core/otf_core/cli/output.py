@@ -86,7 +86,7 @@ def own_line(text: str) -> None:
 
 
 @contextmanager
-def log_to_stderr(*, quiet: bool) -> Iterator[None]:
+def log_to_stderr() -> Iterator[None]:
     """Print what the core logs to stderr: how inputs were read, what was left out."""
     import logging
 
@@ -96,7 +96,7 @@ def log_to_stderr(*, quiet: bool) -> Iterator[None]:
 
     handler, logger = Noted(), logging.getLogger('otf_core')
     level = logger.level
-    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.setLevel(logging.INFO)
     logger.addHandler(handler)
     try:
         yield
@@ -111,17 +111,15 @@ def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -
     Parameters
     ----------
     arguments : Namespace
-        With ``json`` and ``quiet``.
+        With ``json``.
     words : str
-        With --quiet they are not printed.
     data : mapping
         The object.
     """
     if arguments.json:
-        if not arguments.quiet:
-            note(words)
+        note(words)
         say(json.dumps({'verb': arguments.verb, **data}, indent=1, allow_nan=False))
-    elif not arguments.quiet:
+    else:
         say(typeset_units(words, sys.stdout))
 
 
@@ -133,7 +131,7 @@ def answer_from(
     Parameters
     ----------
     arguments : Namespace
-        With ``json``, ``quiet`` and ``out``.
+        With ``json`` and ``out``.
     words : str
         Which files were written is added.
     files : sequence of Path
@@ -165,8 +163,11 @@ def _places(files: Sequence[Path], folder: str) -> list[str]:
 
 
 def report_files(files: Sequence[Path], folder: str) -> str:
-    """State which files were written."""
-    return f'\nwritten: {", ".join(_places(files, folder))} in {folder}'
+    """State which files were written, and which page of them to open."""
+    places = _places(files, folder)
+    page = next((place for place in places if place.endswith('.html')), '')
+    first = f'\nopen {os.path.join(folder, page)}' if page else ''
+    return f'\nwritten: {", ".join(places)} in {folder}{first}'
 
 
 # What a long job is doing and how long it will take, on stderr.
@@ -237,16 +238,12 @@ class _Line:
 
 @contextmanager
 def progress_of(
-    arguments: argparse.Namespace,
-    stage: str,
-    spans: Mapping[str, tuple[float, float]] | None = None,
+    stage: str, spans: Mapping[str, tuple[float, float]] | None = None
 ) -> Iterator[Progress]:
     """Show a job while it lasts.
 
     Parameters
     ----------
-    arguments : Namespace
-        With ``quiet``: nothing is shown.
     stage : str
         What is done as long as nobody says otherwise.
     spans : mapping of stage to (begin, end), optional
@@ -256,9 +253,6 @@ def progress_of(
     ------
     callable(stage, share of the stage)
     """
-    if arguments.quiet:
-        yield lambda stage, share: None
-        return
     line = _Line(stage, sys.stderr.isatty())
     line.start()
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of the command line, and the completion of its words by a shell."""
+"""The parser of the command line, and the completion of its words by a shell (shtab)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from otf_core.cli.output import say
+from otf_core.errors import ConfigError
 
 # The parser of the command line: one clear line for every mistake, with what was meant.
 
@@ -19,6 +20,21 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
     near = get_close_matches(word, list(known), 1)
     return f'; did you mean {near[0]}?' if near else ''
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Help whose usage line shows what must be given, not every option twice."""
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Any,
+        prefix: Any = None,
+    ) -> None:
+        """Leave out what may be omitted."""
+        needed = [a for a in actions if a.required or not a.option_strings]
+        super().add_usage(usage, needed, (), prefix)
 
 
 class Parser(argparse.ArgumentParser):
@@ -64,73 +80,25 @@ def parse_arguments(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
     return arguments
 
 
-# Completion of verbs, options and choices by the shell, made from the parser itself.
+# Completion of verbs, options and choices by the shell.
 
-BASH = """\
-# completion of otf; zsh: autoload -U bashcompinit && bashcompinit first
-_otf() {{
-  local word=${{COMP_WORDS[COMP_CWORD]}} before=${{COMP_WORDS[COMP_CWORD-1]}} words=""
-  if [ "$COMP_CWORD" -eq 1 ]; then
-    words="{verbs}"
-  else
-    case "${{COMP_WORDS[1]}} $before" in
-{choices}
-      *)
-        case "$word" in -*)
-          case "${{COMP_WORDS[1]}}" in
-{options}
-          esac ;;
-        esac ;;
-    esac
-  fi
-  COMPREPLY=($(compgen -W "$words" -- "$word"))
-}}
-complete -o default -F _otf otf ./otf
-"""
-SHELLS = ('bash', 'zsh', 'fish')
-
-
-def fish_script(parser: Parser) -> str:
-    """Return a script for fish."""
-    lines = [
-        '# completion of otf',
-        f'complete -c otf -n __fish_use_subcommand -f -a "{" ".join(parser.verbs)}"',
-    ]
-    for name, verb in parser.verbs.items():
-        under = f'complete -c otf -n "__fish_seen_subcommand_from {name}"'
-        for action in verb._actions:
-            words = ' '.join(map(str, action.choices or ()))
-            long = [o[2:] for o in action.option_strings if o.startswith('--')]
-            takes = action.nargs != 0
-            listed = f' -x -a "{words}"' if words else ' -r' if takes else ''
-            lines += [f'{under} -l {option}{listed}' for option in long]
-            if words and not action.option_strings:
-                lines.append(f'{under} -f -a "{words}"')
-    return '\n'.join(lines) + '\n'
-
-
-def script(parser: Parser) -> str:
-    """Return a script for bash, and for zsh with its functions of bash."""
-    choices, options = [], []
-    for name, verb in parser.verbs.items():
-        assert isinstance(verb, Parser)
-        options.append(f'            {name}) words="{" ".join(sorted(verb.options))}" ;;')
-        for action in verb._actions:
-            if action.choices:
-                listed = ' '.join(map(str, action.choices))
-                named = (
-                    '|'.join(f'"{name} {o}"' for o in action.option_strings) or f'"{name} {name}"'
-                )
-                choices.append(f'      {named}) words="{listed}" ;;')
-    return BASH.format(
-        verbs=' '.join(parser.verbs), choices='\n'.join(choices), options='\n'.join(options)
-    )
+SHELLS = ('bash', 'zsh', 'tcsh')
 
 
 def run_completion(arguments: argparse.Namespace) -> int:
     """Print the script of a shell."""
+    try:
+        import shtab
+    except ImportError:
+        raise ConfigError(
+            'completion: needs shtab: python3 -m pip install shtab, or apt install python3-shtab'
+        ) from None
     from otf_core.cli import _parser
 
-    writer = fish_script if arguments.shell == 'fish' else script
-    say(writer(_parser()))
+    parser = _parser()
+    for verb in parser.verbs.values():
+        for action in verb._actions:
+            if not action.choices and action.nargs != 0:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+    say(shtab.complete(parser, arguments.shell))
     return 0

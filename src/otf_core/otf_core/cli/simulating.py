@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate, loop, fleet, blind."""
+"""Verbs that plan and simulate: plan, simulate, fleet."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import (
     AddVerb,
-    add_out,
-    add_parameters,
+    add_config,
+    given,
     output_folder,
     parameters,
 )
@@ -27,18 +27,18 @@ from otf_core.cli.output import (
     progress_of,
     report_files,
 )
-from otf_core.config import ForecastConfig, LoopConfig, PlannerConfig, SimulationConfig
+from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import PLAN, SIMULATE
 
 if TYPE_CHECKING:
     from otf_core.fleet.fleet import Workers
-    from otf_core.validation.validate import Row
 
 
-# Verbs that plan, simulate and judge: plan, simulate, validate.
+# Verbs that plan and simulate: plan, simulate.
 
-MOST_CELLS = 1000
+DWELLS = ('corner_dwell', 'end_dwell')
+"""Parameters of the planner that a plan leaves to --config."""
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -71,11 +71,11 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
 
 def _refuse_planned(arguments: argparse.Namespace) -> None:
     """Refuse options that a plan decides."""
-    for option in ('passes', 'feed', 'feed_ratio', 'margin', 'levels'):
-        if getattr(arguments, option) is not None:
+    for name in given(arguments, PlannerConfig):
+        if name not in DWELLS:
             raise ConfigError(
-                f'--{option.replace("_", "-")}: {arguments.path} is a plan, which sets this; '
-                f'give its path.csv to drive the same path with other settings'
+                f'{name}: {arguments.path} is a plan, which sets this; give its path.csv to drive '
+                f'the same path with other settings'
             )
 
 
@@ -83,9 +83,10 @@ def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig
     """Take the dwells from the options where given; refuse options that the plan decides."""
     _refuse_planned(arguments)
     dwell = file.plan.dwell.copy()
-    if arguments.corner_dwell is not None:
+    stated = given(arguments, PlannerConfig)
+    if 'corner_dwell' in stated:
         dwell[1:-1] = config.corner_dwell
-    if arguments.end_dwell is not None:
+    if 'end_dwell' in stated:
         dwell[[0, -1]] = config.end_dwell
     return dataclasses.replace(file, plan=dataclasses.replace(file.plan, dwell=dwell))
 
@@ -111,7 +112,7 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = tables.on(machine)
     file = _plan_of(arguments, planning, machine)
-    with progress_of(arguments, 'simulating', SIMULATE) as progress:
+    with progress_of('simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
         progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
@@ -159,7 +160,7 @@ def _simulate_axes(arguments: argparse.Namespace, config: SimulationConfig, mach
     )
     tables = load_tables(arguments.tables).tables.on(machine) if arguments.tables else None
     parts, options = _parts_to_drive(arguments, machine)
-    with progress_of(arguments, 'simulating', SIMULATE) as progress:
+    with progress_of('simulating', SIMULATE) as progress:
         try:
             run = simulate_parts(machine, parts, config, tables, effects=effects, **options)
         except InputError as error:
@@ -181,11 +182,12 @@ def _parts_to_drive(
     from otf_core.inputs.path_file import looks_like_json, read_axis_paths, read_axis_plan
     from otf_core.sim.axis_cell import usual_parts
 
-    dwell, end_dwell = arguments.corner_dwell, arguments.end_dwell
-    options: dict[str, Any] = {} if end_dwell is None else {'end_dwell': end_dwell}
+    stated = given(arguments, PlannerConfig)
+    dwell = stated.get('corner_dwell')
+    options = {k: v for k, v in stated.items() if k == 'end_dwell'}
     name = arguments.path
     if name is None or not looks_like_json(name):
-        options |= {} if arguments.feed is None else {'feed': arguments.feed / 60000.0}
+        options |= {k: v for k, v in stated.items() if k == 'feed'}
         options |= {} if dwell is None else {'dwell': dwell}
         parts = read_axis_paths(name, machine.axis_names) if name else usual_parts(machine)
         return parts, options
@@ -214,7 +216,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.nc import DIALECTS
     from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
-    from otf_core.reports.plan_files import format_report, plan_summary, write_report
+    from otf_core.reports.plan_files import plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
@@ -236,17 +238,14 @@ def run_plan(arguments: argparse.Namespace) -> int:
     about = provenance(
         'plan', machines=[machine], files={'path': arguments.path, 'noise': arguments.noise}
     )
-    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+    with progress_of('choosing lines', PLAN) as progress:
         report = make_plan(machine, request, config, judged, progress)
         progress('writing', 0.0)
         with out.filled('plan') as folder:
             files = write_report(report, folder, dialect, about)
-    if dialect is None and not arguments.quiet:
+    if dialect is None:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
-    words = format_report(report) if arguments.verbose else plan_summary(report)
-    shown = next((f.name for f in files if f.name == 'report.html'), 'plan.svg')
-    words += f'open {Path(arguments.out) / shown}; all numbers: --verbose, forecast.txt'
-    answer_from(arguments, words, files, 'plan.json')
+    answer_from(arguments, plan_summary(report).rstrip(), files, 'plan.json')
     return 0
 
 
@@ -280,7 +279,7 @@ def _plan_rotary(
     check_side(machine, place)
     noise = None if arguments.noise is None else read_noise(arguments.noise)
     about = provenance('plan', machines=[machine], files={'noise': arguments.noise})
-    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+    with progress_of('choosing lines', PLAN) as progress:
         parts = planned_parts(machine, config, place, judged, noise, arguments.time_budget)
         progress('forecasting', 0.0)
         forecast = forecast_parts(machine, parts, place, config, judged, noise)
@@ -294,184 +293,18 @@ def _plan_rotary(
     return 0
 
 
-def run_validate(arguments: argparse.Namespace) -> int:
-    """The paper's comparisons on simulated cells."""
-    from otf_core.reports.validation import write_validation
-    from otf_core.sim.laboratory import SimulatedLaboratory
-    from otf_core.validation.paper import scale
-    from otf_core.validation.validate import format_rows, validate
-
-    out = output_folder(arguments)
-    if arguments.cells is not None and not 1 <= arguments.cells <= MOST_CELLS:
-        raise ConfigError(f'--cells: {arguments.cells} is out of range [1, {MOST_CELLS}]')
-    laboratory, cells = (
-        SimulatedLaboratory(),
-        scale(arguments.quick, arguments.first_cell, arguments.cells),
-    )
-    comparisons = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
-    truth = comparisons.cells[0].reference.truth
-    direct = laboratory.measure_directly(truth, comparisons.seeds[0])
-    with out.filled('validate') as folder:
-        files = write_validation(comparisons, direct, folder)
-    answer_from(arguments, format_rows(comparisons.rows) + '\n', files, 'validation.json')
-    return state_limits(comparisons.rows)
-
-
-def state_limits(rows: Sequence[Row]) -> int:
-    """Name the rows beyond their limits; the exit code."""
-    failed = [row.quantity for row in rows if row.passed is False]
-    for quantity in failed:
-        note(f'otf: quality gate failed: {quantity}')
-    return QUALITY_GATE_FAILED if failed else 0
-
-
-# Verb that closes the circle against a real control: loop.
-
-WAYS = ('axes', 'volume', 'program', 'pivot')
-
-
-def add_closing_verbs(verb: AddVerb) -> None:
-    """Add loop."""
-    sub = verb('loop', run_loop)
-    sub.add_argument('--machine', required=True, help='machine.yaml')
-    add_out(sub, 'folder for loop.json, calibration, bags and the files given to the control')
-    sub.add_argument(
-        '--compensate', choices=WAYS,
-        help='axes: a .comp file per joint; volume: external offsets at the current position '
-        '(default); program: a corrected NC program; pivot, of a trunnion: new pivot points and '
-        'a .comp file per joint',
-    )  # fmt: skip
-    sub.add_argument(
-        '--diagnose', action='store_true', help='also diagnose the fitted run (diagnosis/; slow)'
-    )
-    add_parameters(sub, LoopConfig)
-
-
-def run_loop(arguments: argparse.Namespace) -> int:
-    """The whole circle on LinuxCNC."""
-    config = parameters(LoopConfig, arguments)
-    given = dataclasses.asdict(config)
-    planning = PlannerConfig(passes=1, feed=given.pop('feed'), corner_dwell=0.05, end_dwell=2.0)
-    out = output_folder(arguments, arguments.machine)
-    from otf_core.loop.circle import go_round
-    from otf_core.loop.control import find_control
-    from otf_core.model.machine import load_machine
-    from otf_core.planning.path_creation import plan_path
-    from otf_core.reports.loop import failed_gates, format_loop, write_loop
-
-    machine = load_machine(arguments.machine)
-    way = arguments.compensate or ('pivot' if machine.rotary_names else 'volume')
-    if (way == 'pivot') != bool(machine.rotary_names):
-        raise ConfigError(
-            f'--compensate {way}: the machine has '
-            f'{", ".join(machine.rotary_names) or "no rotary axis"}; machines with rotary axes '
-            f'are compensated by pivot, others by axes, volume or program'
-        )
-    centre_error = given.pop('centre_error')
-
-    def progress(text: str) -> None:
-        if not arguments.quiet:
-            note(f'otf loop: {text}')
-
-    if way == 'pivot':
-        planning = dataclasses.replace(planning, levels=2)
-        return _loop_of_trunnion(arguments, machine, planning, given, centre_error, progress)
-    find_control()
-    plan = plan_path(machine, planning)
-    circle = go_round(machine, plan, way, SimulationConfig(**given), progress)
-    with out.filled('loop') as folder:
-        files = write_loop(circle, folder)
-        if arguments.diagnose:
-            from otf_core.diagnosis.diagnose import diagnose
-            from otf_core.reports.diagnosis import write_diagnosis
-            from otf_core.sim.twin import twin_recording
-
-            progress('diagnoses')
-            diagnosis = diagnose([circle.recordings['fit']], twin_recording)
-            files += write_diagnosis(diagnosis, folder / 'diagnosis')
-        names = [f.relative_to(folder) for f in files]
-    answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
-    gates = failed_gates(circle)
-    for gate in gates:
-        note(f'otf loop: quality gate failed: {gate}')
-    return QUALITY_GATE_FAILED if gates else 0
-
-
-def _loop_of_trunnion(
-    arguments: argparse.Namespace,
-    machine: Any,
-    planning: PlannerConfig,
-    given: dict[str, Any],
-    centre_error: float,
-    progress: Callable[[str], None],
-) -> int:
-    """The circle of a trunnion."""
-    from otf_core.loop.trunnion import check_trunnion, go_round_trunnion
-    from otf_core.planning.part_choice import planned_parts
-    from otf_core.reports.loop import (
-        failed_gates_of_trunnion,
-        format_trunnion_loop,
-        write_trunnion_loop,
-    )
-
-    if arguments.diagnose:
-        raise ConfigError(
-            '--diagnose: not with a machine with rotary axes; diagnose DIR/bags/fit afterwards'
-        )
-    out = output_folder(arguments, arguments.machine)
-    check_trunnion(machine)
-    circle = go_round_trunnion(
-        machine,
-        planned_parts(machine, planning),
-        planning.feed,
-        SimulationConfig(**given),
-        centre_error,
-        progress,
-    )
-    with out.filled('loop') as folder:
-        files = write_trunnion_loop(circle, folder)
-        names = [f.relative_to(folder) for f in files]
-    words = format_trunnion_loop(circle)
-    answer_from(arguments, words, [out.path / n for n in names], 'loop.json')
-    gates = failed_gates_of_trunnion(circle)
-    for gate in gates:
-        note(f'otf loop: quality gate failed: {gate}')
-    return QUALITY_GATE_FAILED if gates else 0
-
-
-# Verbs on many runs, a process each, here or on other hosts: fleet, blind.
-
-LIST_VERBS = ('calibrate', 'diagnose')
-BLIND, VALIDATE = 'blind', 'validate'
-MAX_VALUES = {'trials': 100_000, 'seed': 10_000_000}
-NEEDED = {
-    **dict.fromkeys(LIST_VERBS, ('list',)),
-    **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
-}
-"""Options that choose what is done; they exclude each other."""
+# The verb on many runs, a process each, here or on other hosts: fleet.
 
 
 def add_plant_verbs(verb: AddVerb) -> None:
     """Add fleet."""
     sub = verb('fleet', run_fleet_verb)
-    sub.add_argument('what', choices=tuple(NEEDED), help='command for each run or cell')
+    sub.add_argument('what', choices=('calibrate', 'diagnose'), help='command for each run')
     sub.add_argument(
-        '--list', metavar='runs.csv',
-        help='calibrate, diagnose: CSV with the header name,bag,machine; paths may be relative '
-        'to its folder',
+        '--list', metavar='runs.csv', required=True,
+        help='CSV with the header name,bag,machine; paths may be relative to its folder',
     )  # fmt: skip
-    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: number of cells')
-    sub.add_argument(
-        '--seed', type=int, metavar='N',
-        help='blind: seed of all random draws; validate: seed of the first cell',
-    )  # fmt: skip
-    sub.add_argument(
-        '--leave-one-out', action='store_true',
-        help='blind: diagnose every effect with that effect removed from the catalogue',
-    )  # fmt: skip
-    sub.add_argument(
-        '--five-axes', action='store_true', help='blind: only machines with rotary axes'
-    )
+    add_config(sub, 'fleet')
     sub.add_argument(
         '--out', required=True,
         help='folder for the results and fleet.json; an interrupted fleet resumes there',
@@ -483,32 +316,6 @@ def add_plant_verbs(verb: AddVerb) -> None:
         '--scheduler', metavar='ADDRESS',
         help='address of a Dask scheduler, e.g. tcp://host:8786, whose workers process the runs',
     )  # fmt: skip
-
-
-def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse options that are missing, or that another kind of fleet has."""
-    needed = NEEDED[arguments.what]
-    for name in sorted({n for names in NEEDED.values() for n in names}):
-        given = getattr(arguments, name) is not None
-        if given and name not in needed:
-            raise ConfigError(f'--{name}: does not apply to fleet {arguments.what}; leave it out')
-        if not given and name in needed:
-            raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
-    for name in ('leave_one_out', 'five_axes'):
-        if getattr(arguments, name) and arguments.what != BLIND:
-            option = name.replace('_', '-')
-            raise ConfigError(
-                f'--{option}: does not apply to fleet {arguments.what}; leave it out'
-            )
-    if 'trials' in needed:
-        _check_cells(arguments)
-
-
-def _check_cells(arguments: argparse.Namespace) -> None:
-    for name, low in (('trials', 1), ('seed', 0)):
-        value = getattr(arguments, name)
-        if not low <= value <= MAX_VALUES[name]:
-            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MAX_VALUES[name]}]')
 
 
 def _workers(arguments: argparse.Namespace) -> Workers:
@@ -525,35 +332,19 @@ def _workers(arguments: argparse.Namespace) -> Workers:
     return partial(done_here, workers=count or os.cpu_count() or 1)
 
 
-def _progress(arguments: argparse.Namespace) -> Callable[[str], None]:
-    def told(text: str) -> None:
-        if not arguments.quiet:
-            note(f'otf {arguments.verb}: {text}')
-
-    return told
-
-
 def run_fleet_verb(arguments: argparse.Namespace) -> int:
-    """Many runs at once."""
-    _check_options(arguments)
-    workers = _workers(arguments)
-    if arguments.what == BLIND:
-        return _trial(arguments, workers, overwrite=False)
-    if arguments.what == VALIDATE:
-        return _validation(arguments, workers)
-    return _listed_runs(arguments, workers)
-
-
-def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
-    """Calibrate or diagnose recordings."""
+    """Calibrate or diagnose many recordings."""
     from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
     from otf_core.reports.fleet_report import format_fleet, write_fleet
 
-    verb = arguments.what
+    def told(text: str) -> None:
+        note(f'otf {arguments.verb}: {text}')
+
+    verb, workers = arguments.what, _workers(arguments)
     runs = read_list(arguments.list)
     folder = take_folder(Path(arguments.out), verb)
-    jobs = listed_jobs(verb, runs, folder)
-    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
+    jobs = listed_jobs(verb, runs, folder, arguments.config)
+    outcomes = run_fleet(jobs, folder, workers, told)
     files, warnings = write_fleet(verb, folder, outcomes)
     words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
         files, arguments.out
@@ -563,62 +354,3 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     if not exits:
         return 0
     return LIMIT_NOT_PROVEN if exits == {LIMIT_NOT_PROVEN} else QUALITY_GATE_FAILED
-
-
-def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
-    """The paper's comparisons, a cell a run, in one table."""
-    from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
-    from otf_core.reports.fleet_report import format_fleet, list_results, write_outcomes
-    from otf_core.reports.validation import write_table
-    from otf_core.validation.validate import cell_jobs, format_rows, table_of
-
-    folder = take_folder(Path(arguments.out), VALIDATE)
-    jobs = cell_jobs(arguments.seed, arguments.trials, folder)
-    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
-    words, files = format_fleet(VALIDATE, outcomes, gates=False), []
-    seeds, rows = table_of(folder, outcomes)
-    if rows:
-        files = write_table(seeds, rows, folder)
-        words = f'{format_rows(rows)}\n\n{words}'
-    files.append(write_outcomes(VALIDATE, folder, outcomes))
-    list_results(VALIDATE, folder)
-    answer(
-        arguments, words + report_files(files, arguments.out), fleet_to_dict(VALIDATE, outcomes)
-    )
-    beyond = state_limits(rows)
-    return QUALITY_GATE_FAILED if any(not o.done for o in outcomes.values()) else beyond
-
-
-def run_blind(arguments: argparse.Namespace) -> int:
-    """Blind trial: draw and seal cells, diagnose them, score."""
-    from otf_core.fleet.fleet import done_here
-
-    _check_cells(arguments)
-    workers = partial(done_here, workers=arguments.jobs)
-    return _trial(arguments, workers, overwrite=arguments.overwrite)
-
-
-def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) -> int:
-    """Run a blind trial."""
-    from otf_core.blind.seal import holds_trial
-    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
-    from otf_core.files.output_folder import OutputFolder
-    from otf_core.reports.fleet_report import format_fleet, write_outcomes
-
-    folder = Path(arguments.out)
-    if overwrite or not holds_trial(folder):
-        OutputFolder(folder, overwrite=overwrite).clear()
-    if arguments.leave_one_out and arguments.five_axes:
-        raise ConfigError('--five-axes: does not go with --leave-one-out')
-    run = run_leave_one_out if arguments.leave_one_out else run_trial
-    if arguments.five_axes:
-        run = partial(run_trial, five_axes=True)
-    try:
-        trial = run(arguments.trials, arguments.seed, folder, workers, _progress(arguments))
-        files = [write_outcomes(BLIND, folder, trial.ended), folder / 'score.txt']
-    finally:
-        list_files(folder)
-    failed = any(not ended.done for ended in trial.ended.values())
-    words = f'{trial.words}\n\n{format_fleet(BLIND, trial.ended)}' if failed else trial.words
-    answer_from(arguments, words, files, 'score.json')
-    return QUALITY_GATE_FAILED if failed else 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 VERBS = {
     'check': 'Check in seconds whether a recording is usable, before the tracker is dismounted.',
-    'info': 'Identify an otf file or folder and summarise its contents.',
+    'info': 'Identify a recording, machine.yaml or result: schema, headline, provenance.',
     'doctor': 'Check this installation and state how to repair it.',
     'calibrate': 'Determine error tables from recorded bags.',
     'diagnose': 'Find where and why a real run departs from its simulation.',
@@ -19,12 +19,9 @@ VERBS = {
     'import': 'Determine error tables from a lattice of volumetric errors in CSV.',
     'fleet': 'Process many recordings, here or on other hosts; a bad bag affects no other.',
     'history': 'Evaluate the drift of machines over their calibrations, and when to recalibrate.',
-    'loop': 'Close the loop on LinuxCNC: drive, measure, calibrate, compensate, verify.',
     'noise': 'Determine the tracker noise from the standstills of a bag.',
     'plan': 'Plan a path, forecast what it can determine, write an NC program.',
     'simulate': 'Write the bag of a simulated run.',
-    'validate': 'Repeat the comparisons of the paper on simulated cells.',
-    'blind': 'Run a blind trial: draw and seal cells, diagnose them, score the answers.',
     'completion': 'Print a script that lets a shell complete verbs, options and choices.',
 }
 
@@ -59,16 +56,11 @@ EXAMPLES = {
     'fleet': (
         'otf fleet calibrate --list runs.csv --out plant --workers 8',
         'otf fleet diagnose --list runs.csv --out gaps --scheduler tcp://host:8786',
-        'otf fleet blind --trials 80 --seed 5 --out trial --workers 8',
     ),
     'history': (
         'otf history store --add tables',
         "otf history store --event 'ball screw of X replaced' --at 2026-11-02",
         'otf history store --limit 5 --out page',
-    ),
-    'loop': (
-        'otf loop --machine machine.yaml --out loop',
-        'otf loop --machine machine.yaml --out loop --compensate axes --seed 3',
     ),
     'noise': ('otf noise run1 --out noise',),
     'plan': (
@@ -79,7 +71,5 @@ EXAMPLES = {
         'otf simulate --machine machine.yaml --out run1 --seed 7',
         'otf simulate --machine machine.yaml --out run2 --path plan/plan.json',
     ),
-    'validate': ('otf validate --quick --out validation',),
-    'blind': ('otf blind --trials 24 --seed 5 --out trial',),
     'completion': ('otf completion bash > ~/.local/share/bash-completion/completions/otf',),
 }

@@ -11,8 +11,13 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.text_dialect import read_lines
-from otf_core.files.text_table import TextTable, fault_words, is_comment, read_text_table
+from otf_core.files.text_table import (
+    TextTable,
+    fault_words,
+    is_comment,
+    read_lines,
+    read_text_table,
+)
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
@@ -53,7 +58,7 @@ def _readings(
     table: TextTable, header: Sequence[str], columns: Mapping[str, tuple[int, float]]
 ) -> list[tuple[str, str, str, list[float]]]:
     """Axis, run, direction and numbers, SI, of every line; an empty error was not measured."""
-    read = table.numbers({place: header[place] for place, _ in columns.values()})
+    read, _ = table.numbers({place: header[place] for place, _ in columns.values()})
     numbers = np.full((len(table.lines), 1 + len(DIRECTIONS)), np.nan)
     named = ('position', *(f'E{d}' for d in DIRECTIONS))
     for (name, (place, factor)), column in zip(columns.items(), read, strict=True):
@@ -63,7 +68,7 @@ def _readings(
                     f'{table.where}: line {table.lines[row]}: expected a reading, but {fault}'
                 )
         numbers[:, named.index(name)] = column.values * factor
-    axis, run, way = (table.column(header.index(n)) for n in ('axis', 'run', 'direction'))
+    axis, run, way = (table.columns[header.index(n)] for n in ('axis', 'run', 'direction'))
     for row, line in enumerate(table.lines):
         where = f'{table.where}: line {line}'
         if way[row] not in TWO_WAYS:

@@ -2,7 +2,7 @@
 """Examination of runs that are aligned and reduced to pieces, most consequential checks first.
 
 First what can be repaired (offsets of segments, steps of the tracker), then what the repaired runs
-contradict: each other, the chain, the target offsets, the noise, the range.
+contradict: each other, the chain, the noise, the range.
 
 *Chain.* A rotation acts through the travels of the axes beyond it. Its own travel acts like a
 translation of the same axis, so the place of the base b in the chain changes what is called
@@ -11,14 +11,12 @@ to tool, six classes of four chains each.
 
 *Target offset.* With one offset a wrong one cannot be seen: rotations times a constant lever are
 translations of the same axis, and what is predicted at that target stays right. Between runs the
-difference of the offsets counts; signs of its parts are tried.
+difference of the offsets counts: with a wrong one they do not fit together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -93,60 +91,6 @@ def check_driven_range(model: Model) -> list[Finding]:
     ))]  # fmt: skip
 
 
-MIN_OFFSET_DIFFERENCE = 1e-4
-"""m; offsets that differ by less show nothing."""
-
-
-def check_target_offset(model: Model) -> list[Finding]:
-    """Try other signs of the target offsets where runs with different ones fit badly together."""
-    offsets = model.offsets
-    if model.fit.ratio < MAX_RATIO or np.ptp(offsets, axis=0).max() < MIN_OFFSET_DIFFERENCE:
-        return []
-    tried = _flips(offsets)
-    chain = model.rows.machine.chain
-    residual = model.left_with([chain] * (len(tried) + 1), [offsets, *(t.offsets for t in tried)])
-    stated, others = residual[0], residual[1:]
-    if not tried or others.min() > MAX_SHARE * stated:
-        return []
-    named = '; or '.join(
-        f'{_metres(tried[k].right)} in place of {_metres(tried[k].stated)} '
-        f'({1e6 * others[k]:.2f} um)'
-        for k in np.argsort(others)
-        if others[k] < EQUAL_FIT * others.min()
-    )
-    return [Finding('target offset', GATE, (
-        f'with the stated offsets the runs fit together to {1e6 * stated:.2f} um, with another '
-        f'sign they fit better: {named}; correct target_offset'
-    ))]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Flip:
-    """One group of runs with other signs: what was stated, what is tried, all offsets then."""
-
-    stated: Array
-    right: Array
-    offsets: Array
-
-
-def _flips(offsets: Array) -> list[_Flip]:
-    """Other signs of the offset of each group of runs with the same one."""
-    flips = []
-    for offset in (
-        np.unique(np.round(offsets / MIN_OFFSET_DIFFERENCE), axis=0) * MIN_OFFSET_DIFFERENCE
-    ):
-        member = np.abs(offsets - offset).max(axis=1) < MIN_OFFSET_DIFFERENCE
-        free = [(1.0, -1.0) if abs(v) > MIN_OFFSET_DIFFERENCE else (1.0,) for v in offset]
-        for signs in list(product(*free))[1:]:
-            moved = np.where(member[:, None], np.array(signs) * offsets, offsets)
-            flips.append(_Flip(offset, np.array(signs) * offset, moved))
-    return flips
-
-
-def _metres(offset: Array) -> str:
-    return f'[{", ".join(f"{v:g}" for v in np.round(offset, 6))}] m'
-
-
 WARNING_RATIO = 1.3
 """Residual together over alone from which on a warning is given."""
 GATE_RATIO = 2.0
@@ -154,6 +98,8 @@ GATE_RATIO = 2.0
 WARNING_DIFFERENCE, CHANGED_DIFFERENCE, OTHER_MACHINE_DIFFERENCE = 0.05, 0.1, 0.3
 """Part of the errors by which runs differ: for a warning; for a changed machine; for
 another machine."""
+MIN_OFFSET_DIFFERENCE = 1e-4
+"""m; target offsets that differ by more: a wrong one makes runs that do not fit together."""
 
 
 def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
@@ -191,11 +137,13 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
             f'changed between them (readjusted, crashed, referenced again); calibrate them '
             f'separately'
         )
-    grave = share > CHANGED_DIFFERENCE and together > GATE_RATIO * apart
+    offsets = np.array([run.machine.target_offset for run in model.runs])
+    differ = bool(np.ptp(offsets, axis=0).max() > MIN_OFFSET_DIFFERENCE)
+    grave = (differ or share > CHANGED_DIFFERENCE) and together > GATE_RATIO * apart
     return [Finding('one machine', GATE if grave else WARNING, (
         f'{text}: the machine changed between the runs (temperature, load, readjustment), a '
-        f'target offset differs from the stated one, or an effect is missing in the model;'
-        f' calibrate them separately and compare'
+        f'target_offset differs from the stated one, e.g. in its sign, or an effect is missing in '
+        f'the model; correct the offset, or calibrate the runs separately and compare'
     ))]  # fmt: skip
 
 
@@ -248,8 +196,6 @@ three degrees of freedom 10."""
 MAX_UNEVENNESS, MIN_DIFFERENCES = 0.25, 100
 """Share by which intervals of stamps may differ from the usual one for differences from sample to
 sample to be taken; fewest of these, else all are."""
-ROUNDING_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
-"""m; to what recordings are rounded."""
 WARNING_OUTLIER_SHARE, GATE_OUTLIER_SHARE = 0.1, 0.3
 """Shares of outliers from which they are reported, and from which the quality gate fails."""
 
@@ -285,19 +231,6 @@ def _third(samples: Samples) -> tuple[Array, Array]:
     return (third[even], middle[even]) if even.sum() >= MIN_DIFFERENCES else (third, middle)
 
 
-def rounding_step(samples: Samples) -> float:
-    """Coarsest of ``ROUNDING_STEPS`` that all coordinates are multiples of, m; else 0."""
-    for step in ROUNDING_STEPS:
-        if all(_multiples(part, step) for part in (samples.xyz[:MIN_DIFFERENCES], samples.xyz)):
-            return step
-    return 0.0
-
-
-def _multiples(values: Array, step: float) -> bool:
-    count = values / step
-    return bool(np.all(np.abs(count - np.rint(count)) < 0.02))  # 0.01: single precision
-
-
 def outlying(samples: Samples) -> tuple[float, float]:
     """Share of samples that stand out from noise, and by how much.
 
@@ -312,17 +245,11 @@ def outlying(samples: Samples) -> tuple[float, float]:
     """
     third = np.linalg.norm(_third(samples)[0], axis=1) / THIRD_DIFFERENCE_SIGMA
     low, high = np.percentile(third, QUANTILES)
-    if high < MIN_RATIO_OF_TWO_KINDS * low:
+    if low == 0.0 or high < MIN_RATIO_OF_TWO_KINDS * low:  # zero: rounded coordinates
         return 0.0, 0.0
     far = third > np.sqrt(low * high)
     share = 1.0 - (1.0 - float(np.mean(far))) ** 0.25
     return share, float(np.median(third[far]) * THIRD_DIFFERENCE_SIGMA / 3.0)
-
-
-def _lever(samples: Samples) -> Array:
-    """What takes range and two angles to lengths, shape (3,)."""
-    distance = float(np.median(np.linalg.norm(samples.xyz, axis=1)))
-    return np.array([1.0, distance, distance])
 
 
 def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
@@ -337,12 +264,6 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
     above = max(ratios) > MAX_NOISE_RATIO
-    raster = rounding_step(run.recording.samples) if above else 0.0
-    if raster and max(level * _lever(run.recording.samples)) < raster:
-        return Finding('rounded', WARNING, (
-            f'{name}coordinates are rounded to {1e6 * raster:g} um, more than the noise of the '
-            f'tracker; record or export more digits'
-        ))  # fmt: skip
     share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
     if share > WARNING_OUTLIER_SHARE:
         return Finding('outliers', GATE if share > GATE_OUTLIER_SHARE else WARNING, (
@@ -362,6 +283,37 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
         f'u_range {1e6 * spec.u_range:.3g} um and u_angle {1e6 * spec.u_angle:.3g} urad '
         f'of machine.yaml; check the unit there (m and rad), and the tracker'
     ))  # fmt: skip
+
+
+WARNING_LEFT_OUT = 0.01
+"""Share of the samples from which what was left out as outliers is reported."""
+
+
+def share_in_whole_pieces(run: Run, kept: Run) -> float:
+    """Share of the samples that were left out as whole pieces of the path: no stray samples.
+
+    Parameters
+    ----------
+    run, kept : Run
+        With all pieces, and with those that were not far from the solution.
+    """
+    return 1.0 - kept.pieces.used / max(run.pieces.used, 1)
+
+
+def check_left_out(run: Run, kept: Run) -> list[Finding]:
+    """State how many samples of a run were left out as outliers, where they are many."""
+    count = kept.pieces.outliers
+    share = count / max(count + kept.pieces.used, 1)
+    if share < WARNING_LEFT_OUT:
+        return []
+    name = f'{run.name}: ' if run.name else ''
+    words = f'{name}{count} samples left out as outliers ({100 * share:.0f} %)'
+    if share_in_whole_pieces(run, kept) > WARNING_LEFT_OUT:
+        words += (
+            ', in whole pieces of the path: real machine behaviour, or a beam that was disturbed '
+            'for longer; ./otf diagnose includes all but the most distant in the gap'
+        )
+    return [Finding('left out', WARNING, words)]
 
 
 MAX_RATIO_OF_STEPS = 1.1
@@ -404,7 +356,7 @@ def examine(
             model, findings = _repaired(model, findings, nodes, config, repair=repair)
         alone.append(model)
     whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
-    findings += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
+    findings += check_chain(whole) or check_one_machine(whole, alone)
     findings += check_driven_range(whole)
     findings += check_noise_level(whole, config)
     return list(whole.runs), tuple(findings)

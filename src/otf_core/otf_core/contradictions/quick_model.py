@@ -498,42 +498,21 @@ class Model:
             tuple(runs), rows, solve(rows, Design.of(rows, usual_columns(rows), rows.machines))
         )
 
-    def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
-        """What other chains or target offsets leave, on the same pieces, thinned.
+    @cached_property
+    def left_by_order(self) -> dict[tuple[str, ...], float]:
+        """What every order of axes from workpiece to tool leaves, m, on the same pieces, thinned.
 
-        Parameters
-        ----------
-        offsets : sequence of ndarray, shape (runs, 3), m
-            One for each chain.
-
-        Returns
-        -------
-        ndarray, shape (k,), m
-            Weighted root mean square of the residuals.
+        Weighted root mean square of the residuals.
         """
         chosen = _spread(len(self.rows), MAX_PIECES_OF_COMPARISON)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
-        usual, squares = usual_columns(rows), []
-        for chain, offset in zip(chains, offsets, strict=True):
-            machines = [
-                replace(machine, chain=chain, target_offset=own)
-                for machine, own in zip(rows.machines, offset, strict=True)
-            ]
-            squares.append(solve(rows, Design.of(rows, usual, machines), weight).square)
-        return np.asarray(np.sqrt(np.array(squares) / weight.sum()))
-
-    @cached_property
-    def left_by_order(self) -> dict[tuple[str, ...], float]:
-        """What every order of axes from workpiece to tool leaves, m, as ``left_with``."""
-        orders = list(permutations(self.rows.machine.axis_names))
-        residual = self.left_with([Chain((), o) for o in orders], [self.offsets] * len(orders))
-        return dict(zip(orders, residual.tolist(), strict=True))
-
-    @property
-    def offsets(self) -> Array:
-        """Target offset of every run as stated, shape (runs, 3), m."""
-        return np.array([run.machine.target_offset for run in self.runs])
+        usual, left = usual_columns(rows), {}
+        for order in permutations(rows.machine.axis_names):
+            machines = [replace(machine, chain=Chain((), order)) for machine in rows.machines]
+            square = solve(rows, Design.of(rows, usual, machines), weight).square
+            left[order] = float(np.sqrt(square / weight.sum()))
+        return left
 
 
 def _spread(count: int, enough: int) -> Index:

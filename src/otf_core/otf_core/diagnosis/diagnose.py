@@ -15,8 +15,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from otf_core.ahead import Ahead
 from otf_core.arrays import Array
+from otf_core.aside import Aside
 from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.calibration.calibrate import (
     ExaminedRecordings,
@@ -27,7 +27,7 @@ from otf_core.calibration.calibrate import (
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.outlier_places import locate_outliers
+from otf_core.contradictions.examine import WARNING_LEFT_OUT, share_in_whole_pieces
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, qualify_moves, sentence_of
 from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
 from otf_core.diagnosis.corrected_calibration import (
@@ -45,7 +45,6 @@ from otf_core.diagnosis.engine.diagnosed_rows import (
 from otf_core.diagnosis.engine.gap_sizes import Twin, simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
-    Cause,
     SearchResult,
     Visibility,
     search_catalogue,
@@ -67,13 +66,11 @@ from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
-from otf_core.memory import collect, give_back
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding, incomplete_path
 from otf_core.pieces.runs import Recording, Run, reduce_recording
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
-from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.unknowns import Basis
 from otf_core.threads import limit_to_one_thread
 
@@ -130,40 +127,25 @@ def diagnose(
             recordings, exclude, config, progress, own, same_station=same_station
         )
     solved = solve_recordings(recordings, config, progress)
-    with Ahead() as ahead:
-        for joint in (solved.solution.joint, solved.solution.plain[1]):
-            joint.let_go()  # as large as what comes
-        ahead.begin(_assemble, solved.solution, config, solved.findings)
+    assembled = partial(assemble, solved.solution, config, solved.findings)
+    with Aside(assembled, (solved.solution, config, solved.findings), later=True) as aside:
         length = _piece_length(solved.runs, config)
         without_reversal = _without_reversal(recordings, solved, config, length)
         pieced = replace(config, piece_length=length)
         searched = _search(without_reversal, twin, exclude, pieced, progress, own)
-        collect()
         progress('diagnosing', 0.65)
         explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
         progress('diagnosing', 0.7)
         weighed = _weigh(searched, explained, pieced, exclude)
         progress('diagnosing', 0.95)
-        plain = ahead(_assemble, solved.solution, config, solved.findings)
+        plain = aside.result()
     progress('correcting', 0.0)
     causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
-    examined, found = solved.without_solution(), replace(searched.found, causes=())
-    weighed = weighed.without_columns()
-    del ahead, solved, without_reversal, searched, explained  # as large as what comes
-    collect()
-    corrected = calibrate_without_causes(examined, causes, config) if weighed.fitted else None
+    corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
     return _answer(
-        recordings, examined, found, weighed,
+        recordings, solved, searched.found, weighed,
         lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
     )  # fmt: skip
-
-
-def _assemble(
-    solution: ReversalSolution[Run], config: CalibrationConfig, findings: Sequence[Finding]
-) -> CalibrationResult:
-    """Return the result of a solution that was let go."""
-    solution.joint.hold()
-    return assemble(solution, config, findings)
 
 
 def _diagnose_axes(
@@ -249,14 +231,15 @@ def _without_reversal(
 ) -> _WithoutReversal:
     """What is diagnosed of recordings, in pieces of a length, m.
 
-    Where the outliers are the machine's doing, all samples are kept, so that they are in the gap,
-    however large. Where a run was cut at a step, it stays whole: the step is in the gap, too.
+    Where whole pieces were left out, which is no matter of stray samples, all are kept, so that
+    they are in the gap, however large. Where a run was cut at a step, it stays whole: the step is
+    in the gap, too.
     """
     observed = _WithoutReversal.of(solved)
     plain = replace(config, reversal='none', piece_length=length)
     whole = len(solved.runs) == len(recordings)
     pairs = zip(solved.runs, observed.runs, strict=True)
-    if any(locate_outliers(run, without_outliers).by_machine for run, without_outliers in pairs):
+    if any(share_in_whole_pieces(run, kept) > WARNING_LEFT_OUT for run, kept in pairs):
         plain = replace(plain, outlier_limit=ALL_SAMPLES)
     elif whole:
         same = length == config.piece_length
@@ -297,23 +280,19 @@ def _search(
     progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
     rows.prepare()
-    for joint in (solution, rows.done):
-        joint.let_go()
-    collect()
     straight = partial(straight_rows, joint=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
     progress('diagnosing', 0.2)
-    with Ahead() as ahead:
-        ahead.begin(simulated_residual_um, rows, nodes, config, twin)
+    simulated = partial(simulated_residual_um, rows, nodes, config, twin)
+    with Aside(simulated, (rows, nodes, config, twin), later=True) as aside:
         lines = spectral_lines(rows)
-        give_back()
         result = search_catalogue(rows, exclude, own, lines)
         progress('diagnosing', 0.5)
         for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
             other = changed(rows, result.causes)
             if other is not None:
                 rows, result = other, search_catalogue(other, exclude, own, lines)
-        simulated_um = ahead(simulated_residual_um, rows, nodes, config, twin)
+        simulated_um = aside.result()
     return _Searched(rows, result, simulated_um)
 
 
@@ -335,20 +314,6 @@ class _Weighed:
     shape: str
     shown: tuple[RunView, ...]
 
-    def without_columns(self) -> _Weighed:
-        """The same without the memory of columns of effects."""
-
-        def light(cause: Cause) -> Cause:
-            return replace(cause, option=cause.option.without_columns())
-
-        judged, nameless = self.judged, self.judged.nameless
-        causes = tuple(light(cause) for cause in judged.explained.causes)
-        explained = replace(judged.explained, causes=causes, small=())
-        nameless = None if nameless is None else replace(nameless, structures=())
-        fitted = tuple(replace(part, cause=light(part.cause)) for part in self.fitted)
-        judged = replace(judged, explained=explained, nameless=nameless)
-        return replace(self, judged=judged, fitted=fitted)
-
 
 def _weigh(
     searched: _Searched, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
@@ -361,7 +326,6 @@ def _weigh(
     every = fitted_causes([*explained.causes, *(s.cause for s in besides), *explained.small], rows)
     fitted, gap = every[: len(explained.causes)], gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
-    collect()
     views = run_views(rows, explained)
     where, shape = where_and_shape(
         views,

@@ -68,7 +68,6 @@ from otf_core.effects.located_inputs import (
     numbers_of,
     plain_names,
 )
-from otf_core.memory import collect
 from otf_core.model.frames import XYZ
 
 NO_GAP_SHARE = 0.35
@@ -571,7 +570,6 @@ def judge(
     gap = matters(explained.after_um, explained.simulated_um)
     noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
     remainder, has_place = _shape_of_rest(rows, explained)
-    collect()
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     weighed = _or_something_else(rows, explained, verdict, exclude)
     explained, nameless = weighed.explained, weighed.nameless

@@ -21,7 +21,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.action import Acting
-from otf_core.effects.drawing import Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import Coefficients, Size
 from otf_core.effects.terms import BelongsTo, Shape, State, Terms
@@ -88,7 +87,7 @@ class Contribution:
 class Effect(ABC):
     """One effect; every subclass is one file and one line in the registry.
 
-    A simple one gives the words, ``terms`` and ``trial``; all other facts have defaults.
+    A simple one gives the words and ``terms``; all other facts have defaults.
     """
 
     name: ClassVar[str]
@@ -139,8 +138,6 @@ class Effect(ABC):
     """um; where it changes the residual by less it is not named."""
     contributions: ClassVar[tuple[Contribution, ...]] = ()
     """Sources of the uncertainty budget that act as it does."""
-    trial: ClassVar[Trial]
-    """How a blind trial draws it."""
     follows: ClassVar[tuple[Acting, ...]] = ()
     """How it acts where it follows a signal recorded beside the samples."""
     switches: ClassVar[tuple[Acting, ...]] = ()

@@ -18,7 +18,6 @@ from numpy.polynomial import legendre
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Effect, Shape, State
-from otf_core.effects.drawing import LogUniform, Number
 
 ORDER = 4
 SHAPE_NAMES = ('tau', 'until', 'order')
@@ -36,8 +35,6 @@ STRAIGHT = 10.0
 """Time constants of so many durations and more make a straight line, whatever they are."""
 TIME_CONSTANT_WIDTH = 1.0
 """Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
-DRAWN = (Number('tau', LogUniform(0.15, 4.0), of_duration=True), Number('order', 1.0))
-"""How a blind trial draws the course in time."""
 
 
 def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:

@@ -48,20 +48,3 @@ class RemovedEffects:
 def effects_to_list(stated: Sequence[StatedEffect]) -> list[dict[str, Any]]:
     """Effects as plain data, as they stand in error_tables.json."""
     return [asdict(one) for one in stated]
-
-
-def format_effects(stated: Sequence[StatedEffect]) -> str:
-    """Return effects as text, one line a parameter; empty if there are none."""
-    if not stated:
-        return ''
-    lines = ['effects taken off           value    u, k = 1  unit']
-    for one in stated:
-        lines.append(f'{one.effect} ({_HOW[one.how]})')
-        for name, value in one.parameters.items():
-            u = one.u.get(name)
-            known = f'{u:>12.3g}' if u is not None else f'{"as given":>12}'
-            lines.append(f'  {name:<18}{value:>13.5g}{known}  {one.units.get(name, "")}'.rstrip())
-    return '\n'.join(lines)
-
-
-_HOW = {FOUND: 'found by diagnosis', FILE: 'named in a file'}

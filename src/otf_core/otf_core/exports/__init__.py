@@ -18,11 +18,9 @@ HOMES = {
     'sinumerik-enc': 'sinumerik_enc',
     'sinumerik-cec': 'sinumerik_cec',
     'isg': 'isg',
-    'heidenhain': 'heidenhain',
+    'etalon': 'etalon',
     'pivot': 'pivot',
-    'qif': 'qif',
     'lattice-csv': 'lattice_csv',
-    'lattice-npz': 'lattice_npz',
 }
 """Formats by name, and the modules they live in."""
 

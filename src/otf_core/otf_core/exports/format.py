@@ -58,7 +58,7 @@ ERROR, CORRECTION = 'error', 'correction'
 SIGNS = (ERROR, CORRECTION)
 
 
-ROTARY_FORMATS = ('isg', 'heidenhain', 'sinumerik-enc', 'linuxcnc', 'pivot')
+ROTARY_FORMATS = ('isg', 'etalon', 'sinumerik-enc', 'linuxcnc', 'pivot')
 """Formats to name where one cannot hold rotary axes."""
 
 

@@ -17,7 +17,6 @@ from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness, TablesFile
-from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_rows
 
@@ -370,23 +369,6 @@ def _planes(tables: ErrorTables, axis: int, points: int | None) -> Array:
         return nodes
     fine = np.arange(REFINEMENT * (len(nodes) - 1) + 1) / REFINEMENT
     return np.asarray(np.interp(fine, np.arange(len(nodes)), nodes).round(12))
-
-
-def lattice_covariance(content: TablesFile, q: Array) -> Array:
-    """Covariance of the errors at points (n, 3), shape (3 n, 3 n), m^2: x, y, z of each point.
-
-    That of the tables where their file holds it, else their nodes as independent.
-    """
-    tables = content.tables
-    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
-    size = len(SQUARENESS) + sum(len(v) for v in nodes.values())
-    covariance = unpack_covariance(content.extra.get('covariance'), size)
-    rows = prediction_rows(tables.machine, nodes, q).reshape(3 * len(q), size)
-    if covariance is None:
-        own = [np.array([tables.squareness[k].u]) for k in SQUARENESS]
-        own += [tables.motions[m].u for m in MOTIONS]
-        covariance = np.diag(np.concatenate(own) ** 2)
-    return np.asarray(rows @ covariance @ rows.T)
 
 
 # Error tables from volumetric errors on a lattice: least squares over all 21 functions.

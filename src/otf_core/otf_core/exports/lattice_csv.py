@@ -50,7 +50,8 @@ class LatticeCsv(Format):
         u = predict(request.content, q).u.round(DECIMALS)
         rows = np.hstack([q.round(DECIMALS) + 0.0, rounded.error.reshape(-1, 3), u]).tolist()
         lines = [f'# {line}' for line in request.header(self)]
-        lines += [','.join(HEADER), *(','.join(map(repr, row)) for row in rows)]
+        lines += [','.join(HEADER)]  # no u outside the driven volume
+        lines += [','.join(repr(v) if v == v else '' for v in row) for row in rows]
         return ExportedFiles(
             {request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at, remarks
         )
@@ -98,9 +99,9 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if table.names is None:
         raise ConfigError(f'{path}: expected the header {",".join(wanted)}, in m')
     headings = [split_heading(name) for name in table.names]
-    names = [name for name, _ in headings]
+    names = [name.lower() for name, _ in headings]
     places = [names.index(name) for name in wanted]
-    read = table.numbers({place: table.names[place] for place in places})
+    read, _ = table.numbers({place: table.names[place] for place in places})
     faults = dict(table.faults)
     for column in read:
         faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
@@ -123,7 +124,7 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_head(fields: Sequence[str]) -> bool:
-    return set(HEADER[:6]) <= {split_heading(field)[0] for field in fields}
+    return set(HEADER[:6]) <= {split_heading(field)[0].lower() for field in fields}
 
 
 FORMAT = LatticeCsv()

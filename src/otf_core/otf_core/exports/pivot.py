@@ -185,13 +185,6 @@ def trunnion_pins(machine: Machine) -> dict[str, float] | None:
     return {f'{kinematics}.{name}': value + 0.0 for name, value in pins.items()}
 
 
-def pins_displacement(tables: ErrorTables, q: Array) -> Array:
-    """Error (n, 3), m, that the pins of the trunnion kinematics hold: shifts of the centres."""
-    only = _location_only(tables)
-    location = {n: v if n[0] in 'XYZ' else replace(v, value=0.0) for n, v in only.location.items()}
-    return displacement(replace(only, location=location), q)
-
-
 def _linuxcnc(old: Machine, new: Machine) -> list[str]:
     """Pins of the trunnion kinematics, where the machine is one."""
     head = '[LinuxCNC]'

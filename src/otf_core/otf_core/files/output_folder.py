@@ -92,8 +92,8 @@ def foreign_files(folder: Path) -> list[Path]:
 # that holds results is replaced only with ``overwrite``, and only if all its files are listed in
 # its manifest and unchanged: what this program did not write, it does not delete.
 #
-# One exception from the whole: where the disk is full, a result without its larger files is better
-# than none. Who writes may leave them out (``writing.write_if_it_fits``); the manifest names them.
+# One exception from the whole: where the disk is full or a page fails, a result without it is
+# better than none (``writing.write_if_possible``); the manifest names what is missing.
 
 RESERVED = 8192
 """Space kept for the manifest while the other files are written, byte."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 import tempfile
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.errors import ConfigError
+from otf_core.errors import ConfigError, OtfError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 DISK_FULL = 'the disk is full'
@@ -30,10 +31,13 @@ def unwritable(path: str | Path, error: OSError) -> ConfigError:
     return kind(f'{path}: cannot be written ({error.strerror or error})')
 
 
-def write_if_it_fits(
+def write_if_possible(
     missing: dict[str, str] | None, name: str, write: Callable[[], object]
 ) -> bool:
-    """Write a file; where the disk is full leave it out and say so.
+    """Write a file; where the disk is full or the program fails leave it out and state why.
+
+    The tables are worth more than a page about them, so an error of ours in one file costs no
+    other.
 
     Parameters
     ----------
@@ -57,7 +61,21 @@ def write_if_it_fits(
             raise
         missing[name] = DISK_FULL
         return False
+    except OtfError:
+        raise
+    except Exception as error:  # whatever fails, the other files are written
+        if missing is None:
+            raise
+        missing[name] = internal_error(error)
+        return False
     return True
+
+
+def internal_error(error: BaseException) -> str:
+    """State an error of the program itself in one line, with its place in the source."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = f'{Path(place.filename).name}:{place.lineno}'
+    return f'internal error: {type(error).__name__}: {error} ({where})'
 
 
 def unreadable(path: str | Path, error: OSError) -> ConfigError:
@@ -142,10 +160,11 @@ def write_csv(
     Parameters
     ----------
     columns : ndarray, shape (n, columns)
+        What is not a number is an empty field.
     flags : ndarray of bool, shape (n,), optional
         A last column of 1 and 0.
     """
-    rows = [','.join(map(repr, row)) for row in columns.tolist()]
+    rows = [','.join(repr(v) if v == v else '' for v in row) for row in columns.tolist()]
     if flags is not None:
         rows = [f'{row},{int(flag)}' for row, flag in zip(rows, flags, strict=True)]
     write_text(path, '\n'.join([header, *rows]) + '\n')

@@ -61,12 +61,8 @@ class Job:
         Hash of all that the result depends on, see ``hash_of``.
     date : int
         s since 1970; ``written`` in what comes out, unless the environment names another.
-    folder : str, optional
-        Where the process runs.
     places : tuple of str, optional
         Folders that hold its modules, besides that of otf_core.
-    limit : float, optional
-        s; a process that takes longer is ended, and has failed.
     """
 
     name: str
@@ -75,9 +71,7 @@ class Job:
     result: str
     inputs: str
     date: int
-    folder: str | None = None
     places: tuple[str, ...] = ()
-    limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -124,14 +118,10 @@ def run_job(job: Job) -> JobResult:
     for _ in range(TRIES):
         process = subprocess.Popen(
             [*COMMAND, *job.words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE, env=environment, cwd=job.folder, text=True, errors='replace',
+            stderr=subprocess.PIPE, env=environment, text=True, errors='replace',
         )  # fmt: skip
         try:
-            message = process.communicate(timeout=job.limit)[1]
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return JobResult(1, f'took longer than {job.limit:.0f} s', None)
+            message = process.communicate()[1]
         finally:
             process.kill()
         code = process.returncode
@@ -141,13 +131,23 @@ def run_job(job: Job) -> JobResult:
     result = Path(job.out) / job.result
     worked = code in (0, *JUDGED) and result.exists()
     digest = file_digest(result) if worked else None
-    return JobResult(code, _message(code, message), digest, time.monotonic() - start)
+    words = _message(code, message)
+    if worked and code and (verdict := _verdict(result)):
+        words = verdict
+    return JobResult(code, words, digest, time.monotonic() - start)
 
 
 def _clear_half(out: Path) -> None:
     """Remove what a killed process has left beside its folder."""
     for unfinished in out.parent.glob(f'.{out.name}.*.new'):
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _verdict(result: Path) -> str:
+    """Verdict that is not good, of a calibration; empty of anything else."""
+    verdicts = read_json(result).get('verdicts') or {}
+    failed = verdicts and not verdicts['measurement']['good']
+    return str(verdicts['measurement' if failed else 'machine']['sentence']) if verdicts else ''
 
 
 def _message(code: int, said: str) -> str:
@@ -288,7 +288,9 @@ RESULTS = {'calibrate': 'error_tables.json', 'diagnose': 'gap.json'}
 """What each verb writes."""
 
 
-def listed_jobs(verb: str, runs: Sequence[ListedRun], folder: Path) -> list[Job]:
+def listed_jobs(
+    verb: str, runs: Sequence[ListedRun], folder: Path, config: str | None = None
+) -> list[Job]:
     """Return a job for every run of a list: the command that a user types.
 
     Parameters
@@ -297,16 +299,19 @@ def listed_jobs(verb: str, runs: Sequence[ListedRun], folder: Path) -> list[Job]
         Of ``RESULTS``.
     folder : Path
         Of the fleet.
+    config : str, optional
+        File of ``--config``, for every run.
     """
     jobs = []
+    options = () if config is None else ('--config', str(Path(config).absolute()))
     for run in runs:
         out = str((folder / run.name).absolute())
         words = (VERBS, verb, str(run.bag), '--machine', str(run.machine), '--out', out)
-        inputs = _inputs(verb, run)
+        inputs = _inputs(verb, run, config)
         jobs.append(
             Job(
                 run.name,
-                (*words, '--overwrite', '--quiet'),
+                (*words, *options, '--overwrite'),
                 out,
                 RESULTS[verb],
                 inputs,
@@ -322,7 +327,7 @@ def newest(path: Path) -> int:
     return int(max((p.stat().st_mtime for p in files if p.exists()), default=0))
 
 
-def _inputs(verb: str, run: ListedRun) -> str:
+def _inputs(verb: str, run: ListedRun, config: str | None) -> str:
     """Hash of all that a result depends on; bags by name, size and time of their files."""
     try:
         machine = file_digest(run.machine)
@@ -330,7 +335,8 @@ def _inputs(verb: str, run: ListedRun) -> str:
         machine = 'missing'
     files = written_files(run.bag) if run.bag.is_dir() else [run.bag]
     sizes = [(p.name, p.stat().st_size) for p in files if p.is_file()]
-    return hash_of(verb, str(run.bag), newest(run.bag), sizes, machine)
+    options = () if config is None else (file_digest(Path(config)),)
+    return hash_of(verb, str(run.bag), newest(run.bag), sizes, machine, *options)
 
 
 def listed_results(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,74 +12,48 @@ from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.message_text import shortened
-from otf_core.files.text_dialect import is_missing, is_value
-from otf_core.files.text_moments import ORDERS
 from otf_core.files.text_table import (
     LENGTHS,
-    LONG_TIMES,
     OTHERS,
-    TIMES,
     TextTable,
+    fields_of,
     is_unit,
+    is_value,
     read_text_table,
     split_heading,
 )
+from otf_core.files.text_times import LONG_TIMES, TIMES
 
 # Words of headings: which coordinate, and whether measured, nominal or no position at all.
 #
-# English, German, French, Italian, Spanish and Chinese, as exports of tracker and coordinate
-# measuring software, controllers and ROS have them.
+# English and German, as exports of tracker and coordinate measuring software, controllers and ROS
+# have them.
 
 AXES = ('x', 'y', 'z')
 MEASURED = (
-    'meas', 'measured', 'measure', 'measurement', 'act', 'actual', 'actuals', 'real', 'observed',
-    'ist', 'istwert', 'istposition', 'istkoordinate', 'gemessen', 'messwert', 'messung', 'mess',
-    'messpunkt', 'mesure', 'mesures', 'mesuree', 'mesurees', 'reel', 'reelle', 'mes',
-    'misurato', 'misurata', 'misurati', 'misura', 'effettivo', 'effettiva', 'reale', 'mis',
-    'medido', 'medida', 'medidos', 'medidas', 'medicion', 'med',
-    '实测', '实测值', '测量', '测量值', '实际', '实际值', '测点', '實測', '測量', '實際',
+    'meas', 'measured', 'measurement', 'act', 'actual', 'actuals', 'observed', 'ist', 'istwert',
+    'gemessen', 'messwert',
 )  # fmt: skip
 NOMINAL = (
-    'nom', 'nominal', 'nominals', 'nominell', 'nominale', 'nominaux', 'nenn', 'nennwert',
-    'cmd', 'command', 'commanded', 'commands', 'commande', 'consigne', 'comando', 'comandato',
-    'comandado', 'consigna', 'soll', 'sollwert', 'sollposition', 'sollkoordinate', 'vorgabe',
-    'set', 'setpoint', 'demand', 'demanded', 'ref', 'reference', 'referenz', 'riferimento',
-    'referencia', 'theo', 'theoretical', 'theorique', 'theoretisch', 'teorico', 'teorica', 'theor',
-    'ideal', 'programmed', 'prog', 'programmiert', 'planned', 'plan', 'desired', 'des', 'goal',
-    'expected', 'design', 'cad', 'master', 'impostato',
-    '理论', '理论值', '名义', '名义值', '标称', '标称值', '指令', '指令值', '设定', '设定值',
-    '目标值', '理論', '名義', '標稱',
+    'nom', 'nominal', 'nominals', 'nenn', 'nennwert', 'cmd', 'command', 'commanded', 'soll',
+    'sollwert', 'set', 'setpoint', 'demand', 'ref', 'reference', 'theoretical', 'programmed',
+    'planned', 'desired', 'goal', 'design', 'cad',
 )  # fmt: skip
 NO_POSITION = (
-    'rot', 'rotation', 'rotations', 'quat', 'quaternion', 'orientation', 'orient',
-    'drehung', 'euler',
-    'rotazione', 'rotacion', 'giro', 'winkel', 'angle', 'angular', 'turn', 'rpy',
-    'cov', 'covariance', 'std', 'stdev', 'sigma', 'rms', 'unc', 'uncertainty', 'unsicherheit',
-    'incertitude', 'incertezza', 'incertidumbre', 'dif', 'diff', 'difference', 'differenz', 'dev',
-    'deviation', 'abw', 'abweichung', 'ecart', 'scarto', 'deviazione', 'desviacion', 'delta',
-    'err', 'error', 'errors', 'fehler', 'erreur', 'errore', 'residual', 'res', 'corr',
-    'correction',
-    'vel', 'velocity', 'speed', 'geschwindigkeit', 'vitesse', 'velocita', 'velocidad', 'twist',
-    'linear', 'acc', 'accel', 'acceleration', 'beschleunigung', 'accelerazione', 'aceleracion',
-    'force', 'kraft', 'torque', 'gyro', 'mag', 'normal', 'normale', 'vector', 'tol', 'tolerance',
-    'toleranz', 'offset', 'temp', 'temperature', 'weight', 'scale', 'current', 'load',
-    '旋转', '角度', '速度', '加速度', '偏差', '误差', '公差', '不确定度', '法向',
+    'rot', 'rotation', 'quat', 'quaternion', 'orientation', 'euler', 'angle', 'angular', 'winkel',
+    'u', 'unc', 'uncertainty', 'cov', 'covariance', 'std', 'sigma', 'rms', 'd', 'dev', 'deviation',
+    'abweichung', 'delta', 'diff', 'err', 'error', 'residual', 'corr', 'correction', 'vel',
+    'velocity', 'speed', 'twist', 'acc', 'acceleration', 'force', 'torque', 'normal', 'tol',
+    'offset',
 )  # fmt: skip
 POSITION = (
-    'pos', 'position', 'positions', 'posizione', 'posicion', 'lage', 'point', 'points', 'punkt',
-    'coord', 'coordinate', 'coordinates', 'koordinate', 'koordinaten', 'coordonnee', 'coordinata',
-    'coordenada', 'translation', 'trans', 'location', 'pose', 'p', 't', 'field', 'cartesian',
-    'kartesisch', 'xyz', 'axis', 'achse', 'axe', '位置', '坐标', '坐标值', '座標',
+    'pos', 'position', 'point', 'points', 'punkt', 'lage', 'coord', 'coordinate', 'coordinates',
+    'koordinate', 'translation', 'location', 'pose', 'p', 't', 'field', 'xyz',
 )  # fmt: skip
 """Words that add nothing to a coordinate."""
-LETTERS = {'r': 'no', 'q': 'no', 'v': 'no', 'a': 'no', 'd': 'no', 'u': 'no', 's': 'no', 'w': 'no',
-           'f': 'no', 'n': 'no', 'o': 'no', 'm': 'no', 'p': 'is', 't': 'is'}  # fmt: skip
-"""Of rx, qx, vx, dx, ux, ... and of px, tx, xt."""
-STEMS = ('abweichung', 'geschwindigkeit', 'unsicherheit', 'deviation', 'velocit', 'orientation')
-"""Of compounds that are no position."""
-CAMEL = re.compile(r'(?<=[a-zà-ÿ])(?=[A-Z])|(?<=[XYZ])(?=[A-Z][a-z])|(?<=[A-Za-z])(?=[XYZ]\b)')
-WORD = re.compile(r'[a-zß]+|\d+|[\u4e00-\u9fff]+')
-GLUED = frozenset((*MEASURED, *NOMINAL, *NO_POSITION, *POSITION))
+CAMEL = re.compile(r'(?<=[a-z])(?=[A-Z])|(?<=[XYZ])(?=[A-Z][a-z])')
+WORD = re.compile(r'[^\W\d_]+|\d+')
+GLUED = frozenset((*MEASURED, *NOMINAL, *POSITION))
 
 
 @dataclass(frozen=True)
@@ -103,10 +76,8 @@ class Coordinate:
 
 
 def words_of(heading: str) -> list[str]:
-    """Words of a heading: lower case, without accents; parts of CamelCase apart."""
-    apart = CAMEL.sub(' ', heading)
-    plain = unicodedata.normalize('NFKD', apart.lower())
-    return WORD.findall(''.join(c for c in plain if not unicodedata.combining(c)))
+    """Words of a heading, in lower case; parts of CamelCase apart."""
+    return WORD.findall(CAMEL.sub(' ', heading).lower())
 
 
 def coordinate_of(heading: str) -> Coordinate | None:
@@ -114,72 +85,51 @@ def coordinate_of(heading: str) -> Coordinate | None:
     words = words_of(heading)
     axis, others = '', list[str]()
     for word in reversed(words):  # the last letter is the axis: 'axis x of y'
-        axes, rest = ('', [word]) if axis else _axis_of(word)
-        axis = axis or axes
+        found, rest = '', [word]
+        if not axis:
+            for letter, more in ((word[:1], word[1:]), (word[-1:], word[:-1])):
+                if letter in AXES and (not more or more in GLUED):  # 'x', 'xist', 'tx'
+                    found, rest = letter, [more] if more else []
+        axis = axis or found
         others = rest + others
     if not axis:
         return None
-    return Coordinate(axis, tuple(others), _role(others))
-
-
-def _axis_of(word: str) -> tuple[str, list[str]]:
-    """Axis in a word, and what else it says: 'tx', 'xist', 'posx'."""
-    if word in AXES:
-        return word, []
-    for axis, rest in ((word[:1], word[1:]), (word[-1:], word[:-1])):
-        if axis in AXES and (rest in GLUED or rest in LETTERS):
-            if rest in GLUED:
-                return axis, [rest]
-            if LETTERS[rest] == 'no' and axis == word[-1:]:
-                return axis, ['rotation' if rest in 'rqw' else 'deviation']
-    return '', [word]
-
-
-def _role(words: list[str]) -> str:
-    if any(w in NO_POSITION or w.startswith(STEMS) or w.endswith(STEMS) for w in words):
-        return 'none'
-    if words[:1] in (['u'], ['d'], ['s']):
-        return 'none'
-    if any(w in NOMINAL for w in words):
-        return 'nominal'
-    return 'measured' if any(w in MEASURED for w in words) else ''
-
-
-def without_fillers(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Words without those that add nothing."""
-    return tuple(word for word in words if word not in POSITION)
+    role = next(
+        (
+            role
+            for role, known in (
+                ('none', NO_POSITION),
+                ('nominal', NOMINAL),
+                ('measured', MEASURED),
+            )
+            if set(others) & set(known)
+        ),
+        '',
+    )
+    return Coordinate(axis, tuple(others), role)
 
 
 # Which columns of a table are the point and the time, and in which units.
 #
 # A head may offer several points: nominal and measured, command and actual, two targets. The
-# measured one is taken where words say which it is (see ``heading_words``), never because it
+# measured one is taken where words say which it is never because it
 # stands first. Polar coordinates are taken where no Cartesian ones are named.
 
 TIME_WORDS = (
-    't', 'time', 'zeit', 'timestamp', 'stamp', 'datetime', 'utc', 'uhrzeit', 'zeitstempel',
-    'messzeit', 'sec', 'secs', 'nsec', 'nsecs', 'nanosec', 'nanosecs', 'seconds', 'sekunden', 'ms',
-    'temps', 'heure', 'horodatage', 'tempo', 'ora', 'tiempo', 'hora',
-    '时间', '时刻', '时间戳', '時間',
+    't', 'time', 'zeit', 'timestamp', 'stamp', 'datetime', 'utc', 'uhrzeit', 'zeitstempel', 'sec',
+    'secs', 'nsec', 'nsecs', 'nanosec', 'seconds', 'ms', 'date', 'datum',
 )  # fmt: skip
+DATE_WORDS = ('date', 'datum')
 OTHER_TIMES = ('exposure', 'integration', 'dead', 'delay', 'dwell', 'sampling', 'interval')
-FIXED = {'dval1': 'x', 'dval2': 'y', 'dval3': 'z'}
-"""Names in results of a tracker controller (emScon: Cartesian, right-handed)."""
 AXES_WITH_UNIT = re.compile(r'\bx\b.*\by\b.*\bz\b.*[\[(]\s*([^\s\])]+)\s*[\])]', re.IGNORECASE)
 OTHER_AXES = re.compile(r'AXES\s*=\s*(CYLINDRIC\w*|SPHERIC\w*|POLAR)', re.IGNORECASE)
 POLAR = {
-    'hz': 'hz', 'horizontal': 'hz', 'horizontalangle': 'hz', 'horizontaldirection': 'hz',
-    'horizontalwinkel': 'hz', 'richtung': 'hz', '水平角': 'hz',
-    'az': 'az', 'azimuth': 'az', 'azimut': 'az', 'azimutal': 'az', '方位角': 'az',
-    'v': 'v', 'vertical': 'v', 'verticalangle': 'v', 'vertikalwinkel': 'v', '垂直角': 'v',
-    '竖直角': 'v', 'zenith': 'zenith', 'zenithangle': 'zenith', 'zenit': 'zenith',
-    'zenitwinkel': 'zenith', 'zenitdistanz': 'zenith', 'zd': 'zenith', 'za': 'zenith',
-    '天顶距': 'zenith', '天顶角': 'zenith', 'el': 'el', 'elevation': 'el', 'elevationangle': 'el',
-    'hoehenwinkel': 'el', 'hohenwinkel': 'el', 'elevazione': 'el', 'elevacion': 'el',
-    '高度角': 'el', '俯仰角': 'el', '仰角': 'el', 'd': 'd', 'dist': 'd', 'distance': 'd',
-    'range': 'd', 'slopedistance': 'd', 'sd': 'd', 'r': 'd', 'distanz': 'd',
-    'schragdistanz': 'd', 'schraegdistanz': 'd', 'strecke': 'd', 'entfernung': 'd',
-    'distanza': 'd', 'distancia': 'd', 'radius': 'd', '距离': 'd', '斜距': 'd',
+    'hz': 'hz', 'horizontalangle': 'hz', 'horizontaldirection': 'hz', 'horizontalwinkel': 'hz',
+    'richtung': 'hz', 'az': 'az', 'azimuth': 'az', 'azimut': 'az',
+    'v': 'v', 'verticalangle': 'v', 'vertikalwinkel': 'v', 'zenith': 'zenith',
+    'zenithangle': 'zenith', 'zenit': 'zenith', 'zenitwinkel': 'zenith',
+    'el': 'el', 'elevation': 'el', 'elevationangle': 'el', 'd': 'd', 'dist': 'd', 'distance': 'd',
+    'range': 'd', 'slopedistance': 'd', 'distanz': 'd', 'strecke': 'd',
 }  # fmt: skip
 """Horizontal direction (hz clockwise, az counter-clockwise), vertical angle, slope distance."""
 SUGGESTED = {1.0: 'm', 1e-1: 'dm', 1e-2: 'cm', 1e-3: 'mm', 1e-6: 'um', 0.0254: 'inch'}
@@ -250,55 +200,31 @@ def _column(place: int, heading: str) -> Column:
 
 def offers(headings: Sequence[str]) -> list[PointColumns]:
     """Points that headings name, Cartesian; positions only."""
-    points = _offers(headings, keep_fillers=True)
-    return points or _offers(headings, keep_fillers=False)
-
-
-def _with_last_unit(offer: PointColumns) -> PointColumns:
-    """Take a unit that is stated once, after z, for all three: 'X, Y, Z (mm)'."""
-    x, y, z = offer.point
-    if x.unit is None and y.unit is None and z.unit is not None:
-        return replace(offer, point=(replace(x, unit=z.unit), replace(y, unit=z.unit), z))
-    return offer
-
-
-def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[PointColumns]:
-    groups: dict[tuple[tuple[str, ...], str], dict[str, list[Column]]] = defaultdict(
-        lambda: defaultdict(list)
-    )
-    for place, heading in enumerate(headings):
-        name = split_heading(heading)[0]
-        if name in FIXED:
-            groups[('dval',), ''][FIXED[name]].append(_column(place, heading))
-            continue
-        coordinate = coordinate_of(_named(heading))
-        if coordinate is None or coordinate.role == 'none':
-            continue
-        words = coordinate.words if keep_fillers else without_fillers(coordinate.words)
-        groups[words, coordinate.role][coordinate.axis].append(_column(place, heading))
-    points = []
-    for (_, role), axes in groups.items():
-        count = min(len(axes[axis]) for axis in AXES)
-        for k in range(count):
-            points.append(PointColumns((axes['x'][k], axes['y'][k], axes['z'][k]), role))
+    points: list[PointColumns] = []
+    for fillers in ((), POSITION):
+        groups: dict[tuple[tuple[str, ...], str], dict[str, list[Column]]] = defaultdict(
+            lambda: defaultdict(list)
+        )
+        for place, heading in enumerate(headings):
+            coordinate = coordinate_of(split_heading(heading)[0])
+            if coordinate is not None and coordinate.role != 'none':
+                words = tuple(word for word in coordinate.words if word not in fillers)
+                groups[words, coordinate.role][coordinate.axis].append(_column(place, heading))
+        for (_, role), axes in groups.items():
+            for x, y, z in zip(axes['x'], axes['y'], axes['z'], strict=False):
+                if x.unit is None and y.unit is None:  # stated once: 'X, Y, Z (mm)'
+                    x, y = replace(x, unit=z.unit), replace(y, unit=z.unit)
+                points.append(PointColumns((x, y, z), role))
+        if points:
+            break
     return sorted(points, key=lambda offer: offer.point[0].place)
-
-
-def _named(heading: str) -> str:
-    """Heading without its unit, in its own case."""
-    name, unit = split_heading(heading)
-    if unit is None and name != heading.strip().lower().strip('[](){}'):
-        return ' '.join(heading.split())
-    text = ' '.join(heading.split()).strip('%')
-    at = text.lower().find(name)
-    return text[at : at + len(name)] if at >= 0 else name
 
 
 def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str] | None:
     groups: dict[str, list[tuple[str, Column]]] = defaultdict(list)
     kinds = {'hz': 'h', 'az': 'h', 'v': 'v', 'zenith': 'v', 'el': 'v', 'd': 'd'}
     for place, heading in enumerate(headings):
-        words = words_of(split_heading(heading)[0])
+        words = [w for w in words_of(split_heading(heading)[0]) if w not in MEASURED]
         what = POLAR.get(''.join(words)) or (POLAR.get(words[-1]) if words else None)
         if what is not None:
             groups[kinds[what]].append((what, _column(place, heading)))
@@ -319,24 +245,28 @@ def read_table(path: str | Path, *, named: bool = True) -> TextTable:
 
 
 def _times(headings: Sequence[str]) -> tuple[Column, ...]:
-    """The best time: of the measurement rather than of its reception; s and ns together."""
+    """The best time: of the measurement rather than of its reception; s and ns, date and time."""
     columns = []
     for place, heading in enumerate(headings):
         name, unit = split_heading(heading)
-        words = words_of(name.replace('time stamp', 'timestamp').replace('date time', 'datetime'))
+        words = words_of(name)
         if not words or set(words) & set(OTHER_TIMES) or coordinate_of(name) is not None:
             continue
         if words[-1] not in TIME_WORDS and words[0] not in ('time', 'zeit', 'timestamp'):
             continue
-        if not any(unit in known for known in (TIMES, LONG_TIMES, OTHERS, ORDERS)):
+        if not any(unit in known for known in (TIMES, LONG_TIMES, OTHERS)):
             unit = words[-1] if words[-1] in TIMES else None
         columns.append(Column(place, unit, shortened(' '.join(heading.split()))))
-    stamps = [c for c in columns if 'stamp' in c.name.lower()] or columns
-    whole = [c for c in stamps if TIMES.get(c.unit or '') == 0]
-    parts = [c for c in stamps if TIMES.get(c.unit or '') == -9]
+    columns = [c for c in columns if 'stamp' in c.name.lower()] or columns
+    whole = [c for c in columns if TIMES.get(c.unit or '') == 0]
+    parts = [c for c in columns if TIMES.get(c.unit or '') == -9]
     if whole and parts:
         return whole[0], parts[0]
-    return tuple(stamps[:1])
+    dates = [c for c in columns if words_of(c.name)[-1] in DATE_WORDS]
+    times = [c for c in columns if c not in dates]
+    if dates and times and times[0].unit is None:
+        return dates[0], times[0]
+    return tuple((times or dates)[:1])
 
 
 def columns_of(
@@ -356,7 +286,7 @@ def columns_of(
     AmbiguousPointError
         If words do not say which point is wanted; names both.
     """
-    offered, time = list(map(_with_last_unit, offers(headings))), _times(headings)
+    offered, time = offers(headings), _times(headings)
     if not offered:
         polar = _polar(headings)
         return None if polar is None else Columns(polar[0], time, polar[1])
@@ -387,17 +317,23 @@ def _choice(
     """State how to choose: options that work as they stand."""
     if nominal:
         return '; delete the columns of the others, or name the right ones x_mm, y_mm, z_mm'
-    ways = []
-    for offer in offered:
-        words = ['-'] * len(headings)
-        for axis, column in zip(AXES, offer.point, strict=True):
-            factor = LENGTHS.get(column.unit or '')
-            words[column.place] = axis if factor is None else f'{axis}_{SUGGESTED[factor]}'
-        for column in time:
-            unit = {0: 's', -3: 'ms', -6: 'us', -9: 'ns'}.get(TIMES.get(column.unit or '', 1))
-            words[column.place] = 'time' if unit is None else f'time_{unit}'
-        ways.append(f'--columns {",".join(words)}')
-    return f'; choose with {" or ".join(ways)}'
+    ways = [columns_option(len(headings), offer.point, time) for offer in offered]
+    return f'; choose with --columns {" or --columns ".join(ways)}'
+
+
+def columns_option(
+    width: int, point: Sequence[Column], time: Sequence[Column] = (), word: str = ''
+) -> str:
+    """Columns as --columns takes them; ``word`` takes the place of that of the time."""
+    words = ['-'] * width
+    for axis, column in zip(AXES, point, strict=True):
+        unit = SUGGESTED.get(LENGTHS.get(column.unit or '', 0.0))
+        words[column.place] = axis if unit is None else f'{axis}_{unit}'
+    for column in time:
+        unit = {0: 's', -3: 'ms', -6: 'us', -9: 'ns'}.get(TIMES.get(column.unit or '', 1))
+        named = 'date' if words_of(column.name)[-1] in DATE_WORDS else 'time'
+        words[column.place] = word or (named if unit is None else f'{named}_{unit}')
+    return ','.join(words)
 
 
 def find_columns(table: TextTable, wanted: str | None, *, nominal: bool = False) -> Columns:
@@ -431,9 +367,6 @@ def find_columns(table: TextTable, wanted: str | None, *, nominal: bool = False)
 def named_columns(table: TextTable, *, nominal: bool = False) -> Columns | None:
     """Columns by the head of a table or as they stand there; None if neither names a point."""
     _refuse_other_axes(table)
-    labels = _labels_between(table)
-    if labels is not None:
-        return labels
     if table.names is not None:
         columns = columns_of(table.names, table.where, nominal=nominal)
         if columns is not None:
@@ -478,17 +411,6 @@ def _with_unit_of_head(columns_read: Columns, table: TextTable) -> Columns:
     return replace(columns_read, point=(x, y, z))
 
 
-def _labels_between(table: TextTable) -> Columns | None:
-    """Columns of lines such as 'X,1790.8,Y,10463.5,Z,1527.3,Time(sec),7.2'."""
-    row, last = table.row(0), table.row(-1)
-    labelled = ['' for _ in row]
-    for place, text in enumerate(row[:-1]):
-        label = text.rstrip('=: ')
-        if label and text == last[place] and not is_value(text) and is_value(row[place + 1]):
-            labelled[place + 1] = label
-    return columns_of(labelled, table.where)
-
-
 NUMBER_SHARE = 0.9
 """Of the rows in which a column without a name holds a number."""
 
@@ -497,8 +419,8 @@ def _value_places(table: TextTable) -> list[int]:
     """Columns that hold numbers in most rows."""
     places = []
     for place, column in enumerate(table.columns):
-        texts = [text.strip() for text in column[:: max(len(column) // 500, 1)]]
-        if sum(is_value(t) or is_missing(t) for t in texts) >= NUMBER_SHARE * len(texts):
+        texts = column[:: max(len(column) // 500, 1)]
+        if sum(map(is_value, texts)) >= NUMBER_SHARE * len(texts):
             places.append(place)
     return places
 
@@ -518,39 +440,27 @@ CHANCE_ROWS = 3
 
 def _unnamed(table: TextTable) -> Columns | None:
     """Columns of a table without names: x y z, time x y z, or names or numbers and x y z."""
-    named = bool(table.head) and _has_names(table)
-    places = _value_places(table)
-    if named and not _states_axes(table):
-        return None
-    clocks = [k for k in places if ':' in table.columns[k][0]]
-    numbers = [k for k in places if k not in clocks]
+    states_axes = any(re.search(r'AXES\s*=', line) for line in table.head)
+    last = fields_of(table.head[-1], table.separator) if table.head else []
+    if len(last) == table.width and not any(map(is_value, last)) and not states_axes:
+        return None  # names, but none of a point
+    numbers = _value_places(table)
+    clocks = [k for k in range(table.width) if ':' in table.columns[k][0]]
     remarks: tuple[str, ...] = ()
-    if len(numbers) == 4 and counts_rows(table.column(numbers[0])):
+    if len(numbers) == 4 and counts_rows(table.columns[numbers[0]]):
         remarks = (f'column {numbers[0] + 1} counts the lines and is not a time',)
         numbers = numbers[1:]
-    names = [f'column {k + 1}' for k in range(table.width)]
-    time: tuple[Column, ...] = ()
     if len(numbers) == 4 and table.width == 4:
-        time, numbers = (Column(0, None, names[0]),), numbers[1:]
-    elif len(clocks) == 1:
-        time = (Column(clocks[0], None, names[clocks[0]]),)
-    beside = table.width - len(numbers) - len(time)
+        clocks, numbers = [0], numbers[1:]
+    beside = table.width - len(numbers) - len(clocks)
     if len(numbers) != 3 or numbers[2] - numbers[0] != 2 or len(clocks) > 1:
         return None
-    if beside and not _states_axes(table) and (beside > 1 or numbers[0] == 0):
+    if beside and not states_axes and (beside > 1 or numbers[0] == 0):
         return None
-    x, y, z = (Column(k, None, names[k]) for k in numbers)
-    return Columns((x, y, z), time, '', remarks)
-
-
-def _states_axes(table: TextTable) -> bool:
-    return any(re.search(r'AXES\s*=', line) for line in table.head)
-
-
-def _has_names(table: TextTable) -> bool:
-    """Return whether the last line before the data has as many fields as these, none a number."""
-    fields = table.dialect.fields(table.head[-1])
-    return len(fields) == table.width and not any(map(is_value, fields))
+    time, (x, y, z) = (
+        [Column(k, None, f'column {k + 1}') for k in places] for places in (clocks, numbers)
+    )
+    return Columns((x, y, z), tuple(time), '', remarks)
 
 
 def unnamed_words(table: TextTable) -> str:
@@ -582,8 +492,8 @@ def _wanted(table: TextTable, wanted: str) -> Columns:
     for heading in headings:
         if heading.strip(' -') and not _is_known(heading):
             raise ConfigError(
-                f'--columns: {heading.strip()!r} is unknown; possible: time, sec, nanosec, x, y, '
-                f'z, hz, v, d, az, el, with units as in time_s or x_mm, and - for others'
+                f'--columns: {heading.strip()!r} is unknown; possible: time, date, sec, nanosec, '
+                f'x, y, z, hz, v, d, az, el, with units as in time_s or x_mm, and - for others'
             )
     try:
         columns = columns_of(headings)
@@ -595,10 +505,9 @@ def _wanted(table: TextTable, wanted: str) -> Columns:
 
 
 def _is_known(heading: str) -> bool:
-    name = split_heading(heading)[0]
-    return bool(_times([heading])) or name in POLAR or (
-        coordinate_of(name) is not None and len(name) <= MAX_NAME_LETTERS
-    )  # fmt: skip
+    name = split_heading(heading)[0].lower()
+    named = coordinate_of(name) is not None and len(name) <= MAX_NAME_LETTERS
+    return named or name in POLAR or bool(_times([heading]))
 
 
 MAX_NAME_LETTERS = 12

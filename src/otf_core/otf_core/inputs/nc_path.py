@@ -2,8 +2,7 @@
 """The path that an NC program drives: where the axes stand, block after block, and its corners.
 
 Positions are decimal fractions of a metre, so a corner is the decimal that the program prints.
-An arc becomes chords whose joints lie on it, short enough for the path as driven to be found
-between chords and arc (docs/formulation.md, section 3).
+An arc becomes chords whose joints lie on it, so short that they are as good as the arc.
 """
 
 from __future__ import annotations
@@ -29,6 +28,8 @@ CHORD, CHORD_TURN = 1e-3, math.radians(5.0)
 hundredth of their length."""
 SHORTEST_CHORD = 1e-4
 """m; shorter chords are below what curves are recognised by."""
+SAGITTA = 2e-7
+"""m; by which chords of that length or more leave their arc at most."""
 MAX_RADIUS_STEP = 25e-6
 """m; end points of an arc may lie so much nearer to its centre than its start, by rounding."""
 LONGEST_ARC, MOST_CORNERS = 1000.0, 5_000_000
@@ -257,7 +258,8 @@ class DrivenPath:
             )
         if len(self.corners) > MOST_CORNERS:
             refuse(self.where, line, word, f'is an arc after {MOST_CORNERS} chords: too many')
-        count = max(math.ceil(length / CHORD), math.ceil(abs(turn) / CHORD_TURN), 3)
+        chord = min(CHORD, math.sqrt(8.0 * radius * SAGITTA))
+        count = max(math.ceil(length / chord), math.ceil(abs(turn) / CHORD_TURN), 3)
         count = max(1, min(count, int(length / SHORTEST_CHORD)))
         share = np.arange(1, count) / count
         points = start + share[:, None] * (end - start)

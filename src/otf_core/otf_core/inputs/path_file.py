@@ -318,7 +318,7 @@ def _positions_of(name: str | Path, lines: list[str], axes: Sequence[str]) -> Ar
 
 
 def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
-    read = table.numbers({c.place: c.name for c in columns.point})
+    read, commas = table.numbers({c.place: c.name for c in columns.point})
     faults = dict(table.faults)
     for column in reversed(read):
         faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
@@ -336,11 +336,11 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise ConfigError(f'{table.where}: line {table.lines[bad[0]]}: not finite numbers')
-    form = next((f', {c.form}' for c in read if c.form), '')
     names = [c.name for c in columns.point]
-    if unit is None and not form and names == ['x', 'y', 'z'] and table.dialect.separator == ',':
+    if unit is None and not commas and names == ['x', 'y', 'z'] and table.separator == ',':
         return points, ''
-    words = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
+    words = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}'
+    words += ', with decimal commas' if commas else ''
     words += ''.join(f'; {remark}' for remark in columns.remarks)
     return points * LENGTHS[unit or 'm'], words
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from otf_core.bags.bag import BagContent, content_of
 from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.bag_signals import read_signals
+from otf_core.bags.cdr import FORMS
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, rename_topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import holds_axis_positions, read_axis_paths, read_path
@@ -33,16 +34,14 @@ class ReadingOptions:
         place of a path in the recording.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
-    publisher : int, optional
-        Whose samples to take where several published them, from 1, see ``bags.bag_reading``.
     columns : str, optional
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional
         Hz; of samples in a text without times.
+    time_format : str, optional
+        Form of the times in a text, in words of ``strptime``, e.g. ``%d.%m.%Y %H:%M:%S.%f``.
     recover : bool
         Leave out damaged chunks of a bag.
-    signals : tuple of str
-        Topics recorded beside the samples, see ``bags.bag_signals``.
     """
 
     path: str | Path | None = None
@@ -51,8 +50,7 @@ class ReadingOptions:
     columns: str | None = None
     rate: float | None = None
     recover: bool = False
-    signals: tuple[str, ...] = ()
-    publisher: int | None = None
+    time_format: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rate that is none."""
@@ -74,17 +72,18 @@ def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyRea
         If it is damaged; says what, where, and what to do.
     """
     if is_text(source):
-        named = given.topic or given.path_topic
-        if named:
-            raise ConfigError(f'--topic: {source} is a text table and has no topics')
-        reading: AnyReading = TextReading(source, given.columns, given.rate)
+        if given.topic or given.path_topic:
+            raise ConfigError(f'topic: {source} is a text table and has no topics')
+        reading: AnyReading = TextReading(source, given.columns, given.rate, given.time_format)
     else:
-        for option, value in (('--columns', given.columns), ('--rate', given.rate)):
+        for option, value in (
+            ('--columns', given.columns),
+            ('--rate', given.rate),
+            ('--time-format', given.time_format),
+        ):
             if value is not None and Path(source).exists():
                 raise ConfigError(f'{option}: {source} is a bag; this option is for text tables')
-        path = None if given.path is not None else rename_topic(PATH, given.path_topic)
-        reading = BagReading(source, rename_topic(POINT, given.topic), path, recover=given.recover)
-    reading.publisher = given.publisher
+        reading = _read_bag(source, given)
     if given.path is not None and holds_axis_positions(given.path):
         reading.paths, reading.axis_paths = [], read_axis_paths(given.path)
     elif given.path is not None:
@@ -92,6 +91,32 @@ def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyRea
         reading.paths = [corners]
         if words:
             reading.said.append(words)
+    return reading
+
+
+def _read_bag(source: str | Path, given: ReadingOptions) -> BagReading:
+    """Read a bag; a topic of another name is taken where it is the only one of its kind."""
+    names = {POINT: given.topic, PATH: given.path_topic}
+
+    def read() -> BagReading:
+        point, path = (rename_topic(topic, name) for topic, name in names.items())
+        wanted = path if given.path is None else None
+        return BagReading(source, point, wanted, recover=given.recover)
+
+    reading = read()
+    kinds = {POINT: tuple(FORMS), PATH: (PATH.type,)}
+    if given.path is not None or AXES.name in reading.topics:
+        del kinds[PATH]
+    found = {
+        topic: reading.only_topic(types)
+        for topic, types in kinds.items()
+        if names[topic] is None and topic.name not in reading.topics
+    }
+    words = [f'{name} is taken for {topic.name}' for topic, name in found.items() if name]
+    if words:
+        names |= found
+        reading = read()
+        reading.said[:0] = words
     return reading
 
 
@@ -124,12 +149,8 @@ def read_recording(
     """
     content = read_content(sources, given)
     used = machine if isinstance(machine, Machine) else load_machine(machine)
-    if given.signals and (len(sources) > 1 or is_text(sources[0])):
-        raise ConfigError(
-            '--signal: works only with one bag per run, not with text tables or --join'
-        )
     declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
-    signals = read_signals(sources[0], given.signals, declared)
+    signals = read_signals(sources[0], declared)
     name = str(sources[0])
     with errors_of(name):
         path, parts = driven_path(content.axis_paths, content.path, used)

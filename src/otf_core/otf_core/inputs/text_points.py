@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal, InvalidOperation
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -19,248 +16,30 @@ from otf_core.bags.bag_reading import ReceivedPoints
 from otf_core.bags.rosbag2_metadata import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import value_text
-from otf_core.files.text_dialect import NOT_FINITE, NumberColumn, is_missing, is_number
-from otf_core.files.text_moments import (
-    GLUED,
-    ORDERS,
-    SECOND_NS,
-    ColumnTimes,
-    MomentError,
-    joined_without_zeros,
-    read_moments,
-    zeros_words,
-)
 from otf_core.files.text_table import (
     ANGLES,
     LENGTHS,
-    LONG_TIMES,
-    TIMES,
+    NUMBER,
+    NumberColumn,
     TextTable,
     fault_words,
     known_lengths,
     reason_counts,
 )
+from otf_core.files.text_times import TIMES, TimeTextError, read_times
 from otf_core.inputs.columns import (
-    SUGGESTED,
     Column,
     Columns,
+    columns_option,
     counts_rows,
     find_columns,
     read_table,
 )
 from otf_core.model.axis_path import AxisPath
 
-# A column of times to int64 nanoseconds, without a detour over float64: numbers or moments.
-#
-# Numbers are counts of a unit that is stated, or follows from the speed of the machine; days of a
-# spreadsheet; or dates and times of day that are written as one number. Moments: ``text_moments``.
+# The unit of length follows from the size of the track where the file does not say it.
 
-Stamps = NDArray[np.int64]
-
-USUAL_SPEED = 0.15
-"""m/s, of machine tools that are measured."""
-RATES = (0.5, 1e4)
-"""Hz, that samples may have."""
-GUESSED = ('s', 'ms', 'us', 'ns', 'days')
-SECONDS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'days': 86400.0}
-SPEED_PERCENTILE = 75.0
-"""Percentile of the speeds that is taken for that of the machine."""
-TOO_LARGE = 'a time does not fit into 64 bits of nanoseconds'
-SPREADSHEET, MATLAB = (36_526, 54_789), (730_486, 748_749)
-"""Days that spreadsheets (since 1899-12-30) and MATLAB count from 2000 to 2050."""
-SPREADSHEET_1970, MATLAB_1970 = 25_569, 719_529
-
-
-def is_decimal(text: str) -> bool:
-    """Return whether a text is a decimal number."""
-    try:
-        return Decimal(text).is_finite()
-    except InvalidOperation:
-        return False
-
-
-def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: bool) -> ColumnTimes:
-    """Times of a column.
-
-    Parameters
-    ----------
-    unit : str or None
-        As stated; of dates their order.
-    xyz : ndarray, shape (n, 3), m
-        Points measured then, from which a unit that is not stated follows.
-    alone : bool
-        No other column is added to it.
-
-    Raises
-    ------
-    MomentError
-        If one is not a time, or they can be read in two ways; says which and how.
-    InputError
-        If the unit is none of time.
-    """
-    if texts and not is_decimal(texts[0]):
-        return _as_seen(read_moments(texts, unit if unit in ORDERS else None), xyz)
-    if unit in TIMES:
-        return _decimals(texts, TIMES[unit], unit or '')
-    if unit in LONG_TIMES:
-        return ColumnTimes(scaled_ns(texts, LONG_TIMES[unit]), unit or '')
-    if unit is not None and unit not in ORDERS:
-        raise InputError(
-            f'{unit!r} is not a supported unit of time; possible: s, ms, us, ns, min, h, days'
-        )
-    written = _written_as_one(texts) if alone else None
-    if written is not None:
-        return written
-    guess = _guessed(subtract_first(texts), xyz) if alone else 's'
-    if guess == 'days':
-        return _days(texts)
-    return _decimals(texts, TIMES[guess], f'{guess} (not stated, by the speed)')
-
-
-def _decimals(texts: Sequence[str], power: int, words: str) -> ColumnTimes:
-    """Numbers of a unit; seconds whose parts have lost their leading zeros are repaired."""
-    if power == 0 and all('.' in text for text in texts[:9]):
-        parts = [text.partition('.')[::2] for text in texts]
-        if all(whole.isdigit() and (part.isdigit() or not part) for whole, part in parts):
-            seconds = np.array([int(whole) for whole, _ in parts], dtype=object) * SECOND_NS
-            if max(seconds) < 2**62:
-                whole_ns = seconds.astype(np.int64)
-                repaired = joined_without_zeros(whole_ns, [part for _, part in parts])
-                if repaired is not None:
-                    return ColumnTimes(repaired[0], f'{words}{zeros_words(repaired[1])}')
-    return ColumnTimes(decimals_ns(texts, power), words)
-
-
-def _written_as_one(texts: Sequence[str]) -> ColumnTimes | None:
-    """Dates and times of day, or times of day, that are written as one number; None: not so."""
-    if all(GLUED.fullmatch(text) for text in texts):
-        return read_moments(texts)
-    parts = [text.partition('.')[::2] for text in texts]
-    if not all(len(whole) in (5, 6) and whole.isdigit() for whole, _ in parts):
-        return None
-    whole_s = np.array([int(whole) for whole, _ in parts], np.int64)
-    hours, minutes, seconds = whole_s // 10_000, whole_s // 100 % 100, whole_s % 100
-    if hours.max() > 23 or minutes.max() > 59 or seconds.max() > 59:
-        return None
-    turns = np.diff(whole_s // 100) > 0
-    if np.count_nonzero(turns) < 1 or np.any(np.diff(whole_s)[turns] < 100 - FULL_MINUTE):
-        return None  # a count of seconds would pass 60 to 99
-    if len({len(whole) for whole, _ in parts}) > 1 and whole_s.min() < 10_000 * 9:
-        return None
-    clock = (3600 * hours + 60 * minutes + seconds) * SECOND_NS
-    digits = np.array([int(part[:9].ljust(9, '0')) if part else 0 for _, part in parts], np.int64)
-    return ColumnTimes(clock + digits, 'hours, minutes and seconds as one number')
-
-
-FULL_MINUTE = 60
-"""Seconds: where a minute is full, the number of hours, minutes and seconds jumps by 40 more."""
-
-
-def _days(texts: Sequence[str]) -> ColumnTimes:
-    """Days and their parts, with a date where a spreadsheet or MATLAB counts them."""
-    first = Decimal(texts[0])
-    for (low, high), epoch, name in (
-        (SPREADSHEET, SPREADSHEET_1970, 'a spreadsheet'),
-        (MATLAB, MATLAB_1970, 'MATLAB'),
-    ):
-        if low <= first < high:
-            return ColumnTimes(scaled_ns(texts, 86_400, epoch), f'days as {name} counts them')
-    return ColumnTimes(scaled_ns(texts, 86_400), 'days (not stated, by the speed)')
-
-
-def _as_seen(moments: ColumnTimes, xyz: Array) -> ColumnTimes:
-    """Two numbers with a colon are minutes and seconds, or hours and minutes, by the speed."""
-    if not moments.words.startswith('minutes and seconds'):
-        return moments
-    speed = _speed(1e-9 * (moments.stamp_ns - moments.stamp_ns[0]), xyz)
-    if speed > 60.0**0.5 * USUAL_SPEED:
-        return ColumnTimes(60 * moments.stamp_ns, 'hours and minutes (not stated, by the speed)')
-    return ColumnTimes(moments.stamp_ns, f'{moments.words} (not stated, by the speed)')
-
-
-def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
-    """Decimal numbers to ns, exactly.
-
-    Parameters
-    ----------
-    power : int
-        Of ten, that takes the numbers to s.
-
-    Raises
-    ------
-    MomentError
-        If one is not a number, or too large for int64.
-    """
-    shift = power + 9
-    try:
-        return np.array([int(d.scaleb(shift)) for d in _numbers(texts)], dtype=np.int64)
-    except ArithmeticError:
-        raise MomentError(TOO_LARGE) from None
-
-
-def scaled_ns(texts: Sequence[str], seconds: int, epoch: int = 0) -> Stamps:
-    """Decimal numbers, less an epoch, of a unit of several seconds, to the nearest ns."""
-    factor = seconds * SECOND_NS
-    try:
-        return np.array(
-            [round((Fraction(d) - epoch) * factor) for d in _numbers(texts)], dtype=np.int64
-        )
-    except ArithmeticError:
-        raise MomentError(TOO_LARGE) from None
-
-
-def subtract_first(texts: Sequence[str]) -> Array:
-    """Decimal numbers less the first of them, in their own unit; MomentError if one is none."""
-    numbers = _numbers(texts)
-    try:
-        since = np.array([float(number - numbers[0]) for number in numbers])
-    except ArithmeticError:
-        raise MomentError(TOO_LARGE) from None
-    if not np.isfinite(since).all():
-        raise MomentError(TOO_LARGE)
-    return since
-
-
-def _numbers(texts: Sequence[str]) -> list[Decimal]:
-    numbers = []
-    for row, text in enumerate(texts):
-        try:
-            numbers.append(Decimal(text))
-        except InvalidOperation:
-            raise MomentError(f'{value_text(text)} is not a time', row) from None
-        if not numbers[-1].is_finite():
-            raise MomentError(f'{value_text(text)} is not a time', row)
-    return numbers
-
-
-def _speed(times: Array, xyz: Array) -> float:
-    """Speed that the fast part of the motion has, m per unit of the times."""
-    step = np.diff(times)
-    if not np.any(step > 0):
-        return 0.0
-    moved = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    return float(np.percentile(moved[step > 0] / step[step > 0], SPEED_PERCENTILE))
-
-
-def _guessed(times: Array, xyz: Array) -> str:
-    """Unit of times, less the first, that makes the machine as fast as machines are."""
-    step = np.diff(times)
-    usual = float(np.median(step)) if len(step) else 0.0
-    if usual <= 0:
-        return 's'
-    speed = _speed(times, xyz)
-    fits = [u for u in GUESSED if RATES[0] <= 1.0 / (usual * SECONDS[u]) <= RATES[1]]
-    if not fits or speed <= 0:
-        return fits[0] if fits else 's'
-    return min(fits, key=lambda u: abs(np.log(speed / SECONDS[u] / USUAL_SPEED)))
-
-
-# Exports of trackers as text: a table of samples to stamps and points, as a bag gives them.
-#
-# What the file does not say is found out and said: the unit of length from the size of the track,
-# the unit of time from the speed that follows from it.
-
-SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log', '.ply')
+SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log')
 MAX_LEFT_OUT = 0.1
 """Share of the lines that may be no samples."""
 NOISE_SAMPLES = 100
@@ -287,6 +66,8 @@ class TextReading:
         What stands in the columns, see ``columns.find_columns``.
     rate : float, optional
         Hz; of samples without a time.
+    time_format : str, optional
+        Form of the times, see ``text_times.read_times``.
 
     Attributes
     ----------
@@ -304,8 +85,6 @@ class TextReading:
         How the file was read.
     foreign : Counter of str
         Empty.
-    publisher : int or None
-        Whose samples are wanted, see ``bags.bag_reading``.
 
     Raises
     ------
@@ -316,7 +95,11 @@ class TextReading:
     """
 
     def __init__(
-        self, source: str | Path, columns: str | None = None, rate: float | None = None
+        self,
+        source: str | Path,
+        columns: str | None = None,
+        rate: float | None = None,
+        time_format: str | None = None,
     ) -> None:
         self.point: Topic = replace(POINT, name='samples')  # as messages call them
         self.path: Topic | None = PATH
@@ -325,13 +108,12 @@ class TextReading:
         self.axis_paths: list[AxisPath] = []
         self.remarks: list[str] = []
         self.foreign: Counter[str] = Counter()
-        self.publisher: int | None = None
         self._where = str(source)
         table = read_table(source, named=columns is None)
         columns_found = find_columns(table, columns)
-        chosen = _chosen(table, columns_found)
+        chosen = _chosen(table, columns_found, time_format)
         self._xyz, unit, factor = _points(chosen, columns_found)
-        self._stamp_ns, time_words = _stamps(chosen, columns_found, self._xyz, rate)
+        self._stamp_ns, time_words = _stamps(chosen, columns_found, rate, time_format)
         self.left_out = reason_counts(chosen.faults)
         if chosen.faults:
             self.remarks.append(
@@ -342,10 +124,9 @@ class TextReading:
         if still:
             self.remarks.append(still)
         place = ', '.join(c.name for c in columns_found.point)
-        form = ' and '.join(sorted({c.form for c in chosen.point if c.form}))
         self.said = [
             f'{len(self._xyz)} samples; {_what(columns_found)} from {place} in {unit}'
-            f'{f", {form}" if form else ""}; {time_words}',
+            f'{", with decimal commas" if chosen.commas else ""}; {time_words}',
             *columns_found.remarks,
         ]
 
@@ -375,6 +156,8 @@ class _Chosen:
         Lines that are left out, and why.
     width : int
         Columns of the table.
+    commas : bool
+        Numbers have decimal commas.
     """
 
     where: str
@@ -383,48 +166,42 @@ class _Chosen:
     time: list[list[str]]
     faults: dict[int, str]
     width: int
+    commas: bool
 
 
-def _chosen(table: TextTable, columns: Columns) -> _Chosen:
+def _chosen(table: TextTable, columns: Columns, time_format: str | None) -> _Chosen:
     """Columns of the samples, without the lines that are none; InputError if these are many."""
-    texts = {c.place: table.column(c.place) for c in columns.time}
-    decimal = [c for c in columns.time if _is_decimal(texts[c.place])]
-    read = table.numbers({c.place: c.name for c in (*columns.point, *decimal)})
+    decimal = [] if time_format else [c for c in columns.time if _is_decimal(table, c)]
+    read, commas = table.numbers({c.place: c.name for c in (*columns.point, *decimal)})
     bad: dict[int, str] = {}
     for column in reversed(read):
         bad |= column.faults
-    times = []
+    times: list[Sequence[str]] = []
     for c in columns.time:
-        if c in decimal:
-            times.append(read[3 + decimal.index(c)].texts)
-            continue
-        times.append(texts[c.place])
-        for row, text in enumerate(texts[c.place]):
-            if not text or is_missing(text):
+        texts = table.columns[c.place]
+        times.append(read[3 + decimal.index(c)].texts if c in decimal else texts)
+        for row, text in enumerate(() if c in decimal else texts):
+            if not any(map(str.isdigit, text)):
                 bad.setdefault(row, f'{c.name} is {value_text(text) if text else "empty"}')
     faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
     _refuse_many(table, faults, len(table.lines) - len(bad))
-    if not bad:
-        return _Chosen(table.where, table.lines, read[:3], times, faults, table.width)
     rows = [row for row in range(len(table.lines)) if row not in bad]
-    point = [
-        NumberColumn([c.texts[row] for row in rows], c.values[rows], {}, c.form) for c in read[:3]
-    ]
+    point = [NumberColumn([c.texts[row] for row in rows], c.values[rows]) for c in read[:3]]
     return _Chosen(
         table.where,
         [table.lines[row] for row in rows],
         point,
-        [[column[row] for row in rows] for column in times],
+        [[texts[row] for row in rows] for texts in times],
         faults,
         table.width,
+        commas,
     )
 
 
-def _is_decimal(texts: Sequence[str]) -> bool:
+def _is_decimal(table: TextTable, column: Column) -> bool:
     """Return whether a column holds numbers, not times of day."""
-    there = (text for text in texts if text and not is_missing(text))
-    first = list(itertools.islice(there, 9))
-    return sum(is_number(text) or text.lower() in NOT_FINITE for text in first) > len(first) // 2
+    first = [text for text in table.columns[column.place] if any(map(str.isdigit, text))][:9]
+    return sum(1 for text in first if NUMBER.match(text)) > len(first) // 2
 
 
 def _refuse_many(table: TextTable, faults: Mapping[int, str], usable: int) -> None:
@@ -528,66 +305,54 @@ def _without_noise(chosen: _Chosen, columns: Columns, unit: float, xyz: Array) -
 
 
 def _stamps(
-    chosen: _Chosen, columns: Columns, xyz: Array, rate: float | None
-) -> tuple[Stamps, str]:
+    chosen: _Chosen, columns: Columns, rate: float | None, time_format: str | None
+) -> tuple[NDArray[np.int64], str]:
     """Stamps, and in words where they come from."""
-    if not columns.time:
-        if rate is None:
+    where, time = chosen.where, columns.time
+    option = f'--columns {columns_option(chosen.width, columns.point, time, "-")}'
+    if not time:
+        if rate is None or time_format is not None:
             beside = ''.join(f'; {remark}' for remark in columns.remarks if 'counts' in remark)
             raise InputError(
-                f'{chosen.where}: has no column of times{beside}; state the rate of the tracker, '
+                f'{where}: has no column of times{beside}; state the rate of the tracker, '
                 f'e.g. --rate 1000 (Hz), or name the column (--columns)'
             )
         step = 1e9 / rate
-        return np.rint(step * np.arange(len(xyz))).astype(np.int64), f'{rate:g} Hz as stated'
+        count = len(chosen.lines)
+        return np.rint(step * np.arange(count)).astype(np.int64), f'{rate:g} Hz as stated'
     if rate is not None:
         raise ConfigError(
-            f'--rate: {chosen.where} holds times ({columns.time[0].name}); leave --rate out, or '
-            f'the column of times (--columns {_without_time(chosen, columns)})'
+            f'--rate: {where} holds times ({time[0].name}); leave --rate out, or the column of '
+            f'times ({option})'
         )
-    total = np.zeros(len(xyz), np.int64)
-    words = []
-    for column, texts in zip(columns.time, chosen.time, strict=True):
-        stamps, unit = _stamps_of(chosen, columns, column, texts, xyz)
-        total += stamps
-        words.append(f'{column.name} in {unit}')
-    if len(total) > 1 and not total.any():
+    given, units = chosen.time, [c.unit for c in time]
+    if len(time) > 1 and not set(units) <= set(TIMES):  # date and time of day
+        given, units = [list(map(' '.join, zip(*given, strict=True)))], [None]
+    if units == [None] and time_format is None and counts_rows(given[0]):
         raise InputError(
-            f'{chosen.where}: {words[0]}: all {len(total)} times are zero; export the time of '
-            f'measurement, or leave the column out (--columns '
-            f'{_without_time(chosen, columns)}) and state the rate (--rate)'
+            f'{where}: {time[0].name} counts the lines ({", ".join(given[0][:3])}) and is not a '
+            f'time; leave it out and state the rate of the tracker: {option} --rate 1000 (Hz); or '
+            f'state its unit, as in time_ms'
+        )
+    total = np.zeros(len(chosen.lines), np.int64)
+    words = []
+    for column, unit, texts in zip(time, units, given, strict=False):
+        try:
+            stamps, read_as = read_times(texts, unit, time_format)
+        except TimeTextError as error:
+            line = '' if error.row is None else f'line {chosen.lines[error.row]}: '
+            ways = [
+                f'--columns {columns_option(chosen.width, columns.point, time, f"time_{u}")}'
+                for u in error.units
+            ]
+            cure = f'; state it: {" or ".join(ways)}' if ways else ''
+            raise InputError(f'{where}: {line}{column.name}: {error}{cure}') from None
+        total += stamps
+        words.append(f'{column.name} in {read_as}')
+    if len(total) > 1 and not np.ptp(total):
+        raise InputError(
+            f'{where}: {words[0]}: all {len(total)} times are {value_text(given[0][0])}; export '
+            f'the time of measurement with all its digits, or leave the column out ({option}) and '
+            f'state the rate (--rate)'
         )
     return total, f'time from {" and ".join(words)}'
-
-
-def _without_time(chosen: _Chosen, columns: Columns, time: str = '-') -> str:
-    """Columns as --columns takes them, without the times or with another name of them."""
-    words = ['-'] * chosen.width
-    for column in columns.time:
-        words[column.place] = time
-    for axis, column in zip('xyz', columns.point, strict=True):
-        unit = SUGGESTED.get(LENGTHS.get(column.unit or '', 0.0))
-        words[column.place] = axis if unit is None else f'{axis}_{unit}'
-    return ','.join(words)
-
-
-def _stamps_of(
-    chosen: _Chosen, columns: Columns, column: Column, texts: list[str], xyz: Array
-) -> tuple[Stamps, str]:
-    alone = len(columns.time) == 1
-    if column.unit is None and alone and counts_rows(texts):
-        raise InputError(
-            f'{chosen.where}: {column.name} counts the lines ({texts[0]}, {texts[1]}, {texts[2]}) '
-            f'and is not a time; leave it out and state the rate of the tracker: --columns '
-            f'{_without_time(chosen, columns)} --rate 1000 (Hz); or state its unit, as in time_ms'
-        )
-    try:
-        read = read_times(texts, column.unit, xyz, alone=alone)
-    except MomentError as error:
-        line = '' if error.row is None else f'line {chosen.lines[error.row]}: '
-        ways = [_without_time(chosen, columns, f'time_{order}') for order in error.orders]
-        cure = f'; state which: {" or ".join(f"--columns {way}" for way in ways)}' if ways else ''
-        raise InputError(f'{chosen.where}: {line}{column.name}: {error}{cure}') from None
-    except InputError as error:
-        raise InputError(f'{chosen.where}: {column.name}: {error}') from None
-    return read.stamp_ns, read.words

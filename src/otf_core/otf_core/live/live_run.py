@@ -23,16 +23,6 @@ RATE_OVER = 2.0
 """s; over so long the rate of samples is the mean."""
 DRIVING = 'BUFFERING'
 """State of the calibrator while it collects samples."""
-NUMBERS = {
-    'distance_from_path': 'm; of the newest sample, once the place of the tracker is known',
-    'sample_rate': 'Hz; as samples arrive at the calibrator',
-    'samples': 'so far',
-    'samples_lost': 'published and not arrived, those that may be on their way not counted',
-    'progress': '0 to 1; of driving, or of the calibration under way',
-    'time_left': 's; estimated',
-    'residual': 'm; mean distance from the path that compensation leaves, as solved so far',
-}
-"""Names with their units and meaning."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +56,6 @@ class LiveSolution:
 
     Attributes
     ----------
-    provisional : bool
-        From a part of the run.
     ok : bool
         Solved, and no quality gate failed.
     mae_before, mae_after, residual_rms : float
@@ -79,7 +67,6 @@ class LiveSolution:
         Of rotary axes.
     """
 
-    provisional: bool
     ok: bool
     message: str
     mae_before: float = 0.0
@@ -139,31 +126,16 @@ class LiveRun:
         if now > began:
             self.rate = (progress.samples - count) / (now - began)
 
-    def set_solved(self, solved: LiveSolution, pose: RigidTransform | None) -> None:
-        """Take what was solved, and the place of the tracker unless that failed."""
-        self.solved = solved
-        if pose is not None:
-            self.pose = pose
-            self.track.set_pose(pose)
+    def set_pose(self, pose: RigidTransform) -> None:
+        """Take the place of the tracker."""
+        self.pose = pose
+        self.track.set_pose(pose)
 
     def _begin(self) -> None:
         self.track.clear()
         self.track.set_pose(None)
         self._counted.clear()
         self.pose, self.solved, self.rate = None, None, math.nan
-
-
-def numbers(run: LiveRun) -> dict[str, float]:
-    """Return the present value of each of NUMBERS; NaN where it is not known."""
-    return {
-        'distance_from_path': run.track.distance,
-        'sample_rate': run.rate,
-        'samples': float(run.progress.samples),
-        'samples_lost': float(run.progress.lost),
-        'progress': run.progress.fraction,
-        'time_left': run.progress.time_left,
-        'residual': float('nan') if run.solved is None else run.solved.left,
-    }
 
 
 # A run under way as plain data for a page: what stays (scene) and what moves (now).
@@ -231,7 +203,6 @@ def _solved(solved: LiveSolution) -> dict[str, Any]:
         for name, (value, u) in names.items()
     }
     return {
-        'provisional': solved.provisional,
         'ok': solved.ok,
         'message': solved.message,
         'mae_before_um': UM * solved.mae_before,

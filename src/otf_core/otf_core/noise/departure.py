@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the noise depart from its specification? Levels, colour and tails, each with odds.
+"""Does the noise depart from its specification? Levels, colour and tails, with their uncertainty.
 
-Two hypotheses share the evidence for each property. As specified: its logarithm is normal about
-that of the specified (for the correlation time: the typical) value, the limit being two standard
-deviations away. Otherwise: it lies between the limit and ``MAX_LIMIT_FACTOR`` limits, all
-logarithms alike. What standstills show of a level or time is the logarithm of the fitted value,
-with its jackknife uncertainty (Student's t, one degree of freedom less than groups): so number and
-length of the standstills, colour and tails all enter. Tails have the likelihood of Student's t.
+What standstills show of a level or time is the logarithm of the fitted value, with its jackknife
+uncertainty u (Student's t, one degree of freedom less than groups): so number and length of the
+standstills, colour and tails all enter. A level departs where it is above ``MAX_LEVEL_RATIO``
+times the specified one and less 2 u still above it; a correlation time where it is above
+``SLOW_TIME`` less 2 u; tails where Student's t of few degrees of freedom is the likeliest.
 """
 
 from __future__ import annotations
@@ -14,7 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln, logsumexp, stdtr
+from numpy.typing import NDArray
+from scipy.special import stdtr
 
 from otf_core.arrays import Array
 from otf_core.model.machine import TrackerSpec
@@ -37,82 +37,70 @@ SLOW_TIME = 1.0
 """s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
 HEAVY_TAILS = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
-MAX_LIMIT_FACTOR = 10.0
-"""Factor on a limit beyond which nothing is expected."""
+MIN_EVIDENCE_OF_TAILS = 3.0
+"""Log likelihood of Student's t over that of the normal distribution (95 %)."""
 MIN_U_OF_LOGARITHM = 0.01
 """Standard uncertainty of a logarithm at best."""
 
 
 @dataclass(frozen=True)
 class Departure:
-    """A property of the noise against its specification.
+    """Properties of the noise against their specification.
 
     Attributes
     ----------
     level : ndarray, shape (3,)
         Levels of range, horizontal and vertical angle over the specified ones.
-    least : ndarray, shape (3,)
-        The same, lower ends of intervals of two standard uncertainties.
-    time : float
-        s, correlation time.
+    u_level : ndarray, shape (3,)
+        Standard uncertainties of their logarithms.
+    time, u_time : float
+        s, correlation time, and the standard uncertainty of its logarithm.
+    freedom : float
+        Degrees of freedom of these uncertainties.
     dof : float
         Degrees of freedom of the likeliest Student's t, of all three alike.
-    of_level : ndarray, shape (3,)
-        Probability that each level is beyond its limit.
-    of_time, of_dof : float
-        The same of correlation time and tails.
+    tails : float
+        Its log likelihood over that of the normal distribution.
     """
 
     level: Array
-    least: Array
+    u_level: Array
     time: float
+    u_time: float
+    freedom: float
     dof: float
-    of_level: Array
-    of_time: float
-    of_dof: float
+    tails: float
 
+    @property
+    def louder(self) -> NDArray[np.bool_]:
+        """Which levels are above the specified ones by more than two standard uncertainties."""
+        return np.asarray(np.log(self.level) > 2.0 * self.u_level)
 
-def probability_beyond(seen: float, u: float, limit: float, freedom: float) -> float:
-    """Probability that a quantity is beyond its limit; even odds before anything is seen.
+    @property
+    def loud(self) -> NDArray[np.bool_]:
+        """Which levels depart."""
+        return self.louder & (self.level > MAX_LEVEL_RATIO)
 
-    Parameters
-    ----------
-    seen : float
-        Measured over specified value; what is below 1 or above ``MAX_LIMIT_FACTOR`` limits counts
-        as these.
-    u : float
-        Standard uncertainty of its logarithm.
-    limit : float
-        Where the departure begins, above 1.
-    freedom : float
-        Degrees of freedom of ``u``.
-    """
-    edge, end = float(np.log(limit)), float(np.log(MAX_LIMIT_FACTOR * limit))
-    at, u, spread = float(np.clip(np.log(seen), 0.0, end)), max(u, MIN_U_OF_LOGARITHM), 0.5 * edge
-    # means of the likelihood over both priors
-    y = np.arange(-5.0 * spread, end, 0.2 * MIN_U_OF_LOGARITHM)
-    prior, seen_at = np.exp(-0.5 * (y / spread) ** 2), _student_density((y - at) / u, freedom) / u
-    specified = float(np.sum(prior * seen_at) / np.sum(prior))
-    inside = np.diff(stdtr(freedom, (np.array([edge, end]) - at) / u))[0]
-    beyond = float(inside) / (end - edge)
-    return beyond / (beyond + specified)
+    @property
+    def slow(self) -> bool:
+        """Whether the correlation time departs."""
+        return bool(np.log(self.time / SLOW_TIME) > 2.0 * self.u_time)
 
+    @property
+    def heavy(self) -> bool:
+        """Whether the tails depart."""
+        return self.dof < HEAVY_TAILS and self.tails > MIN_EVIDENCE_OF_TAILS
 
-def _student_density(t: Array, freedom: float) -> Array:
-    """Density of Student's t; ``scipy.stats`` has it too, and takes 0.4 s to import."""
-    half = 0.5 * freedom
-    size = np.exp(gammaln(half + 0.5) - gammaln(half)) / np.sqrt(freedom * np.pi)
-    return np.asarray(size * (1.0 + t**2 / freedom) ** -(half + 0.5))
-
-
-def _tails(windows: list[Array], step: float) -> tuple[float, float]:
-    """Likeliest degrees of freedom, and probability that they are below ``HEAVY_TAILS``."""
-    likelihoods = [student_likelihood(column) for column in fast_part(windows, step).T]
-    student, normal = np.sum([s for s, _ in likelihoods], axis=0), sum(n for _, n in likelihoods)
-    heavy = FREEDOMS < HEAVY_TAILS
-    beyond = logsumexp(student[heavy]) - np.log(heavy.sum())
-    specified = logsumexp([*student[~heavy], normal]) - np.log(1 + (~heavy).sum())
-    return float(FREEDOMS[np.argmax(student)]), float(1.0 / (1.0 + np.exp(specified - beyond)))
+    def probability(self, name: str) -> float:
+        """Probability that a level is above the specified one, the time above ``SLOW_TIME``."""
+        if name == 'dof':
+            return float(1.0 / (1.0 + np.exp(-self.tails)))
+        if name == 'correlation_time':
+            sure = np.log(self.time / SLOW_TIME) / self.u_time
+        else:
+            own = slice(0, 1) if name == 'level_range' else slice(1, 3)
+            sure = np.max(np.log(self.level[own]) / self.u_level[own])
+        return float(stdtr(self.freedom, sure))
 
 
 def simulated_noise(noise: NoiseModel, spec: TrackerSpec) -> NoiseModel:
@@ -150,19 +138,19 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
         return None
     seen, parts = noise_of_windows(windows, step).noise, left_out_fits(windows, step)
     *level, time = _over_specified(seen, spec)
-    freedom, limits = (
-        len(parts) - 1.0,
-        [MAX_LEVEL_RATIO] * 3 + [SLOW_TIME / TYPICAL_CORRELATION_TIME],
-    )
     u = jackknife_u(np.log([_over_specified(p, spec) for p in parts]))
-    *of_level, of_time = (
-        probability_beyond(float(v), float(s), limit, freedom)
-        for v, s, limit in zip((*level, time), u, limits, strict=True)
+    u = np.maximum(u, MIN_U_OF_LOGARITHM)
+    likelihoods = [student_likelihood(column) for column in fast_part(windows, step).T]
+    student, normal = np.sum([s for s, _ in likelihoods], axis=0), sum(n for _, n in likelihoods)
+    return Departure(
+        level=np.array(level),
+        u_level=u[:3],
+        time=float(TYPICAL_CORRELATION_TIME * time),
+        u_time=float(u[3]),
+        freedom=len(parts) - 1.0,
+        dof=float(FREEDOMS[np.argmax(student)]),
+        tails=float(student.max() - normal),
     )
-    dof, of_dof = _tails(windows, step)
-    time *= TYPICAL_CORRELATION_TIME
-    least = np.array(level) * np.exp(-2.0 * u[:3])
-    return Departure(np.array(level), least, float(time), dof, np.array(of_level), of_time, of_dof)
 
 
 def _over_specified(noise: NoiseModel, spec: TrackerSpec) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from otf_core.arrays import Array, Index
-from otf_core.memory import blocks
+from otf_core.blocks import blocks
 from otf_core.model.axis_path import BREAK
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import TrackerSpec

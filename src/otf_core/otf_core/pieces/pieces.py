@@ -2,9 +2,9 @@
 """Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
 
 A piece never crosses a table node, so every error table is linear inside it and the mean of its
-samples loses nothing. Left out: corners, standstill and the moments around it, and outliers, which
-are samples far from the running median of their leg. Curves have pieces of their own kind, see
-``tracking.curves``.
+samples loses nothing. Left out: corners, also where the control rounds them further, standstill
+and the moments around it, and outliers, which are samples far from the running median of their
+leg. Curves have pieces of their own kind, see ``tracking.curves``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
+from otf_core.blocks import blocks
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.curves import SHORT_CURVE, Lines, curvature, curve_boundaries, near_joints
+from otf_core.tracking.curves import SHORT_CURVE, Lines, curve_boundaries
 from otf_core.tracking.matching import OFF_PATH
 
 
@@ -112,6 +112,57 @@ def _apart(offset: Array) -> float:
     spread = over_windows(np.maximum, offset, size) - over_windows(np.minimum, offset, size)
     reach = np.maximum(spread[:, 0], spread[:, -1])
     return float(np.linalg.norm(np.maximum(spread.max(axis=1), 3.0 * reach)))
+
+
+MAX_ROUNDING = 0.08
+"""m; a rounding begins no further from its corner."""
+OFF_LINE, END_OFF_LINE = 1e-4, 5e-4
+"""m; what departs from its own line by the first is left out, where its end does by the second."""
+MAX_BOW_RATIO = 15.0
+"""A leg that is bent all along departs at its ends by less, as a multiple of its middle."""
+MIN_IN_MIDDLE = 8
+"""Samples in the middle half of a leg that show its own line."""
+ROUNDING_TAIL = 1.2
+"""A rounding begins before it shows: it departs with the square of the path length."""
+
+
+def off_their_line(
+    offset_of: Callable[[slice], Array],
+    bounds: Sequence[tuple[int, int]],
+    along: Array,
+    total: Array,
+) -> NDArray[np.bool_]:
+    """Samples at the ends of legs that depart from their own line: corners that are rounded.
+
+    Parameters
+    ----------
+    offset_of, bounds
+        As of ``outlying``.
+    along, total : ndarray, shape (n,), m
+        From the start of the leg of every sample, and the length of that leg.
+    """
+    out = np.zeros(len(along), dtype=bool)
+    for first, last in bounds:
+        ends = np.concatenate(
+            [offset_of(slice(k, k + 1)) for k in (first, (first + last) // 2, last - 1)], axis=1
+        )
+        if np.abs(np.diff(ends)).max() < 0.5 * END_OFF_LINE:
+            continue
+        leg, length = slice(first, last), float(total[first])
+        place = along[leg]
+        middle = np.abs(place - 0.5 * length) < 0.25 * length
+        if middle.sum() < MIN_IN_MIDDLE:
+            continue
+        terms = np.stack([np.ones(len(place)), place], axis=1)
+        offset = offset_of(leg).T
+        off = offset - terms @ np.linalg.lstsq(terms[middle], offset[middle], rcond=None)[0]
+        size = np.linalg.norm(off, axis=1)
+        limit = max(OFF_LINE, MAX_BOW_RATIO * float(np.sqrt(np.mean(size[middle] ** 2))))
+        for way in (place, length - place):
+            rounded = (way < min(MAX_ROUNDING, 0.25 * length)) & (size > limit)
+            if size[rounded].max(initial=0.0) > END_OFF_LINE:
+                out[leg] |= way < ROUNDING_TAIL * way[rounded].max()
+    return out
 
 
 MAX_PARTS_OF_LEG = 200
@@ -213,8 +264,6 @@ class Pieces:
         Piece of each of them.
     chord : ndarray of int64, shape (p,)
         Chord of the path on which the piece begins; empty if that is its leg.
-    bend : ndarray, shape (p, 3), m/s^2
-        Acceleration towards the inside of curves, machine frame; empty if there are none.
     spread : ndarray, shape (p,), m
         Standard deviation of the samples along the line; empty if pieces are points.
     far : ndarray of int32, shape (o,)
@@ -238,7 +287,6 @@ class Pieces:
     samples: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     piece: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
     spread: Array = field(default_factory=lambda: np.zeros(0))
     far: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
@@ -275,7 +323,6 @@ class Pieces:
             samples=self.samples[stays],
             piece=(np.cumsum(~drop, dtype=self.piece.dtype) - 1)[self.piece[stays]],
             chord=self.chord[~drop] if len(self.chord) else self.chord,
-            bend=self.bend[~drop] if len(self.bend) else self.bend,
             spread=self.spread[~drop] if len(self.spread) else self.spread,
             used=self.used - lost,
             outliers=self.outliers + lost,
@@ -353,17 +400,15 @@ def samples_on_lines(
         alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch.astype(leg.dtype)[leg]
     )
     speed = _moving(samples, along, stretch, config)
-    low, high = _margins(lines, alignment, config)
+    margin = _margin(lines, config)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
     for part in blocks(len(samples)):
         here, own = leg[part], along[part]
-        keep[part] &= (own > low[here]) & (own < lines.total[here] - high[here])
-        if not lines.shape.straight:
-            keep[part] &= ~near_joints(lines, here, on_chord[part], config.corner_exclusion)
+        keep[part] &= (own > margin[here]) & (own < lines.total[here] - margin[here])
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    del along, keep
+    del keep
     curved = lines.shape.curved
 
     def offset_of(part: slice) -> Array:
@@ -376,24 +421,24 @@ def samples_on_lines(
             offset[bent] -= lines.corners[line[bent]]
         return np.ascontiguousarray(offset.T)
 
+    on = leg[chosen]
+    legs = [b for b in leg_bounds(stretch[chosen]) if not curved[on[b[0]]]]
+    chosen = chosen[~off_their_line(offset_of, legs, along[chosen], lines.total[on])]
+    del along, on
     out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
     far, chosen = chosen[out], chosen[~out]
     return chosen, on_chord[chosen], speed[chosen], far
 
 
-def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:
-    """Length left out at the start and the end of the leg or curve of every chord, m.
+def _margin(lines: Lines, config: CalibrationConfig) -> Array:
+    """Length left out at both ends of the leg or curve of every chord, m.
 
     A curve so short that nothing else is left of it is the rounding of a corner.
     """
     short = 0.25 * lines.total
     short[lines.shape.curved & (lines.total < SHORT_CURVE * config.corner_exclusion)] = np.inf
     margin = np.minimum(config.corner_exclusion, short)
-    margin = np.where(np.isinf(short), lines.total, margin)
-    if alignment.rounded is None:
-        return margin, margin
-    low, high = alignment.rounded.T
-    return np.maximum(margin, low), np.maximum(margin, high)
+    return np.where(np.isinf(short), lines.total, margin)
 
 
 def reduce_to_pieces(
@@ -427,26 +472,22 @@ def reduce_to_pieces(
         beyond = shift[np.searchsorted(first, group)] + own
         piece[part] = np.searchsorted(bounds, beyond, side='right') - 1
     pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, far)
-    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
+    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along)
 
 
-def _on_curves(
-    pieces: Pieces, lines: Lines, alignment: Alignment, along: Array, speed: Array
-) -> Pieces:
-    """Give pieces of curves the mean foot, direction and acceleration of their samples."""
+def _on_curves(pieces: Pieces, lines: Lines, alignment: Alignment, along: Array) -> Pieces:
+    """Give pieces of curves the mean foot and direction of their samples."""
     chord = alignment.leg[pieces.samples].astype(np.int64)
     foot = lines.at(along, chord)
     direction = pieces.mean_of([lines.unit[chord]])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     curved = lines.shape.curved[pieces.leg][:, None]
-    bend = curvature(lines).mean(axis=1)[chord] * speed[:, None] ** 2
     return replace(
         pieces,
         origin=np.where(curved, pieces.mean_of([foot]), pieces.origin),
         direction=np.where(curved, direction, pieces.direction),
         leg=lines.shape.group[pieces.leg],
         chord=pieces.leg,
-        bend=pieces.mean_of([bend]),
     )
 
 

@@ -19,10 +19,10 @@ from typing import TypeVar
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.blocks import BLOCK
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import SkippedLines
-from otf_core.memory import BLOCK
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import Machine

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from otf_core.ahead import Ahead
+from otf_core.aside import Aside
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
@@ -54,7 +55,7 @@ class EffectForecast:
     effect : str
         Name in gap.json.
     words : str
-        One line for forecast.txt.
+        One line.
     data : mapping
         Entry for plan.json.
     """
@@ -232,11 +233,11 @@ def make_plan(
         outlook: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
         planned = planned_solution(plan, setup, outlook)
-        with Ahead() as ahead:
-            ahead.begin(_judge_places, plan, setup, outlook, planned)
+        judge = partial(_judge_places, plan, setup, outlook, planned)
+        with Aside(judge, (plan, setup, outlook, planned), later=True) as aside:
             progress('looking for effects', 0.0)
             effects = forecast_effects(forecast_rows(planned, limit))
-            places, own, systematic = ahead(_judge_places, plan, setup, outlook, planned)
+            places, own, systematic = aside.result()
     return PlanReport(
         plan,
         how,

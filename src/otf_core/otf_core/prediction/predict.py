@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Volumetric errors predicted from error tables, with their standard uncertainty.
 
-u is that of the tables (linear propagation of their covariance) and, where the file holds a
-``prior``, what lies beyond them: see ``table_prior``. Without it u is that of the nearest end.
+u is that of the tables (linear propagation of their covariance) and, for another tool, of
+rotations that the data do not see (``table_prior``). Outside the driven volume no u is stated.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from otf_core.errors import ConfigError
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predictor import PredictedErrors, Predictor
-from otf_core.prediction.table_prior import MotionPrior
 
 ABSURD = 10.0
 """Points further outside than this many axis ranges are refused: another unit, most likely."""
@@ -37,7 +36,7 @@ class Prediction(PredictedErrors):
     holds : str
         What u contains, in words.
     notes : tuple of str
-        What the user should know of these points: outside, no prior, rotations not seen.
+        What the user should know of these points: outside, rotations not seen.
     """
 
     correlated: bool
@@ -47,10 +46,11 @@ class Prediction(PredictedErrors):
     @property
     def summary(self) -> str:
         """One line: how many points, and means."""
-        error, u = (1e6 * np.linalg.norm(v, axis=1).mean() for v in (self.error, self.u))
+        error, u = (1e6 * np.linalg.norm(v, axis=1) for v in (self.error, self.u[self.inside]))
+        mean_u = f'mean |u| {u.mean():.3g} um' if len(u) else 'no u, as all lie outside'
         count = f'{len(self.u)} point{"s" if len(self.u) > 1 else ""}'
         return (
-            f'{count}: mean |error| {error:.4g} um, mean |u| {u:.3g} um '
+            f'{count}: mean |error| {error.mean():.4g} um, {mean_u} '
             f'(lengths of vectors, k = 1; u holds {self.holds})'
         )
 
@@ -98,21 +98,18 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     ]
 
 
-def _outside_note(within: NDArray[np.bool_], prior: Mapping[str, MotionPrior]) -> list[str]:
+def _outside_note(within: NDArray[np.bool_]) -> list[str]:
     count = int(np.sum(~within))
     if not count:
         return []
-    grows = (
-        'tables are constant there, and u grows by their prior'
-        if prior
-        else 'tables are constant there; the file holds no prior, so u does not grow there and is '
-        'too small'
-    )
-    return [f'{count} of {len(within)} points lie outside the driven volume; {grows}']
+    return [
+        f'{count} of {len(within)} points lie outside the driven volume: tables are constant '
+        f'there, and no u is stated'
+    ]
 
 
-def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, MotionPrior]) -> list[str]:
-    known = [m for m in unseen if m in prior and prior[m].sd > 0]
+def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, float]) -> list[str]:
+    known = [m for m in unseen if prior.get(m, 0.0) > 0]
     notes = []
     if known:
         notes.append(
@@ -160,8 +157,8 @@ def predict(
     if not predictor.correlated:
         notes.append('the tables hold no covariance; u takes their nodes as independent')
     prediction = predictor.at(q)
-    notes += _outside_note(prediction.inside, predictor.prior)
-    notes += _unseen_note(predictor.unseen(q), predictor.prior)
+    notes += _outside_note(prediction.inside)
+    notes += _unseen_note(predictor.unseen, predictor.prior)
     return Prediction(
         prediction.error,
         prediction.u,

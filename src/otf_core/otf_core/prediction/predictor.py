@@ -16,14 +16,8 @@ from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
-from otf_core.prediction.driven_volume import DrivenVolume, driven_from_dict, inside, table_ranges
-from otf_core.prediction.table_prior import (
-    MotionPrior,
-    growth_variance,
-    prior_from_dict,
-    unseen_columns,
-    unseen_variance,
-)
+from otf_core.prediction.driven_volume import DrivenVolume, driven_from_dict, inside
+from otf_core.prediction.table_prior import prior_from_dict, unseen_columns
 from otf_core.prediction.uncertainty import prediction_uncertainty
 
 LONGEST_OFFSET = 10.0
@@ -40,7 +34,7 @@ class PredictedErrors:
     Attributes
     ----------
     error, u : ndarray, shape (n, 3), m
-        Actual minus nominal, and its standard uncertainty (k = 1).
+        Actual minus nominal, and its standard uncertainty (k = 1); u is not a number outside.
     inside : ndarray of bool, shape (n,)
         Whether a position lies in the driven volume.
     """
@@ -64,7 +58,8 @@ class Predictor:
         Of squareness and nodes, see ``uncertainty.prediction_rows``.
     correlated : bool
         False if the file holds no covariance: nodes are taken as independent.
-    prior : mapping of motion to MotionPrior
+    prior : mapping of motion to float
+        Standard deviations of what was not seen.
     not_seen : tuple of str
         Motions and squareness errors that the data did not see.
     holds : str
@@ -77,7 +72,7 @@ class Predictor:
     measured: ErrorTables
     covariance: Array
     correlated: bool
-    prior: Mapping[str, MotionPrior]
+    prior: Mapping[str, float]
     driven: DrivenVolume | None
     not_seen: tuple[str, ...]
     holds: str
@@ -117,25 +112,24 @@ class Predictor:
             lacking=_lacking(content, covariance is None),
         )
 
-    def unseen(self, q: Array) -> Mapping[str, Array]:
-        """Columns (n, 3) of what was not seen and acts on positions through the new offset."""
+    @property
+    def unseen(self) -> Mapping[str, Array]:
+        """Columns (3,) of what was not seen and acts through the new target offset."""
         if self.measured.machine.rotary_names:
             return {}
-        low, high = table_ranges(self.measured)
-        offset = self.tables.machine.target_offset
-        return unseen_columns(self.measured, self.not_seen, q, low, high, offset)
+        offsets = (t.machine.target_offset for t in (self.tables, self.measured))
+        return unseen_columns(self.not_seen, np.subtract(*offsets))
 
     def at(self, q: Array) -> PredictedErrors:
         """Evaluate at programmed axis positions (n, k), m and rad."""
         machine = self.tables.machine
         nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in machine.motions}
-        u = prediction_uncertainty(machine, nodes, self.covariance, q)
-        variance = u**2
-        if not machine.rotary_names:
-            variance += growth_variance(self.tables, self.prior, q)
-            variance += unseen_variance(self.unseen(q), self.prior, q)
-        error = displacement(self.tables, q)
-        return PredictedErrors(error, np.sqrt(variance), inside(self.measured, self.driven, q))
+        variance = prediction_uncertainty(machine, nodes, self.covariance, q) ** 2
+        for name, column in self.unseen.items():
+            variance += (self.prior.get(name, 0.0) * column) ** 2
+        within = inside(self.measured, self.driven, q)
+        u = np.where(within[:, None], np.sqrt(variance), np.nan)
+        return PredictedErrors(displacement(self.tables, q), u, within)
 
     def corrected(self, wanted: Array) -> Array:
         """Positions to command (n, 3), m, so that the target comes to the wanted ones."""

@@ -7,7 +7,6 @@ the machine frame, and no calibration can know it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,13 +18,11 @@ from otf_core.model.evaluation import (
     driven_grid,
     evenly_spread,
     free_rows,
-    lattice,
     without_rigid_motion,
 )
 from otf_core.model.joints import Sight
 from otf_core.model.kinematics import displacement
 from otf_core.model.tables import ErrorTables
-from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
 
@@ -85,10 +82,10 @@ def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
     Returns
     -------
     dict
-        ``mean``, ``p95`` and ``max`` over a regular grid of ``points`` in the whole volume, its
-        best rigid motion removed.
+        ``mean``, ``p95`` and ``max`` over a regular grid of ``points`` in the volume of the
+        tables, its best rigid motion removed.
     """
-    grid = lattice(tables.machine)
+    grid = driven_grid(tables)
     error = without_rigid_motion(displacement(tables, grid), grid)
     return {
         'points': len(grid),
@@ -108,27 +105,21 @@ def length_sizes(length: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class VolumetricError:
-    """Errors of a machine on a regular grid over its whole volume.
+    """Errors of a machine on a regular grid over the volume of its tables.
 
     Attributes
     ----------
     covariance : ndarray, shape (m, m), m and rad
         Of squareness and nodes.
-    prior : mapping of motion or squareness error to MotionPrior
-        What is known beyond the tables, where the axes reach further than was driven.
-    hidden : collection of str
-        Motions and squareness errors that the data cannot see.
     """
 
     tables: ErrorTables
     covariance: Array
-    prior: Mapping[str, MotionPrior]
-    hidden: Collection[str]
 
     @cached_property
     def grid(self) -> Array:
         """Points, shape (n, 3), m."""
-        return lattice(self.tables.machine)
+        return driven_grid(self.tables)
 
     @cached_property
     def error(self) -> Array:
@@ -153,15 +144,10 @@ class VolumetricError:
             return np.asarray(self.rows @ self.covariance)
 
     @cached_property
-    def beyond(self) -> Array:
-        """Variance of the components that the tables do not hold: beyond them, (n, 3), m^2."""
-        return beyond_variance(self.tables, self.prior, self.hidden, self.grid)
-
-    @cached_property
     def u(self) -> Array:
         """Standard uncertainty of the components, shape (n, 3), m."""
         variance = np.einsum('ij,ij->i', self._spread, self.rows)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0).reshape(-1, 3) + self.beyond))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0).reshape(-1, 3)))
 
     @cached_property
     def u_size(self) -> Array:
@@ -178,11 +164,6 @@ class VolumetricError:
         """Derivatives of the lengths: along each error vector, shape (n, m)."""
         rows = self.rows.reshape(*self.unit.shape, -1)
         return np.asarray(np.einsum('nk,nkm->nm', self.unit, rows))
-
-    @cached_property
-    def length_beyond(self) -> Array:
-        """Variance of the lengths beyond the tables, shape (n,), m^2."""
-        return np.asarray(np.sum(self.unit**2 * self.beyond, axis=1))
 
     def part(self, name: str) -> Array:
         """Errors that one motion or squareness error makes alone, shape (n, 3), m."""
@@ -211,8 +192,3 @@ class AxesVolumetricError(VolumetricError):
     def error(self) -> Array:
         """Actual minus nominal, shape (n, 3), m."""
         return np.asarray((self.rows @ table_values(self.tables)).reshape(-1, 3))
-
-    @cached_property
-    def beyond(self) -> Array:
-        """Nothing lies beyond the driven ranges, shape (n, 3)."""
-        return np.zeros((len(self.grid), 3))

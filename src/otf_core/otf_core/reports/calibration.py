@@ -21,7 +21,7 @@ from otf_core.effects.stated_effect import effects_to_list
 from otf_core.files.writing import (
     ensure_folder,
     tidy,
-    write_if_it_fits,
+    write_if_possible,
     write_text,
 )
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
@@ -41,13 +41,11 @@ from otf_core.reports.calibration_facts import (
 from otf_core.reports.calibration_sections.error_motions import (
     motions_section,
     nodes_section,
-    reversal_csv,
     reversal_section,
     reversal_to_dict,
     squareness_section,
 )
 from otf_core.reports.calibration_sections.first_screen import (
-    calibration_summary,
     heading,
     limits_section,
     overview_section,
@@ -75,7 +73,6 @@ from otf_core.reports.certificate import certificate_html
 from otf_core.reports.page import (
     Section,
     page_html,
-    sections_to_text,
 )
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
@@ -89,10 +86,10 @@ from otf_core.threads import limit_to_one_thread
 # What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
 #
 # ``error_tables.json`` (holds the covariance in full precision, so that a copy of it predicts with
-# honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv`` (the same, forward
-# and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``, ``report.html`` (all of
-# it for a reader), ``certificate.html`` (two pages for print, on request). With effects taken off:
-# ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
+# honest uncertainties), ``error_tables.csv`` (one row a node), ``residuals.npz`` (one row a path
+# piece), ``report.html`` (all of it for a reader), ``certificate.html`` (two pages for print, of a
+# machine with a section ``certificate``). With effects taken off: ``effects_taken_off.yaml``, and
+# the plain calibration in ``plain/``.
 
 SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
     overview_section,
@@ -155,7 +152,7 @@ def result_to_dict(
         'run_id': result.run_id,
         'gauge': GAUGE,
         'spacing': _spacing_to_dict(result),
-        'prior': {name: asdict(known) for name, known in result.prior.items()},
+        'prior': {name: {'sd': size} for name, size in result.prior.items()},
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
         'driven': driven_volume(
@@ -257,7 +254,7 @@ def write_calibration(
     residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
+    certificate: bool = True,
     facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
@@ -276,7 +273,7 @@ def write_calibration(
     report : bool
         Write report.html.
     certificate : bool
-        Write certificate.html.
+        Write certificate.html if machine.yaml has a section ``certificate``.
     facts : CalibrationFacts, optional
         Worked out if not given.
     missing : dict of str to str, optional
@@ -297,16 +294,10 @@ def write_calibration(
         'error_tables.csv': lambda: write_text(
             folder / 'error_tables.csv', _tidy_rows(result, lines)
         ),
-        'summary.txt': lambda: write_text(
-            folder / 'summary.txt', format_result(result, facts) + '\n'
-        ),
-        'reversal.csv': lambda: write_text(
-            folder / 'reversal.csv', reversal_csv(result.reversal, result.tables)
-        ),
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_report(folder, facts)
-    if certificate:
+    if certificate and result.tables.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE, certificate_html(facts)
         )
@@ -314,22 +305,13 @@ def write_calibration(
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
     if residuals_csv:
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(residual_arrays(result.runs), folder)
-    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    written = [name for name, write in wanted.items() if write_if_possible(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
 def write_report(folder: Path, facts: CalibrationFacts) -> None:
     """Write report.html into a folder that is there; ConfigError if it cannot be written."""
     write_text(folder / REPORT_FILE, calibration_html(facts))
-
-
-def format_result(result: CalibrationResult, facts: CalibrationFacts | None = None) -> str:
-    """Return summary.txt: a dozen lines, an empty one, then all numbers.
-
-    ``facts`` are worked out if not given.
-    """
-    facts = facts or facts_of(result)
-    return f'{calibration_summary(facts)}\n\n{sections_to_text(calibration_sections(facts))}'
 
 
 def facts_of(
@@ -353,7 +335,6 @@ def write_with_effects(
     residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
@@ -369,7 +350,6 @@ def write_with_effects(
         residuals=residuals,
         residuals_csv=residuals_csv,
         report=report,
-        certificate=certificate,
         missing=missing,
     )
     machine = both.result.tables.machine
@@ -381,11 +361,16 @@ def write_with_effects(
     if both.applied[0]:
         plain = folder / PLAIN_FOLDER
         lost: dict[str, str] | None = None if missing is None else {}
-        if write_if_it_fits(
+        if write_if_possible(
             missing,
             PLAIN_FOLDER,
             lambda: write_calibration(
-                both.plain, plain, residuals=residuals, report=report, missing=lost
+                both.plain,
+                plain,
+                residuals=residuals,
+                report=report,
+                certificate=False,
+                missing=lost,
             ),
         ):
             files.append(plain / TABLES_FILE)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.budget.budget import PLACES, TYPICAL_SOURCE, Budget
+from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.calibration.calibration_result import CalibrationResult, RunResult
 from otf_core.files.writing import tidy
@@ -25,7 +25,7 @@ from otf_core.model.provenance import Origin, moment
 from otf_core.model.tables import ErrorTables, LocationError, Squareness
 from otf_core.noise.noise_model import QUANTITIES
 from otf_core.prediction.volumetric import VolumetricError, driven_rows, table_places
-from otf_core.reports.page import Table, dof_words, join_names, place, whole_dof
+from otf_core.reports.page import Table, join_names, place, whole_dof
 from otf_core.threads import one_thread
 
 # The budget as data and as text: expanded uncertainties, sources, correlations.
@@ -34,18 +34,6 @@ GRID = 'grid'
 LISTED_CORRELATION = 0.5
 """Correlations at least as large are listed."""
 LISTED_PAIRS = 20
-SHORT_NAMES = {
-    'smoothness': 'smooth',
-    'straight lines': 'lines',
-    'tracker scale': 'scale',
-    'tracker range offset': 'offset',
-    'tracker angles': 'angles',
-    'machine temperature': 'machine',
-    'target offset': 'target',
-    PLACES: 'places',
-    TYPICAL_SOURCE: 'typical',
-}
-"""Names of sources as heads of columns."""
 
 
 @dataclass(frozen=True)
@@ -188,32 +176,6 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine])
     }
 
 
-def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> str:
-    """Return the budget as text."""
-    sources = [name for name in lines[-1].parts if any(n.parts[name] for n in lines)]
-    head = ''.join(f'{SHORT_NAMES.get(name, name):>9}' for name in sources)
-    text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
-    for line in lines:
-        parts = ''.join(f'{1e6 * line.parts[name]:>9.3f}' for name in sources)
-        text.append(
-            f'{line.name:<6}{"um" if line.unit == "m" else "urad":<6}k = {line.k:<6.2f}'
-            f'dof {dof_words(line.dof):<7}'
-            f'{1e6 * line.k * line.u:>10.3f}{1e6 * line.u:>10.3f}{parts}'
-        )
-    if budget.not_stated:
-        text.append(f'Not declared in machine.yaml, typical values are used: '
-                    f'{", ".join(budget.not_stated)}.')  # fmt: skip
-    strong = correlations(tables, budget.covariance)
-    if strong:
-        named = [f'{a}, {b}: {c.r:.2f}' for c in strong[:3] for a, b in [c.between]]
-        listed = '; '.join(named)
-        text.append(
-            f'Correlations of at least {LISTED_CORRELATION}: {len(strong)} pairs, strongest '
-            f'{listed}.'
-        )
-    return '\n'.join(text)
-
-
 # What the sections of a calibration's report share: the result, and what is computed once.
 
 
@@ -253,10 +215,9 @@ class CalibrationFacts:
 
     @cached_property
     def volume(self) -> VolumetricError:
-        """Errors on a grid over the whole volume, with the uncertainty of the headline."""
+        """Errors on a grid over the volume of the tables, with the uncertainty of the headline."""
         own = self.result
-        covariance = own.covariance_with_typical
-        return VolumetricError(own.tables, covariance, own.prior, own.not_identifiable)
+        return VolumetricError(own.tables, own.covariance_with_typical)
 
     @cached_property
     def condition_number(self) -> float:

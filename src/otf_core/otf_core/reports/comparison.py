@@ -150,20 +150,6 @@ def draw_motion(
     return write_sheet(folder, name, pictures, 2, f'{motion} of two sources', caption, key)
 
 
-def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
-    """Write motions.svg: all motions both sides know, and below their differences."""
-    axes = comparison.common.machine.axis_names
-    motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
-    pictures = [motion_panel(comparison, m) for m in motions]
-    pictures += [difference_panel(comparison, m) for m in motions]
-    caption = (
-        f'Above: both sources in one convention. Below: b minus a; grey: U of the difference. '
-        f'{BANDS}'
-    )
-    title = 'Error motions of two sources'
-    return write_sheet(folder, 'motions', pictures, 3, title, caption, _colour_key(comparison))
-
-
 def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume') -> Path:
     """Write mean errors, histograms of the differences per direction, and their vectors."""
     volume = comparison.volume
@@ -505,7 +491,7 @@ def remarks_on(result: Comparison) -> list[str]:
 def write_comparison(
     result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write the figures, report.html, comparison.txt and comparison.json.
+    """Write report.html and comparison.json.
 
     Parameters
     ----------
@@ -514,7 +500,6 @@ def write_comparison(
     """
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
-    files = [draw_motions(result, folder), draw_volume(result, folder)]
     date = str(data['provenance']['written'])
     page = comparison_html(result, CONVENTION, remarks_on(result), date)
-    return [*files, *write_result(folder, 'comparison', page, format_comparison(result), data)]
+    return write_result(folder, 'comparison', page, data)

@@ -145,7 +145,7 @@ def write_diagnosis(
 
     def write(name: str) -> None:
         if name in tables:
-            write_calibration(tables[name], folder / name, 'diagnose')
+            write_calibration(tables[name], folder / name, 'diagnose', certificate=False)
         else:
             write_text(folder / name, report_html(diagnosis))
 

@@ -175,14 +175,14 @@ def fleet_rows(
     return GAP_COLUMNS, rows, shared
 
 
-def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = True) -> str:
-    """Return the text for a terminal: counts, every run that failed and, with ``gates``, those."""
+def format_fleet(verb: str, outcomes: Mapping[str, JobResult]) -> str:
+    """Return the text for a terminal: counts, every run that failed, and verdicts not good."""
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
     lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
     for code, verdict in JUDGED.items():
         named = [n for n, o in outcomes.items() if o.done and o.exit == code]
-        if named and gates:
+        if named:
             lines.append(f'  {verdict}: {", ".join(named)}')
     return '\n'.join(lines)
 
@@ -236,23 +236,7 @@ def write_fleet(
     columns, rows, shared = fleet_rows(verb, folder, outcomes)
     write_text(folder / PAGE, fleet_page(verb, outcomes, columns, rows, shared))
     warnings = shared if verb == 'calibrate' else []
-    file = write_outcomes(verb, folder, outcomes, warnings)
-    list_results(verb, folder)
-    return [file, folder / PAGE], warnings
-
-
-def list_results(verb: str, folder: Path) -> None:
-    """Write the manifest of a fleet."""
-    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
-
-
-def write_outcomes(
-    verb: str,
-    folder: Path,
-    outcomes: Mapping[str, JobResult],
-    warnings: Sequence[str] = (),
-) -> Path:
-    """Write fleet.json into the folder of a fleet; its path."""
-    data = fleet_to_dict(verb, outcomes) | {'warnings': list(warnings)}
+    data = fleet_to_dict(verb, outcomes) | {'warnings': warnings}
     write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
-    return folder / FILE
+    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
+    return [folder / FILE, folder / PAGE], warnings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf noise`` writes: figure, page, noise.json, text."""
+"""What ``otf noise`` writes and says: page, noise.json, text for a terminal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
 from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.drawing.panel import Panel, decades, write_sheet
+from otf_core.reports.drawing.panel import Panel, decades
 from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html, write_result
 
 NOISE_CAPTION = (
@@ -66,17 +66,6 @@ def draw_spectrum(report: NoiseReport, quantity: int) -> str:
             ends = np.array([peak.frequency]), [panel.y.low], [panel.y.high]
             marks.append(panel.ranges(*ends, 'before thin'))
     return panel.draw(marks, f'spectrum of the {QUANTITIES[quantity]}')
-
-
-def draw_noise(report: NoiseReport, folder: str | Path) -> Path:
-    """Write noise.svg: one column a quantity, dots as seen, lines as fitted, peaks marked."""
-    pictures = [draw(report, k) for draw in (draw_variogram, draw_spectrum) for k in range(3)]
-    title = (
-        f'Tracker noise at rest: {report.standstills} standstills, {report.duration:.1f} s at '
-        f'{report.rate:.0f} Hz, beam {report.distance:.2f} m'
-    )
-    key = (('after', 'seen'), ('before', 'fitted, peaks'))
-    return write_sheet(folder, 'noise', pictures, 3, title, NOISE_CAPTION, key)
 
 
 def noise_html(
@@ -272,7 +261,7 @@ def format_noise(report: NoiseReport) -> str:
 def write_noise(
     report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write noise.svg, report.html, noise.txt and noise.json, with ``about`` as its provenance."""
+    """Write report.html and noise.json, with ``about`` as its provenance."""
     folder = ensure_folder(folder)
     data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
     runs = data['provenance'].get('runs') or [{}]
@@ -280,5 +269,4 @@ def write_noise(
     date = str(data['provenance']['written'])
     events = [*_event_rows(report), *_peak_rows(report)]
     page = noise_html(report, name, date, events, _colour_words(report))
-    figure = draw_noise(report, folder)
-    return [figure, *write_result(folder, 'noise', page, format_noise(report), data)]
+    return write_result(folder, 'noise', page, data)

@@ -92,6 +92,11 @@ class Table:
     folded: str = ''
     stacked: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuse, as a ValueError, a row that has not one cell under each head."""
+        if odd := [row for row in self.rows if len(row) != len(self.head)]:
+            raise ValueError(f'{len(odd[0])} cells under {len(self.head)} heads: {odd[0]}')
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -300,12 +305,8 @@ def page_html(heading: Heading, sections: Sequence[Section]) -> str:
     )
 
 
-def write_result(
-    folder: Path, stem: str, page: str, text: str, data: Mapping[str, Any]
-) -> list[Path]:
-    """Write report.html, STEM.txt and, last, STEM.json."""
-    content = json.dumps(data, indent=1, allow_nan=False)
-    files = [folder / name for name in ('report.html', f'{stem}.txt', f'{stem}.json')]
-    for file, written in zip(files, (page, f'{text}\n', f'{content}\n'), strict=True):
-        write_text(file, written)
-    return files
+def write_result(folder: Path, stem: str, page: str, data: Mapping[str, Any]) -> list[Path]:
+    """Write report.html and, last, STEM.json."""
+    write_text(folder / 'report.html', page)
+    write_text(folder / f'{stem}.json', json.dumps(data, indent=1, allow_nan=False) + '\n')
+    return [folder / 'report.html', folder / f'{stem}.json']

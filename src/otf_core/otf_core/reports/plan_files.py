@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf plan`` writes: path.csv, plan.json, plan.svg, report.html, forecast.txt, NC program.
+"""What ``otf plan`` writes: path.csv, plan.json, report.html, NC program.
 
 plan.json (``otf-plan/1``), SI units: machine, path, feed, dwell, what the forecast assumed, the
 forecast with its grid, findings in words, places of the tracker, and effects beyond the rigid
@@ -36,8 +36,6 @@ from otf_core.reports.drawing.panel import (
     heat_classes,
     heat_key,
     heat_step,
-    heat_words,
-    write_sheet,
 )
 from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
 from otf_core.reports.page import (
@@ -54,12 +52,6 @@ from otf_core.reports.page import (
 
 MILLIONTHS = {'m': 'um', 'rad': 'urad'}
 """Millionths of what errors are in."""
-PLAN_CAPTION = (
-    'Above: the path with the tracker and its beams to the corners of the volume; standard '
-    'uncertainty of the error vector, k = 1, the best rigid motion removed, as colour. Below: '
-    'standard uncertainty (k = 1) of every error, mean of the nodes of a table; strokes: the '
-    'largest. All from noise alone.'
-)
 UNFOLDED_PLACES = 8
 """Places of the tracker that are not folded away."""
 
@@ -110,17 +102,6 @@ def draw_error_bars(report: PlanReport, unit: str) -> str:
         label = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
         rows.append(Bar(name, ((1e6 * mean, 'after'),), label, 1e6 * most))
     return bars(rows, f'uncertainty of errors in {words}', width=480.0)
-
-
-def write_plan_picture(report: PlanReport, folder: Path) -> Path:
-    """Write plan.svg into a folder."""
-    size = np.linalg.norm(report.forecast.grid_u_free, axis=1)
-    step = heat_step(1e6 * size)
-    key = [(f'heat h{level}', f'u {label}') for level, label in heat_words(step, size)]
-    pictures = [draw_path(report), draw_grid(report, step)]
-    pictures += [draw_error_bars(report, unit) for unit in MILLIONTHS]
-    title = f'Plan for {report.setup.machine.name}: {report.how}'
-    return write_sheet(folder, 'plan', pictures, 2, title, PLAN_CAPTION, key)
 
 
 def plan_html(report: PlanReport, date: str) -> str:
@@ -313,20 +294,6 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
     }
 
 
-def _error_lines(forecast: Forecast) -> list[str]:
-    lines = [f'{"error":6} {"mean u":>10} {"max u":>10}']
-    for name in (*SQUARENESS, *MOTIONS):
-        if name not in forecast.solution.accepted:
-            lines.append(f'{name:6} not identifiable')
-            continue
-        u, unit = (
-            1e6 * forecast.u[name],
-            'um' if name in MOTIONS and unit_of(name) == 'm' else 'urad',
-        )
-        lines.append(f'{name:6} {u.mean():10.3f} {u.max():10.3f} {unit}')
-    return lines
-
-
 def first_lines(report: PlanReport) -> list[str]:
     """What is expected, what it takes, what it does not show."""
     plan, outlook = report.plan, report.forecast
@@ -342,7 +309,7 @@ def first_lines(report: PlanReport) -> list[str]:
 
 
 def plan_summary(report: PlanReport) -> str:
-    """Return a dozen lines for a terminal; ``format_report`` holds all numbers."""
+    """Return a dozen lines for a terminal; the page holds all numbers."""
     lines = first_lines(report)
     lines += [f'for the diagnosis: {a.words}' for a in report.after]
     needs: dict[str, list[str]] = {}
@@ -358,43 +325,6 @@ def plan_summary(report: PlanReport) -> str:
         lines.append(
             f'effects beyond the rigid body: {seen} of {len(report.effects)} visible{rest}'
         )
-    return '\n'.join(lines) + '\n'
-
-
-def format_report(report: PlanReport) -> str:
-    """Return the text of forecast.txt; it stands for itself in a terminal."""
-    outlook, setup = report.forecast, report.setup
-    gauge = np.linalg.norm(outlook.grid_u, axis=1)
-    lines = [
-        *first_lines(report),
-        f'Assumed: tracker at {place(setup.place)} in the machine frame, '
-        f'{setup.config.rate:g} samples/s, '
-        f'accelerations of {setup.config.acceleration:g} m/s^2; noise of a sample:',
-        *(f'  {part}' for part in str(setup.noise).split('; ')),
-        '',
-        f'From tracker noise alone, standard uncertainties (k = 1), '
-        f'{outlook.solution.rank} of {outlook.solution.unknowns} unknowns determined:',
-        f'in the gauge of the tables, on the grid: mean {micro_significant(gauge.mean())}, '
-        f'largest {micro_significant(gauge.max())}',
-        *_error_lines(outlook),
-        '',
-        *(['Expected answers to the diagnosis:'] if report.after else []),
-        *(f'  {a.words}' for a in report.after),
-        *([''] if report.after else []),
-        'What this plan does not show:',
-        *(f'  {f.words}; needs {f.needs}' for f in report.findings),
-        *(['  nothing is missing'] if not report.findings else []),
-        '',
-        'Tracker:',
-        *(f'  {line}' for line in report.advice),
-        *(
-            f'  {p.words:52} {1e6 * p.mean_grid_u:7.3f} um, beams {p.shortest:.2f} m to '
-            f'{p.longest:.2f} m'
-            for p in report.places
-        ),
-    ]
-    if report.effects:
-        lines += ['', 'Effects beyond the rigid body:', *(f'  {e.words}' for e in report.effects)]
     return '\n'.join(lines) + '\n'
 
 
@@ -444,9 +374,6 @@ def write_report(
         write_text(files[-1], text)
     files.append(folder / 'path.csv')
     write_csv(files[-1], 'x,y,z', np.vectorize(tidy)(report.plan.path.points))
-    files.append(folder / 'forecast.txt')
-    write_text(files[-1], format_report(report))
-    files.append(write_plan_picture(report, folder))
     files.append(folder / 'report.html')
     block = about or provenance('plan', machines=[report.setup.machine])
     write_text(files[-1], plan_html(report, str(block['written'])))

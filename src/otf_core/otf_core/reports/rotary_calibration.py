@@ -19,7 +19,7 @@ from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.axis_calibration import AxisCalibration, first_pose
 from otf_core.calibration.machine_verdict import Verdicts, judge_axes
 from otf_core.config import STANDSTILL, ForecastConfig, PlannerConfig
-from otf_core.files.writing import ensure_folder, tidy, write_if_it_fits, write_text
+from otf_core.files.writing import ensure_folder, tidy, write_if_possible, write_text
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.expanded import (
     COVERAGE_FACTOR,
@@ -49,12 +49,11 @@ from otf_core.reports.calibration_facts import (
     stated_tables,
 )
 from otf_core.reports.calibration_sections.error_motions import (
-    format_reversal,
-    reversal_csv,
     reversal_table,
     reversal_to_dict,
     role,
     squareness_words,
+    why_reversal,
 )
 from otf_core.reports.calibration_sections.uncertainty_budget import (
     section_of_budget,
@@ -81,7 +80,6 @@ from otf_core.reports.page import (
     join_names,
     micro,
     page_html,
-    sections_to_text,
 )
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
@@ -98,7 +96,7 @@ GAUGE = (
     'straightness zero at both ends; rotary axes: all six motions zero at position 0, else at the '
     'minimum; location errors are the least-squares line over the nodes'
 )
-TABLES_FILE, REPORT_FILE, SUMMARY_FILE = 'error_tables.json', 'report.html', 'summary.txt'
+TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
 GRID = 7
 """Positions of every rotary axis at which the volume error is drawn."""
@@ -323,13 +321,8 @@ def _overview(result: AxisCalibration) -> Section:
         *(f'Failed: {text}.' for text in result.failed_gates),
         *(verdicts.words[1:] if result.machine.limits else ()),
     )
-    text = (
-        f'{result.machine.name}, chain {result.machine.chain}: '
-        f'{"measurement not good" if result.failed_gates else "measurement good"}',
-        *words,
-    )
     data = {'volume': volume_sizes(result), 'headline': first.to_dict(), **asdict(fit)}
-    return Section('overview', '', words, data, text=text)
+    return Section('overview', '', words, data)
 
 
 def _capital(words: str) -> str:
@@ -354,7 +347,7 @@ def _tile_rows(result: AxisCalibration) -> tuple[tuple[str, str, str], ...]:
 
 
 def _motions(result: AxisCalibration) -> Section:
-    rows, lines = [], ['motion  unit    nodes       min       max         U']
+    rows = []
     for motion in result.machine.motions:
         table = result.tables.motions[motion]
         unit = micro_unit(motion.unit)
@@ -362,14 +355,10 @@ def _motions(result: AxisCalibration) -> Section:
         if not table.identifiable:
             needs = result.advice.get(str(motion), '')
             rows.append((*start, 'not identifiable', '', needs))
-            lines.append(f'{motion:<8}{unit:<8}{len(table.position):>5}   not identifiable')
-            lines.append(f'        needs {needs}')
             continue
         low, high = 1e6 * table.value.min(), 1e6 * table.value.max()
         wide = 1e6 * float(result.expanded[motion].max())
         rows.append((*start, f'{low:.2f}', f'{high:.2f}', f'{wide:.2f}'))
-        size = len(table.position)
-        lines.append(f'{motion:<8}{unit:<8}{size:>5}{low:>10.2f}{high:>10.2f}{wide:>10.2f}')
     head = ('Motion', 'Is', 'Unit', 'Nodes', 'Min', 'Max', 'Largest U (95 %), or what it needs')
     return Section(
         'motions',
@@ -379,7 +368,6 @@ def _motions(result: AxisCalibration) -> Section:
             f'{result.headline.label}.',
         ),
         tables=(Table(head, tuple(rows), (3, 4, 5, 6), folded='All motions'),),
-        text=('', *lines),
         draw=lambda: _pictures(result),
     )
 
@@ -483,7 +471,6 @@ def _lines(result: AxisCalibration) -> Section:
         'Squareness of linear axes, location of rotary axes',
         tuple(words),
         data,
-        text=('', *words),
     )
 
 
@@ -500,6 +487,7 @@ def _reversal(result: AxisCalibration) -> list[Section]:
     ]
     words = (
         f'Reversal model: {reversal.model}. Tables hold the mean of both senses, without lag.',
+        *why_reversal(reversal),
         *lines,
     )
     data = {
@@ -507,8 +495,7 @@ def _reversal(result: AxisCalibration) -> list[Section]:
         **{f'lag {r.axis}': {'value': r.value, 'u': r.u} for r in result.lags},
     }
     tables = (reversal_table(reversal),) if reversal.motions else ()
-    text = (format_reversal(reversal), *lines)
-    return [Section('reversal', 'Reversal', words, data, tables, ('', *text))]
+    return [Section('reversal', 'Reversal', words, data, tables)]
 
 
 def _reversal_words(motion: ErrorMotion, table: ReversalTable) -> str:
@@ -587,7 +574,7 @@ def _with(q: Array, columns: list[int], values: Array) -> Array:
 
 
 def _targets(result: AxisCalibration) -> Section:
-    rows, lines = [], ['']
+    rows = []
     for name, (place, u) in result.targets.items():
         stated = result.machine.targets[name]
         cells = tuple(
@@ -596,7 +583,6 @@ def _targets(result: AxisCalibration) -> Section:
         )
         moved = 1e3 * float(np.linalg.norm(place - np.array(stated.place)))
         rows.append((name, stated.link, *cells, f'{moved:.3f}'))
-        lines.append(f'target {name} (link {stated.link}): {", ".join(cells)} mm')
     head = ('target', 'link', 'x (mm)', 'y (mm)', 'z (mm)', 'away from nominal (mm)')
     return Section(
         'targets',
@@ -604,7 +590,6 @@ def _targets(result: AxisCalibration) -> Section:
         ('As found, with U (k = 2); exact where machine.yaml states u = 0.',),
         {n: {'place': p.tolist(), 'u': u.tolist()} for n, (p, u) in result.targets.items()},
         (Table(head, tuple(rows), (2, 3, 4, 5)),),
-        tuple(lines),
     )
 
 
@@ -686,8 +671,7 @@ def _fit(result: AxisCalibration) -> Section:
         ('path driven', f'{100 * fit.coverage:.1f} %'),
         ('variance of the residuals over that expected', f'{fit.variance_ratio:.3f}'),
     )
-    text = ('', *(f'{a}: {b}' for a, b in rows))
-    return Section('fit', 'Fit', (), asdict(fit), (Table(('', ''), rows),), text)
+    return Section('fit', 'Fit', (), asdict(fit), (Table(('', ''), rows),))
 
 
 def _conventions(result: AxisCalibration) -> Section:
@@ -697,7 +681,7 @@ def _conventions(result: AxisCalibration) -> Section:
         f'Gauge: {GAUGE}.',
         *(f'Not seen: {line}.' for line in result.needs),
     )
-    return Section('conventions', 'Conventions', words, text=('', *words))
+    return Section('conventions', 'Conventions', words)
 
 
 def write_calibration(
@@ -706,7 +690,6 @@ def write_calibration(
     *,
     residuals_csv: bool = False,
     report: bool = True,
-    certificate: bool = False,
     lines: Sequence[BudgetLine] | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
@@ -718,8 +701,6 @@ def write_calibration(
         Write the residuals as text beside residuals.npz.
     report : bool
         Write report.html.
-    certificate : bool
-        Write certificate.html.
     lines : sequence of BudgetLine, optional
         See ``budget_lines_of``; worked out if not given.
     missing : dict of str to str, optional
@@ -730,19 +711,13 @@ def write_calibration(
     data = result_to_dict(result, lines)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
     wanted = {
-        'reversal.csv': lambda: write_text(
-            folder / 'reversal.csv', reversal_csv(result.reversal, result.tables)
-        ),
         'error_tables.csv': lambda: write_text(
             folder / 'error_tables.csv', _rows_csv(result, lines)
-        ),
-        SUMMARY_FILE: lambda: write_text(
-            folder / SUMMARY_FILE, format_result(result, lines) + '\n'
         ),
     }
     if report:
         wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result, lines))
-    if certificate:
+    if result.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE,
             certificate_of_axes(result, verdicts_of(result), data['provenance']),
@@ -753,7 +728,7 @@ def write_calibration(
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(
             arrays, folder, result.machine.axis_names
         )
-    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    written = [name for name, write in wanted.items() if write_if_possible(missing, name, write)]
     return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
@@ -774,11 +749,8 @@ def page(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> 
     return page_html(heading, sections(result, lines, forecast))
 
 
-def format_result(result: AxisCalibration, lines: Sequence[BudgetLine] | None = None) -> str:
-    """Return summary.txt; ``lines`` of the budget are worked out if not given."""
-    return sections_to_text(sections(result, lines))
-
-
 def summary(result: AxisCalibration) -> str:
-    """The first lines of it."""
-    return sections_to_text([_overview(result)])
+    """Return the lines of a terminal."""
+    good = 'measurement not good' if result.failed_gates else 'measurement good'
+    machine = result.machine
+    return '\n'.join([f'{machine.name}, chain {machine.chain}: {good}', *_overview(result).words])

@@ -144,7 +144,7 @@ def _finite(value: float) -> float | None:
 def write_rotary_comparison(
     result: RotaryComparison, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write report.html, comparison.txt and comparison.json.
+    """Write report.html and comparison.json.
 
     Parameters
     ----------
@@ -160,5 +160,4 @@ def write_rotary_comparison(
             Section('errors', 'Errors', tables=(Table(HEAD, tuple(_rows(result)), numbers),)),
         ],
     )
-    text = format_rotary_comparison(result)
-    return write_result(ensure_folder(Path(folder)), 'comparison', page, text, data)
+    return write_result(ensure_folder(Path(folder)), 'comparison', page, data)

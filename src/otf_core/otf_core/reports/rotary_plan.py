@@ -40,6 +40,7 @@ from otf_core.planning.nc.dialect import Dialect
 from otf_core.planning.part_choice import work_by_hand
 from otf_core.planning.rotary_forecast import RotaryForecast, duration_of
 from otf_core.planning.rotary_paths import HAND_MOVE, PlannedPart
+from otf_core.reports.page import Heading, Section, State, Table, micro, micro_unit, page_html
 
 UNKNOWN_VECTORS = 1e-4
 """m; mean uncertainty of error vectors from which they are not determined."""
@@ -141,36 +142,11 @@ def plan_to_dict(plan: RotaryPlan, about: Mapping[str, Any]) -> dict[str, Any]:
 def plan_words(plan: RotaryPlan) -> str:
     """Return the plan in words: parts, what will be seen how well, what not and why."""
     machine, forecast = plan.machine, plan.forecast
-    link = 'bed' if machine.tracker.link == BED else 'table'
-    at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
-    moves = work_by_hand(machine, plan.parts)[0]
-    lines = [
-        f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
-        f'{forecast.duration / 60:.1f} min of driving; {moves} moves of the reflector by hand and '
-        f'{plan.turns} turns to another facing (about {plan.by_hand / 60:.0f} min); the tracker '
-        f'stays where it is throughout',
-        '',
-    ]
     width = max(10, *(len(part.path.target) for part in plan.parts))
+    lines = [*_work_words(plan), '']
     for part, duration in zip(plan.parts, plan.durations, strict=True):
         lines.append(f'  {part.path.target:{width}s} {duration / 60:5.1f} min  {part.words}')
-    for name, own in plan.sight.items():
-        count = facings_needed(own)
-        facings = f'{count} facings of the reflector'
-        share = 100 * own.facings[count - 1]
-        lines.append(
-            f'  {name}: seen in {share:.0f} % of the positions of the rotary axes with {facings} '
-            f'({np.degrees(machine.surroundings.half_angle):.0f} degrees to each side)'
-        )
-        if own.facings[-1] < ENOUGH <= own.open:
-            lines.append(
-                f'  {name}: a cat-eye or an active target sees more (surroundings: half_angle in '
-                f'machine.yaml)'
-            )
-        if own.open < LEAST_OPEN:
-            lines.append(f'  {name}: {_hidden_words(machine, name, own)}')
-    lines += _facing_words(plan)
-    lines += [f'  {sentence}' for sentence in plan.near]
+    lines += [f'  {sentence}' for sentence in _sight_words(plan)]
     lines += ['', _vector_words(forecast)]
     shown = [n for n in forecast.u if n not in forecast.hidden]
     groups = [list(machine.squareness), list(machine.location)]
@@ -184,7 +160,68 @@ def plan_words(plan: RotaryPlan) -> str:
         for why in dict.fromkeys(forecast.hidden.values()):
             names = ', '.join(n for n, own in forecast.hidden.items() if own == why)
             lines.append(f'  {names}: {why}')
-    return '\n'.join(lines) + '\n'
+    return '\n'.join(lines)
+
+
+def plan_page(plan: RotaryPlan, date: str) -> str:
+    """Return the page; ``date`` is when the plan was made."""
+    forecast = plan.forecast
+    parts = tuple(
+        (part.path.target, f'{duration / 60:.1f}', part.words)
+        for part, duration in zip(plan.parts, plan.durations, strict=True)
+    )
+    errors = tuple(
+        (name, micro_unit(unit_of(name)), forecast.hidden.get(name) or micro(u))
+        for name, u in forecast.u.items()
+    )
+    sections = [
+        Section('overview', '', (*_work_words(plan), *_sight_words(plan))),
+        Section('parts', 'Parts', tables=(Table(('Target', 'Time (min)', 'What'), parts, (1,)),)),
+        Section('errors', 'What the parts show', (_vector_words(forecast),),
+                tables=(Table(('Error', 'Unit', 'u (k = 1), or why not seen'), errors),)),
+    ]  # fmt: skip
+    badge = State('all errors shown', 'good')
+    if forecast.hidden:
+        badge = State(f'{len(forecast.hidden)} errors not shown', 'open')
+    name = plan.machine.name
+    return page_html(
+        Heading(f'Plan for {name}', '', (badge,), running=f'{name}, plan, {date}'), sections
+    )
+
+
+def _work_words(plan: RotaryPlan) -> list[str]:
+    """Where the tracker stands, and what driving and moving reflectors by hand takes."""
+    machine = plan.machine
+    link = 'bed' if machine.tracker.link == BED else 'table'
+    at = ', '.join(f'{1e3 * v:.0f}' for v in plan.place)
+    moves = work_by_hand(machine, plan.parts)[0]
+    return [
+        f'{machine.name}, chain {machine.chain}; tracker on the {link} at ({at}) mm',
+        f'{plan.forecast.duration / 60:.1f} min of driving; {moves} moves of the reflector by '
+        f'hand and {plan.turns} turns to another facing (about {plan.by_hand / 60:.0f} min); the '
+        f'tracker stays where it is throughout',
+    ]
+
+
+def _sight_words(plan: RotaryPlan) -> list[str]:
+    """How much of every reflector is seen, and what comes near to it."""
+    machine, lines = plan.machine, list[str]()
+    for name, own in plan.sight.items():
+        count = facings_needed(own)
+        facings = f'{count} facings of the reflector'
+        share = 100 * own.facings[count - 1]
+        lines.append(
+            f'{name}: seen in {share:.0f} % of the positions of the rotary axes with {facings} '
+            f'({np.degrees(machine.surroundings.half_angle):.0f} degrees to each side)'
+        )
+        if own.facings[-1] < ENOUGH <= own.open:
+            lines.append(
+                f'{name}: a cat-eye or an active target sees more (surroundings: half_angle in '
+                f'machine.yaml)'
+            )
+        if own.open < LEAST_OPEN:
+            lines.append(f'{name}: {_hidden_words(machine, name, own)}')
+    return [*lines, *_facing_words(plan), *plan.near]
 
 
 def _facing_words(plan: RotaryPlan) -> list[str]:
@@ -199,14 +236,14 @@ def _facing_words(plan: RotaryPlan) -> list[str]:
         facings = [t for t in driven if targets[t].nest == name]
         if facings:
             lines.append(
-                f'  {name}: {len(facings)} facings planned; turn the reflector to the tracker '
+                f'{name}: {len(facings)} facings planned; turn the reflector to the tracker '
                 f'where the part of each begins'
             )
         elif name in driven:
             whole[name] = facings_needed(own)
     if whole:
         lines.append(
-            f'  {", ".join(whole)}: planned for a reflector that is seen throughout (active '
+            f'{", ".join(whole)}: planned for a reflector that is seen throughout (active '
             f'target); of one that is turned by hand state facings: {max(whole.values())} in '
             f'machine.yaml and plan again'
         )
@@ -273,12 +310,12 @@ def write_plan(
     about: Mapping[str, Any],
     dialect: Dialect | None = None,
 ) -> list[Path]:
-    """Write plan.json, path.csv, path.mcap, forecast.txt and programs; return their paths."""
+    """Write plan.json, path.csv, path.mcap, report.html and programs; return their paths."""
     texts = {} if dialect is None else programs_of(plan, dialect)
     texts |= {
         'plan.json': json.dumps(plan_to_dict(plan, about), indent=1) + '\n',
         'path.csv': path_csv(plan.machine, plan.parts),
-        'forecast.txt': plan_words(plan),
+        'report.html': plan_page(plan, str(about['written'])),
     }
     for name, text in texts.items():
         write_text(folder / name, text)

@@ -103,9 +103,7 @@ class AxisSolution:
 class UnsettledError(InputError):
     """A solution that does not converge; ``joint`` is the one that changed least."""
 
-    def __init__(self, message: str, joint: AxisSolution) -> None:
-        super().__init__(message)
-        self.joint = joint
+    joint: AxisSolution
 
 
 def tables_of(machine: Machine, unknowns: Unknowns, value: Array) -> ErrorTables:
@@ -397,11 +395,12 @@ def solve_jointly(
 def _unsettled(joint: AxisSolution, config: CalibrationConfig, change: float) -> UnsettledError:
     """Say that a solution does not converge; ``change`` is the last one, m."""
     names = ', '.join(r.run.name for r in joint.runs if r.run.name)
-    return UnsettledError(
+    error = UnsettledError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
-        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors',
-        joint,
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
+    error.joint = joint
+    return error
 
 
 def _pull_back(unknowns: Unknowns, rough: Roughness, value: Array) -> Array:

@@ -310,11 +310,6 @@ class Design:
         """Return the same without what products keep to be fast."""
         return replace(self)
 
-    def let_go(self) -> None:
-        """Free what is kept to be fast; it is made anew when it is used."""
-        for name in ('_parts', 'csr'):
-            vars(self).pop(name, None)
-
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
         if len(self.q) <= MAX_PIECES_IN_MEMORY:

@@ -264,17 +264,6 @@ class JointSolution:
     runs: tuple[SolvedRun, ...]
     iterations: int
 
-    def let_go(self) -> None:
-        """Free what takes much memory and can be made anew when it is used."""
-        for run in self.runs:
-            run.whitener.let_go()
-            run.system.rows.let_go()
-
-    def hold(self) -> None:
-        """Make matrices anew that were let go, for much use."""
-        for run in self.runs:
-            run.whitener.hold()
-
 
 @dataclass(frozen=True)
 class Start:

@@ -43,7 +43,6 @@ from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
-from otf_core.memory import give_back
 from otf_core.model.frames import RigidTransform
 from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.design import Design
@@ -450,10 +449,8 @@ def solve_with_reversal(
     progress : callable(stage, fraction)
     """
     shapes = choose_shapes(runs, nodes, config, progress)
-    give_back()
     unknowns = layout(shapes.bases, len(runs))
     plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
-    give_back()
 
     choice = choose_reversal(*plain, config)
     if choice.model == 'none':

@@ -342,33 +342,3 @@ def expected_precision(
             covariance = usual.at(logs)[0]
             precision[part, part] = Positive(covariance).inverse
     return np.asarray(precision / limit**2)
-
-
-@dataclass(frozen=True)
-class Waves:
-    """Smoothness of one motion in units of its axis.
-
-    Attributes
-    ----------
-    sd : float
-        Size of the smooth part g, m or rad.
-    length : float
-        Length of its waves, m.
-    intensity : float
-        Of the second derivative of w, m^2/m^3 or rad^2/m^3.
-    """
-
-    sd: float
-    length: float
-    intensity: float
-
-
-def waves_of(logs: Array, knots: Array, limit: float) -> Waves:
-    """Smoothness of a motion over the range of its knots (k,), m, from its logarithms."""
-    span = float(knots[-1] - knots[0])
-    sizes = np.exp(logs)
-    return Waves(
-        float(limit * np.sqrt(sizes[0])),
-        float(sizes[1] * span),
-        float(limit**2 * sizes[2] / max(span, 1e-12) ** 3),
-    )

@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From smooth functions to tables, and priors of what the data do not show.
+"""From smooth functions to tables.
 
 Node values are those of the table that is nearest to the function in the mean square over the
 range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
 (``table_pitch``), or at a whole fraction of it where the straight lines between them would cost
 more than ``MAX_SHARE_OF_U`` of the uncertainty of the grid.
-
-Beyond the ends of its table a motion continues with its mean slope (tables are constant there) and
-with waves of the size and length that its own data show. Motions and squareness errors that the
-data do not show are taken to be as large as those that they show; translations of an axis that
-does not move (a single plane) grow with the distance from its position.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,9 +24,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-from otf_core.prediction.table_prior import MotionPrior
 from otf_core.solving.joint import JointSolution
-from otf_core.solving.roughness import waves_of
 from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
 from otf_core.solving.unknowns import Basis, Unknowns, linear, motion_gauge
@@ -284,66 +277,12 @@ def _ends(machine: Machine, unknowns: Unknowns) -> tuple[Array, Array]:
 
 
 USUAL_ANGLE = 2e-5
-"""rad; size of rotations, squareness errors and slopes where none is seen at all."""
+"""rad; size of rotations where none is seen at all."""
 
 
-def prior_of(joint: JointSolution, tables: ErrorTables, limit: float) -> dict[str, MotionPrior]:
-    """Size of all motions where no data hold them.
-
-    Parameters
-    ----------
-    tables : ErrorTables
-        Of it.
-    limit : float
-        m and rad; ``unidentifiable_above``.
-
-    Returns
-    -------
-    mapping of motion or squareness error to MotionPrior
-        All motions; of squareness errors those that are not seen.
-    """
-    priors: dict[str, MotionPrior] = {
-        m: _seen(joint, tables, m, limit) for m in MOTIONS if m in joint.roughness.logs
-    }
-    rotations = [m for m in MOTIONS if m in priors and not m.is_translation]
-    size = _root_mean_square([v for m in rotations for v in tables.motions[m].value])
-    slope = _root_mean_square([priors[m].slope for m in rotations])
-    translations = {m: priors[m] for m in MOTIONS if m in priors and m.is_translation}
-    for motion in MOTIONS:
-        if motion not in priors and not motion.is_translation:
-            priors[motion] = MotionPrior(slope=slope, sd=size or USUAL_ANGLE)
-        elif motion not in priors:
-            priors[motion] = _alike(translations, motion)
-    tilts = [tables.squareness[n].value for n in SQUARENESS if n in joint.solution.accepted]
-    for name in SQUARENESS:
-        if name not in joint.solution.accepted:
-            priors[name] = MotionPrior(sd=_root_mean_square(tilts) or USUAL_ANGLE)
-    return priors
-
-
-def _alike(seen: dict[ErrorMotion, MotionPrior], motion: ErrorMotion) -> MotionPrior:
-    """Translation that is not seen, like those that are."""
-    if not seen:
-        return MotionPrior(slope=USUAL_ANGLE)
-    slopes = [p.slope for m, p in seen.items() if m.is_positioning]
-    return MotionPrior(
-        0.0 if motion.is_straightness else _root_mean_square(slopes) or USUAL_ANGLE,
-        _root_mean_square([p.intensity for p in seen.values()]),
-        _root_mean_square([p.sd for p in seen.values()]),
-        float(np.median([p.length for p in seen.values()])),
-    )
-
-
-def _root_mean_square(values: list[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else 0.0
-
-
-def _seen(
-    joint: JointSolution, tables: ErrorTables, motion: ErrorMotion, limit: float
-) -> MotionPrior:
-    knots, table = joint.unknowns.knots[motion.axis], tables.motions[motion]
-    waves = waves_of(joint.roughness.logs[motion], knots, limit)
-    slope = 0.0  # that of a straightness lies in squareness, which goes on
-    if not motion.is_straightness:
-        slope = abs(float(table.value[-1] - table.value[0])) / float(knots[-1] - knots[0])
-    return MotionPrior(slope, waves.intensity, waves.sd, waves.length)
+def unseen_sizes(tables: ErrorTables, accepted: Collection[str]) -> dict[str, float]:
+    """Standard deviations of the rotations that are not seen, rad: like those that are."""
+    rotations = [m for m in MOTIONS if not m.is_translation]
+    seen = [v for m in rotations if m in accepted for v in tables.motions[m].value]
+    size = float(np.sqrt(np.mean(np.square(seen)))) if seen else 0.0
+    return {str(m): size or USUAL_ANGLE for m in rotations if m not in accepted}

@@ -92,7 +92,7 @@ class CovarianceMoments:
         return CovarianceMoments(self.variance[:, some], self.step[:, some], self.square[:, some])
 
 
-@dataclass
+@dataclass(frozen=True)
 class EqualLegs:
     """Some legs of as many pieces.
 
@@ -105,25 +105,12 @@ class EqualLegs:
         ``inverse``, or what it is made of.
     known : CovarianceMoments, optional
         ``moments``, where the covariances were at hand.
-    source : Covariances, optional
-        What ``held`` is made of, where it can be made anew.
     """
 
     legs: Index
     pieces: Index
     held: Array | Covariances
     known: CovarianceMoments | None = None
-    source: Covariances | None = None
-
-    def let_go(self) -> None:
-        """Free the matrices if they can be made anew when they are used."""
-        if self.source is not None:
-            self.held = self.source
-
-    def hold(self) -> None:
-        """Make matrices anew that were let go."""
-        if self.source is not None:
-            self.held = self.inverse
 
     @property
     def inverse(self) -> Array:
@@ -150,7 +137,7 @@ class EqualLegs:
         """Some of the legs, by a mask (n,) or their places."""
         held = self.held if isinstance(self.held, Covariances) else self.held[:, some]
         known = None if self.known is None else self.known.only(some)
-        return EqualLegs(self.legs[some], self.pieces[some], held, known, self.source)
+        return EqualLegs(self.legs[some], self.pieces[some], held, known)
 
     def between(self, low: int, high: int) -> EqualLegs:
         """Those of the legs from one up to another."""
@@ -238,9 +225,7 @@ class Whitener:
             except np.linalg.LinAlgError:
                 raise _two_passes(pieces, own, among) from None
             moments = CovarianceMoments.of(among)
-            if not held[k]:
-                return EqualLegs(legs, own, covariances, moments)
-            return EqualLegs(legs, own, inverse, moments, covariances)
+            return EqualLegs(legs, own, inverse if held[k] else covariances, moments)
 
         groups_alike = map(alike, range(len(groups)))
         return cls(bounds, tuple(groups_alike), _first_passes(pieces, system.q, bounds))
@@ -257,17 +242,6 @@ class Whitener:
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
             alike.append(EqualLegs(legs, own, inverse_of_lower(stacked)))
         return cls(bounds, tuple(alike), np.arange(len(bounds)))
-
-    def let_go(self) -> None:
-        """Free the matrices, which are made anew whenever they are used."""
-        vars(self).pop('once', None)
-        for one in self.alike:
-            one.let_go()
-
-    def hold(self) -> None:
-        """Make the matrices anew, for much use."""
-        for one in self.alike:
-            one.hold()
 
     def scaled(self, factor: Array) -> Whitener:
         """The same for noise with a factor (c, p) on the standard deviation of every piece."""

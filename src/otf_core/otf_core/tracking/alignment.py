@@ -9,15 +9,11 @@ in three or four steps instead of hundreds (docs/formulation.md).
 A motion u + w x l moves a point l along its line d by [d, l x d] . [u, w], which costs nothing;
 all else counts. Points of one line differ in l alone, so a line needs no more of them than their
 moments up to the second.
-
-A control in continuous-path mode leaves one line before its end and meets the next after its
-start. The lines themselves are still driven; where two of them meet is the corner of the path.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +24,7 @@ from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.curves import (
-    SHORT_CURVE,
-    Bulge,
-    Lines,
-    PathShape,
-    bulge_of,
-    replace_chords,
-    straight_shape,
-)
+from otf_core.tracking.curves import Lines, PathShape, largest_sagitta, straight_shape
 from otf_core.tracking.driving_order import (
     FORWARD,
     OFF_PATH,
@@ -50,11 +38,10 @@ from otf_core.tracking.driving_order import (
 )
 from otf_core.tracking.matching import (
     MIN_MATCHED_SHARE,
-    MIN_SHARE_AS_PLANNED,
     MatchingInput,
     cut_track,
 )
-from otf_core.tracking.measured_track import HOP, Track, measured_track
+from otf_core.tracking.measured_track import Track, measured_track
 from otf_core.tracking.no_match import MIRRORED_MESSAGE, match_mirrored, why_no_match
 
 
@@ -146,133 +133,12 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([a[i] * b[j] - a[j] * b[i] for i, j in rest])
 
 
-MIN_HOPS = 11
-"""Hops of a leg that are needed to detect roundings."""
-MIN_LINE = 0.05
-"""m; shorter measured legs may be part of a rounding."""
-MAX_ROUNDING = 0.08
-"""m; a rounding begins no further from its corner."""
-MAX_SINE_OF_PARALLELS = 0.05
-"""Sine of the angle below which two lines have no corner."""
-DEVIATION = 1e-4
-"""m; where a measured leg departs from its own line by more, it is rounded."""
-MAX_BOW_RATIO = 15.0
-"""A leg that is bent all along departs at its ends by less, as a multiple of its middle."""
-MIN_CORNER_DEVIATION, MIN_CORNER_GAP = 5e-4, 3e-3
-"""m; a corner was rounded if its end departs from the line by one or stays away by the other."""
-ROUNDING_TAIL = 1.2
-"""A rounding begins before it can be detected: it departs with the square of the path length."""
-
-
-def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
-    """Where the lines of two measured legs meet beyond them; None if they do not."""
-    (p, q), (u, v) = (values[[i, j]] for values in track.lines)
-    normal = np.cross(u, v)
-    sine = float(np.linalg.norm(normal))
-    if sine < MAX_SINE_OF_PARALLELS or abs(float((q - p) @ normal)) / sine > tolerance:
-        return None
-    s = float(np.cross(q - p, v) @ normal) / sine**2
-    t = float(np.cross(q - p, u) @ normal) / sine**2
-    corner = 0.5 * (p + s * u + q + t * v)
-    past, due = float((corner - track.ends[i]) @ u), float((track.starts[j] - corner) @ v)
-    if not (-tolerance < past < MAX_ROUNDING and -tolerance < due < MAX_ROUNDING):
-        return None
-    return np.asarray(corner)
-
-
-def sharpen_corners(track: Track, tolerance: float) -> Track | None:
-    """Track with the rounding of its corners taken off; None if there is none.
-
-    Parameters
-    ----------
-    tolerance : float
-        m; corners that are rounded less stay.
-    """
-    lengths = track.lengths
-    long = np.flatnonzero(lengths >= MIN_LINE)
-    points, gone = track.points.copy(), np.zeros(len(track.start), dtype=bool)
-    start, stop = track.start.copy(), track.stop.copy()
-    for i, j in pairwise(long.tolist()):
-        if not track.joined[i + 1 : j + 1].all() or lengths[i + 1 : j].sum() > 2 * MAX_ROUNDING:
-            continue
-        if max(lengths[[i, j]] / (track.stop[[i, j]] - track.start[[i, j]])) > 10 * HOP:
-            continue  # no track but jumps
-        corner = _meeting(track, i, j, tolerance)
-        if corner is None:
-            continue
-        between = np.arange(track.stop[i], track.start[j] + 1)
-        off = np.linalg.norm(track.points[between] - corner, axis=1)
-        if off.min() < tolerance:
-            continue
-        hop = int(between[np.argmin(off)])
-        points[hop], stop[i], start[j] = corner, hop, hop
-        gone[i + 1 : j] = True
-    if np.array_equal(points, track.points):
-        return None
-    keep = ~gone
-    return replace(
-        track, points=points, start=start[keep], stop=stop[keep], joined=track.joined[keep]
-    )
-
-
-def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Array:
-    """Length at both ends of measured legs that is rounded, shape (k, 2), m.
-
-    Zero where that is less than ``least`` or the measured leg is too short to decide. A leg is
-    rounded where it departs from its own line, or ends far from the corner, and the track goes on.
-
-    Parameters
-    ----------
-    legs : ndarray of int64, shape (k,)
-        Measured legs, each on one leg of the path.
-    corners : ndarray, shape (k, 2, 3), m
-        Ends of that leg of the path, tracker frame.
-    least : float
-        m.
-    """
-    lengths, points = np.zeros((len(legs), 2)), track.points
-    centre, unit = (values[legs] for values in track.lines)
-    first, last = track.start[legs], track.stop[legs]
-    outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
-    beyond, hop = _length(outer - corners), _length(outer - inner)
-    off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
-    long_enough = (last - first >= MIN_HOPS) & (_length(outer[:, 1] - outer[:, 0]) >= MIN_LINE)
-    goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
-    doubtful = goes_on & (
-        (off >= MIN_CORNER_DEVIATION) | (beyond >= np.maximum(MIN_CORNER_GAP, 2 * hop))
-    )
-    for k, side in np.argwhere(doubtful & long_enough[:, None]).tolist():
-        way = points[first[k] : last[k] + 1][:: -1 if side else 1]
-        lengths[k, side] = _rounding_length(way, centre[k], unit[k], corners[k, side], least)
-    return lengths
-
-
-def _rounding_length(way: Array, centre: Array, unit: Array, corner: Array, least: float) -> float:
-    """Length of the rounding at the start of points (n, 3) of a leg, m; zero if there is none."""
-    off, quarter = _across(way - centre, unit), len(way) // 4
-    limit = max(DEVIATION, MAX_BOW_RATIO * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
-    straight = np.flatnonzero(off[1 : 2 * quarter] < limit)
-    if not len(straight):
-        return 0.0
-    length = float(_length(way[straight[0]] - corner))
-    return ROUNDING_TAIL * length + 1e-3 if least < length < MAX_ROUNDING else 0.0
-
-
-def _length(vectors: Array) -> Array:
-    return np.asarray(np.linalg.norm(vectors, axis=-1))
-
-
-def _across(vectors: Array, unit: Array) -> Array:
-    """Length of vectors (..., 3) across unit vectors."""
-    return _length(vectors - np.sum(vectors * unit, axis=-1, keepdims=True) * unit)
-
-
+MIN_SAGITTA_REMARK = 2e-6
+"""m; a sagitta of the published chords that is worth a remark."""
 MIN_SHARE_UNDOUBTED = 0.9
 """If a smaller share does, the track may be mirrored."""
 MIN_GAIN_MIRRORED = 0.1
 """More of the measured length that a mirrored track must explain."""
-MIN_GAIN_SHARPENED = 0.005
-"""The same for a track with its corners sharpened."""
 
 
 @dataclass(frozen=True)
@@ -295,10 +161,6 @@ class Alignment:
     published : ndarray of int64, shape (m,), optional
         Leg of the published path of every leg, ``OFF_PATH`` for connecting moves; the same
         numbers without it.
-    rounded : ndarray, shape (m, 2), optional
-        Length at the start and the end of every leg that the machine rounds, m.
-    bulge : Bulge, optional
-        Whether curves were driven along chords or arcs; None if that makes no difference.
     """
 
     T_machine_tracker: RigidTransform
@@ -308,8 +170,6 @@ class Alignment:
     last_leg_driven: bool
     curves: PathShape | None = None
     published: Index | None = None
-    rounded: Array | None = None
-    bulge: Bulge | None = None
 
     @property
     def shape(self) -> PathShape:
@@ -319,14 +179,18 @@ class Alignment:
     @property
     def remark(self) -> str:
         """What the reader of a result should know of the driven path; empty if nothing."""
-        return '' if self.bulge is None else self.bulge.remark
+        sagitta = largest_sagitta(Lines.of(self.shape))
+        if sagitta < MIN_SAGITTA_REMARK:
+            return ''
+        return (
+            f'curves are published as chords of up to {1e6 * sagitta:.2g} um sagitta and taken as '
+            f'driven along these chords: publish chords of 1 mm or less'
+        )
 
 
-def _refine(
-    match: Match, driven: Driven, rounded: Array, config: CalibrationConfig
-) -> RigidTransform:
+def _refine(match: Match, driven: Driven, config: CalibrationConfig) -> RigidTransform:
     """Fine alignment on the hops of the assigned legs."""
-    margin = np.maximum(config.corner_exclusion, rounded)
+    margin = config.corner_exclusion
     track, lines = match.track, Lines.of(driven.shape)
     legs = _hop_legs(match)
     use = legs != OFF_PATH
@@ -338,7 +202,7 @@ def _refine(
         chord = lines.settled(points, chord)
         along = lines.start[chord] + lines.along(points, chord)
         total = lines.total[chord]
-        inside = (along > margin[chord, 0]) & (along < total - margin[chord, 1])
+        inside = (along > margin) & (along < total - margin)
         if inside.sum() < 10:
             raise InputError('hardly any point lies on a line of the path away from its corners')
         weight = inside / total  # every leg counts alike, however fast it was driven
@@ -358,20 +222,6 @@ def _hop_legs(match: Match) -> Index:
     for k, (first, last, leg) in enumerate(pairs):
         legs[first : last + 1] = k if leg != OFF_PATH else OFF_PATH
     return legs
-
-
-def _match(track: Track, guide: MatchingInput, tolerance: float) -> Match | None:
-    """Match a track; if that fails, with the rounding of its corners taken off."""
-    match = guide.find(track, tolerance)
-    if match is not None and match.explained > MIN_SHARE_AS_PLANNED:
-        return match
-    sharp = sharpen_corners(track, tolerance)
-    other = None if sharp is None else guide.find(sharp, tolerance)
-    if other is not None and (
-        match is None or other.explained > match.explained + MIN_GAIN_SHARPENED
-    ):
-        return other
-    return match
 
 
 def _coverage(match: Match, guide: MatchingInput, slack: float) -> float:
@@ -414,8 +264,6 @@ class FollowedTrack:
     ----------
     match : Match
         With the track as it was matched.
-    rounded : ndarray, shape (m, 2), m
-        See ``Alignment``.
     pose : RigidTransform
         Tracker to machine.
     """
@@ -426,7 +274,6 @@ class FollowedTrack:
     guide: MatchingInput
     match: Match
     driven: Driven
-    rounded: Array
     pose: RigidTransform
 
     @property
@@ -461,7 +308,7 @@ def align(
     known = follow_track(samples, path, config, seen)
     tolerance, driven, pose = config.match_tolerance, known.driven, known.pose
     exclusion = config.corner_exclusion
-    alignment = Alignment(
+    return Alignment(
         pose,
         driven.shape.corners,
         sample_chords(known.match, driven, pose, samples.xyz, exclusion, 4 * tolerance),
@@ -469,11 +316,7 @@ def align(
         known.to_the_end,
         driven.shape,
         driven.published,
-        known.rounded,
     )
-    if driven.shape.straight:
-        return alignment
-    return _on_arcs(alignment, pose.apply(samples.xyz), SHORT_CURVE * exclusion)
 
 
 def follow_track(
@@ -488,7 +331,7 @@ def follow_track(
     if seen is not None and seen.is_of(measured, path, config):
         return seen
     guide, track = MatchingInput.of(path, tolerance), measured
-    match = _match(track, guide, tolerance)
+    match = guide.find(track, tolerance)
     if match is None or match.explained < MIN_MATCHED_SHARE:
         raise InputError(
             f'samples do not follow the path: {why_no_match(samples, track, guide, tolerance)}'
@@ -498,9 +341,9 @@ def follow_track(
         if image is not None and image.explained > match.explained + MIN_GAIN_MIRRORED:
             raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
-    track, rounded = match.track, _rounding_of_legs(match, driven, config)
+    track = match.track
     for _ in range(2):
-        pose = _refine(match, driven, rounded, config)
+        pose = _refine(match, driven, config)
         whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
         match = assign_legs(pose, whole, guide.vertices, tolerance, match.free)
         if match.explained < MIN_MATCHED_SHARE:
@@ -510,45 +353,8 @@ def follow_track(
                 f'{why_no_match(samples, track, guide, tolerance)}'
             )
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
-        rounded = _rounding_of_legs(match, driven, config)
-    pose = _refine(match, driven, rounded, config)
-    return FollowedTrack(measured, path, config, guide, match, driven, rounded, pose)
-
-
-def _on_arcs(alignment: Alignment, points: Array, least: float) -> Alignment:
-    """Take the arcs through the joints of curves for the path, if they were driven."""
-    lines = Lines.of(alignment.shape)
-    on = np.flatnonzero(alignment.leg != OFF_PATH)
-    on = on[lines.shape.curved[alignment.leg[on]]]
-    bulge = bulge_of(points[on], alignment.leg[on].astype(np.int64), lines, least)
-    if bulge is None or not bulge.arcs:
-        return replace(alignment, bulge=bulge)
-    shape, start, parent = replace_chords(lines)
-    leg = np.where(alignment.leg == OFF_PATH, OFF_PATH, start[alignment.leg])
-    on = np.flatnonzero(leg != OFF_PATH)
-    leg[on] = Lines.of(shape).settled(points[on], leg[on])
-    assert alignment.published is not None and alignment.rounded is not None
-    return replace(
-        alignment,
-        corners=shape.corners,
-        leg=leg.astype(np.int32),
-        curves=shape,
-        published=alignment.published[parent],
-        rounded=alignment.rounded[parent],
-        bulge=bulge,
-    )
-
-
-def _rounding_of_legs(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
-    """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
-    rounding = np.zeros((len(driven.shape.stretch), 2))
-    legs = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
-    chord = driven.chord[legs]
-    corners = Legs(driven.shape.corners).seen_from(match.pose).corners
-    ends = np.stack([corners[chord], corners[chord + 1]], axis=1)
-    rounded = rounded_ends(match.track, legs, ends, config.corner_exclusion)
-    np.maximum.at(rounding, chord, rounded)
-    return rounding
+    pose = _refine(match, driven, config)
+    return FollowedTrack(measured, path, config, guide, match, driven, pose)
 
 
 def _reaches_end(match: Match, vertices: Array, tolerance: float) -> bool:

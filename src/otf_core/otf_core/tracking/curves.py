@@ -11,11 +11,8 @@ feet on the chords. Deviations across the path of samples at small angles f to t
 up to the deviation of the mean but for a share <f^2> of it, at most MAX_TURN^2 / 12: no sagitta
 enters.
 
-The control may have driven the chords, or arcs (G2, G3) or a spline through their ends. Between
-two joints an arc of curvature k leaves its chord L by k s (L - s) / 2, at most by the sagitta
-k L^2 / 8: 1 um for chords of 1 mm and a radius of 125 mm, 26 um for 5 mm and 120 mm. That profile
-repeats from chord to chord, as no error of a machine does, so the samples show how much of it was
-driven.
+The path is the chords as they are published. An arc of curvature k leaves a chord of length L by
+at most the sagitta k L^2 / 8: 1 um for chords of 1 mm and a radius of 125 mm.
 """
 
 from __future__ import annotations
@@ -192,38 +189,6 @@ def _groups(stretch: Index, length: Array, turn: Array) -> Index:
 
 MAX_TURN = 0.1
 """rad; a piece turns no more, so that its deviation is true to 0.1 %."""
-ROUNDING = 2e-6
-"""m; a joint that rounding could move by less is not left out."""
-
-
-def joint_rounding(lines: Lines) -> Array:
-    """Most that rounding could move the path at the joints of chords, shape (m - 1,), m.
-
-    An arc that touches both chords no further away than half of the shorter one leaves their
-    joint by a quarter of that half times the turn.
-    """
-    shorter = np.minimum(lines.length[:-1], lines.length[1:])
-    return np.asarray(shorter * turns(lines.unit) / 8.0)
-
-
-def near_joints(lines: Lines, chord: Index, along: Array, exclusion: float) -> NDArray[np.bool_]:
-    """Samples so near a joint of a curve that its rounding could matter.
-
-    Parameters
-    ----------
-    chord : ndarray of int64, shape (n,)
-    along : ndarray, shape (n,), m
-        From the start of the chord.
-    exclusion : float
-        m; at most a quarter of the chord.
-    """
-    coarse = joint_rounding(lines) > ROUNDING
-    inner = lines.shape.stretch[1:] == lines.shape.stretch[:-1]
-    before = np.concatenate([[False], coarse & inner])
-    after = np.concatenate([coarse & inner, [False]])
-    margin = np.minimum(exclusion, 0.25 * lines.length)[chord]
-    rest = lines.length[chord] - along
-    return np.asarray((before[chord] & (along < margin)) | (after[chord] & (rest < margin)))
 
 
 def curve_boundaries(corners: Array, nodes: tuple[Array, ...], size: float) -> Array:
@@ -262,154 +227,12 @@ def curve_boundaries(corners: Array, nodes: tuple[Array, ...], size: float) -> A
     return np.concatenate([*parts, [reach[-1]]])
 
 
-MIN_SAGITTA = 2e-7
-"""m; flatter chords are as good as arcs."""
-SAGITTA_OF_ARCS = 5e-8
-"""m; sagitta of the chords that stand for an arc."""
-JACKKNIFE_BLOCKS = 20
-"""Parts of the run whose scatter gives the uncertainty."""
-MIN_SAGITTA_REMARK = 2e-6
-"""m; what is left of the sagitta is worth a remark."""
-MAX_U_OF_SHARE = 0.2
-"""Uncertainty of the share above which the samples do not decide."""
-MIN_ARC_SHARE = 0.5
-"""Share from which on arcs are closer to what was driven than chords."""
-
-
-@dataclass(frozen=True)
-class Bulge:
-    """How much of the arcs was driven.
-
-    Attributes
-    ----------
-    share : float
-        0 for chords, 1 for arcs.
-    u : float
-        Its standard uncertainty; infinite if the samples do not show it.
-    sagitta : float
-        Of the curves, largest, m.
-    """
-
-    share: float
-    u: float
-    sagitta: float
-
-    @property
-    def arcs(self) -> bool:
-        """True if arcs are what was driven."""
-        return self.share >= MIN_ARC_SHARE and self.share > 3.0 * self.u
-
-    @property
-    def remark(self) -> str:
-        """What the reader of a result should know; empty if all is clear."""
-        distance = min(abs(self.share), abs(1.0 - self.share)) * self.sagitta
-        size = f'sagitta of the published chords: {1e6 * self.sagitta:.2g} um'
-        if not self.u < MAX_U_OF_SHARE and self.sagitta > MIN_SAGITTA_REMARK:
-            return (
-                f'the samples do not show whether curves were driven along chords or arcs '
-                f'({size}); chords are assumed: publish finer chords'
-            )
-        if distance > MIN_SAGITTA_REMARK and distance > 3.0 * self.u * self.sagitta:
-            return (
-                f'curves were driven neither along their chords nor along arcs through their '
-                f'joints ({100 * self.share:.0f} % of the way between, {size}): publish finer '
-                f'chords or what the control makes of them'
-            )
-        return ''
-
-
-def curvature(lines: Lines) -> Array:
-    """Curvature vector at both ends of every chord, shape (m, 2, 3), 1/m; zero off curves.
-
-    That of the circle through a joint and its two neighbours points to the centre; the ends of a
-    curve take that of the next joint.
-    """
-    length, unit = lines.length, lines.unit
+def largest_sagitta(lines: Lines) -> float:
+    """Largest distance of the arcs through the joints of curves from their chords, m."""
     inner = lines.shape.stretch[1:] == lines.shape.stretch[:-1]
-    # (u2 - u1) / mean length is the curvature to first order of the turn
-    joint = 2.0 * np.diff(unit, axis=0) / (length[1:] + length[:-1])[:, None]
-    joint = np.where(inner[:, None], joint, 0.0)
-    start = np.concatenate([np.zeros((1, 3)), joint])
-    end = np.concatenate([joint, np.zeros((1, 3))])
-    first = np.concatenate([[True], ~inner])
-    last = np.concatenate([~inner, [True]])
-    start[first], end[last] = end[first], start[last]
-    return np.stack([start, end], axis=1)
-
-
-def _offset(lines: Lines, bend: Array, chord: Index, along: Array) -> Array:
-    """Offset of the arcs from their chords, shape (n, 3), m."""
-    length = lines.length[chord]
-    share = np.clip(along / length, 0.0, 1.0)[:, None]
-    mean = (1.0 - share) * bend[chord, 0] + share * bend[chord, 1]
-    return np.asarray(-0.5 * (np.clip(along, 0.0, length) * (length - along))[:, None] * mean)
-
-
-def _freed(values: Array, width: int) -> Array:
-    """Values less their running mean over ``width`` samples."""
-    total = np.cumsum(np.concatenate([[0.0], values]))
-    index = np.arange(len(values))
-    low, high = np.maximum(index - width // 2, 0), np.minimum(index + width // 2 + 1, len(values))
-    return np.asarray(values - (total[high] - total[low]) / (high - low))
-
-
-def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge | None:
-    """Determine how much of the arcs was driven; None if there is no curve or it cannot matter.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3), m
-        Samples on curves in order of time, machine frame.
-    chord : ndarray of int64, shape (n,)
-    least : float
-        m; shorter curves do not count.
-    """
-    bend = curvature(lines)
-    size = np.linalg.norm(bend, axis=2).mean(axis=1)
-    sagitta = size * lines.length**2 / 8.0
-    visible = (sagitta[chord] > MIN_SAGITTA) & (lines.total[chord] >= least)
-    points, chord = points[visible], chord[visible]
-    if not len(points):
-        return None
-    largest = float(sagitta[chord].max())
-    along = lines.along(points, chord)
-    offset = _offset(lines, bend, chord, along)
-    outward = -bend[chord].mean(axis=1) / size[chord, None]
-    local = points - lines.shape.corners[chord] - along[:, None] * lines.unit[chord]
-    passed = max(1, int(np.count_nonzero(np.diff(chord))))
-    width = max(7, int(np.ceil(3.0 * len(chord) / passed)))
-    shape = _freed(np.einsum('ij,ij->i', offset, outward), width)
-    seen_shape = _freed(np.einsum('ij,ij->i', local, outward), width)
-    limit = 10.0 * float(np.median(np.abs(seen_shape)))  # jumps between curves are no profile
-    shape = np.where(np.abs(seen_shape) < limit, shape, 0.0)
-    block = np.arange(len(shape)) * JACKKNIFE_BLOCKS // len(shape)
-    weight = np.bincount(block, shape**2, JACKKNIFE_BLOCKS)
-    share = np.bincount(block, shape * seen_shape, JACKKNIFE_BLOCKS) / np.maximum(weight, 1e-30)
-    total = float(weight.sum())
-    if total <= 0.0:
-        return Bulge(0.0, np.inf, largest)
-    mean = float(share @ weight) / total
-    spread = float((share - mean) ** 2 @ weight**2) / total**2
-    return Bulge(mean, float(np.sqrt(spread)), largest)
-
-
-def replace_chords(lines: Lines) -> tuple[PathShape, Index, Index]:
-    """Replace the chords of curves by finer ones along their arcs.
-
-    Returns
-    -------
-    shape : PathShape
-    start : ndarray of int64, shape (m,)
-        The first of the chords that stand for each old one.
-    parent : ndarray of int64, shape (m2,)
-        The old chord of each new one.
-    """
-    bend, length = curvature(lines), lines.length
-    sagitta = np.linalg.norm(bend, axis=2).max(axis=1) * length**2 / 8.0
-    count = np.maximum(1, np.ceil(np.sqrt(sagitta / SAGITTA_OF_ARCS))).astype(np.int64)
-    parent = np.repeat(np.arange(len(length)), count)
-    start = np.concatenate([[0], np.cumsum(count)[:-1]])
-    along = (np.arange(len(parent)) - start[parent]) / count[parent] * length[parent]
-    points = lines.shape.corners[parent] + along[:, None] * lines.unit[parent]
-    points += _offset(lines, bend, parent, along)
-    return shape_of(np.concatenate([points, lines.shape.corners[-1:]])), start, parent
+    if not inner.any():
+        return 0.0
+    length = lines.length
+    # turn over mean length is the curvature to first order of the turn
+    bend = 2.0 * turns(lines.unit) / (length[1:] + length[:-1])
+    return float((bend * np.maximum(length[1:], length[:-1]) ** 2)[inner].max()) / 8.0

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
+from otf_core.blocks import blocks
 from otf_core.errors import InputError
-from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 
 HOP = 1e-3

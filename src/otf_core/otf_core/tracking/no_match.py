@@ -99,6 +99,7 @@ SAME_UNIT = 0.05
 
 def _resembles(samples: Samples, guide: MatchingInput, tolerance: float) -> str:
     """State within which tolerance the track would fit, and whether corners are why."""
+    otherwise = ''
     for factor in WIDER_TOLERANCES:
         enough = factor * tolerance
         match = guide.find(measured_track(samples, enough), enough)
@@ -106,16 +107,17 @@ def _resembles(samples: Samples, guide: MatchingInput, tolerance: float) -> str:
             continue
         beside = _beside_lines(match, guide.vertices)
         if beside > MAX_RATIO_OF_DISTANCES * enough:
-            return (
+            otherwise = otherwise or (
                 f'it resembles the path, but lies {1e3 * beside:.2g} mm off the middle of its '
                 f'lines: is it the path of another program or machine, or at another scale?'
             )
+            continue
         return (
             f'they fit within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
             f'Its lines fit, its corners are rounded: raise match_tolerance to {enough:g} '
             f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
         )
-    return ''
+    return otherwise
 
 
 def _beside_lines(match: Match, corners: Array) -> float:

@@ -20,8 +20,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
-QUICK = ('--levels', '2', '--passes', '1', '--rate', '200', '--corner-dwell', '0.05',
-         '--end-dwell', '3')  # fmt: skip
+QUICK = ({'levels': 2, 'passes': 1, 'rate': 200, 'corner_dwell': 0.05, 'end_dwell': 3},)
 
 
 one_chain = pytest.mark.parametrize('done', CONTRACT_CHAINS[:1], indirect=True)

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from cli_cells import message, run
+from cli_cells import message, run, words_of
 from core_cells import some_machine
 
 import otf_core
@@ -23,8 +23,7 @@ from otf_core.effects.effects_yaml import effects_from_data
 from otf_core.model.kinematics import exact_position
 from otf_core.model.tables import load_tables
 
-QUICK = ('--levels', '2', '--passes', '1', '--rate', '50', '--corner-dwell', '0.1',
-         '--end-dwell', '1')  # fmt: skip
+QUICK = ({'levels': 2, 'passes': 1, 'rate': 50, 'corner_dwell': 0.1, 'end_dwell': 1},)
 
 
 @pytest.fixture(scope='module')
@@ -48,8 +47,6 @@ VERBS = {
     'diagnose': ('diagnose', 'no-bag', '--machine', 'no.yaml'),
     'noise': ('noise', 'no-bag'),
     'compare': ('compare', 'no.json', 'no.json'),
-    'validate': ('validate', '--quick'),
-    'blind': ('blind', '--trials', '1', '--seed', '1'),
     'plan': ('plan', '--machine', 'no.yaml'),
     'simulate': ('simulate', '--machine', 'no.yaml'),
 }
@@ -94,7 +91,7 @@ def test_results_are_refused_then_replaced(bags, place, capsys):
     capsys.readouterr()
     assert run(*arguments) == 2
     assert 'out: holds files already' in message(capsys)
-    Path('out', 'summary.txt').touch()  # another date, the same content
+    Path('out', 'report.html').touch()  # another date, the same content
     assert run(*arguments, '--overwrite') in (0, 4)
     assert sorted(os.listdir('out')) == names
 
@@ -130,32 +127,6 @@ def test_simulated_bags_are_replaced_if_asked(bags, place):
         assert sorted(p.name for p in Path().rglob('*')) == before
     seeds = [json.loads(Path(name).read_text())['seed'] for name in TRUTH]
     assert seeds == [2, 2]
-
-
-def test_blind_trial_goes_on_in_its_folder_and_is_replaced_only_if_asked(
-    place, capsys, monkeypatch
-):
-    from otf_core.blind import trial
-
-    def once(trials, seed, folder, workers, progress):
-        Path(folder, 'cells', '000').mkdir(parents=True, exist_ok=True)
-        Path(folder, 'cells', '000', 'machine.yaml').write_text(str(seed))
-        for name in ('key.json', 'key.sha256', 'score.txt'):
-            Path(folder, name).write_text(str(seed))
-        return trial.TrialResult('done', {})
-
-    monkeypatch.setattr(trial, 'run_trial', once)
-    assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0
-    Path('blind', 'answers').mkdir()
-    Path('blind', 'answers', 'seconds.txt').write_text('1.0')
-    assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0
-    assert run('blind', '--trials', '1', '--seed', '2', '--out', 'blind', '--overwrite') == 0
-    assert not Path('blind', 'answers').exists()
-    assert Path('blind', 'key.json').read_text() == '2'
-    Path('blind', 'notes.txt').write_text('mine')
-    capsys.readouterr()
-    assert run('blind', '--trials', '1', '--seed', '3', '--out', 'blind', '--overwrite') == 2
-    assert 'notes.txt' in message(capsys)
 
 
 def test_command_ended_by_a_signal_leaves_nothing(bags, place):
@@ -305,7 +276,7 @@ def test_full_output_is_said_and_the_results_are_there(place):
     with open('/dev/full', 'w') as full:
         done = subprocess.run(
             [sys.executable, '-m', 'otf_core.cli', 'simulate', '--machine', 'machine.yaml',
-             '--out', 'out', *QUICK],
+             '--out', 'out', *words_of(*QUICK)],
             env={**os.environ, 'PYTHONPATH': str(source)},
             stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip

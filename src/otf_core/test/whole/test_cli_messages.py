@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 import yaml
-from cli_cells import read_csv, run
+from cli_cells import read_csv, run, words_of
 from core_cells import some_machine
 
 from otf_core.files.writing import whole_file, write_text
@@ -32,9 +32,24 @@ def machine_file(tmp_path):
         (('plan', '--machine', 'M', '--out', 'OUT', '--feed', 'fast'), '--feed'),
         (('plan', '--machine', 'M', '--out', 'OUT', '--feed', '0'), '--feed'),
         (('plan', '--machine', 'M', '--out', 'OUT', '--feed', 'nan'), '--feed'),
-        (('plan', '--machine', 'M', '--out', 'OUT', '--passes', '0'), '--passes'),
-        (('plan', '--machine', 'M', '--out', 'OUT', '--passes', '1.5'), '--passes'),
-        (('plan', '--machine', 'M', '--out', 'OUT', '--margin', '0.1'), 'margin'),
+        (('plan', '--machine', 'M', '--out', 'OUT', {'passes': 0}), '.yaml: passes: 0 is out of'),
+        (('plan', '--machine', 'M', '--out', 'OUT', {'passes': 1.5}), 'passes: expected a whole'),
+        (('plan', '--machine', 'M', '--out', 'OUT', {'margin': 0.1}), 'margin'),
+        (('plan', '--machine', 'M', '--out', 'OUT', {'lap': 1}), 'lap: unknown key; known to otf'),
+        (
+            ('plan', '--machine', 'M', '--out', 'OUT', {'reversal': 'none'}),
+            'a key of otf',
+        ),
+        (('plan', '--machine', 'M', '--out', 'OUT', '--config', 'no.yaml'), 'no.yaml'),
+        (
+            ('diagnose', 'B', '--machine', 'M', '--out', 'OUT', {'exclude': 'x'}),
+            'a list of',
+        ),
+        (
+            ('diagnose', 'B', '--machine', 'M', '--out', 'OUT', {'exclude': ['x']}),
+            'exclude: x',
+        ),
+        (('calibrate', 'B', '--machine', 'M', '--out', 'OUT', {'report': 'no'}), 'true or false'),
         (('plan', '--machine', 'nowhere.yaml', '--out', 'OUT'), 'nowhere.yaml'),
         (('plan', '--machine', 'M', '--out', 'M'), 'machine.yaml'),
         (('plan', '--machine', 'M', '--out', 'M/x'), 'machine.yaml'),
@@ -50,7 +65,7 @@ def test_wrong_usage_is_one_line_exit_code_2_and_no_output(
     machine_file, monkeypatch, capsys, arguments, word
 ):
     monkeypatch.chdir(machine_file.parent)
-    named = [str(a).replace('OUT', 'out') for a in arguments]
+    named = [a.replace('OUT', 'out') for a in words_of(*arguments)]
     named = [a.replace('M', 'machine.yaml') if a in ('M', 'M/x') else a for a in named]
     assert run(*named) == 2
     shown = capsys.readouterr()
@@ -104,7 +119,7 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[9,0,0]], "feed": [1], "dwell": [1, 1]}',
          (), 'plan: path: point 1 leaves the range of axis X'),
         ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [1], "dwell": [1, 1]}',
-         ('--feed', '3000'), '--feed: '),
+         ('--feed', '3000'), 'feed: '),
         ('{"schema', (), 'plan: not valid JSON'),
         ('G1 X0 Y0', (), 'plan: is an NC program that never states where Z stands'),
         ('a,b\n1,2', (), 'expected the header x,y,z'),
@@ -132,7 +147,7 @@ def test_file_that_cannot_be_finished_leaves_the_old_one(tmp_path):
 
 def test_plan_writes_the_path_it_tells_of(machine_file, capsys):
     out = machine_file.parent / 'plan'
-    assert run('plan', '--machine', machine_file, '--out', out, '--passes', '1') == 0
+    assert run('plan', '--machine', machine_file, '--out', out, {'passes': 1}) == 0
     header, points = read_csv(out / 'path.csv')
     assert header == 'x,y,z'
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
@@ -143,7 +158,7 @@ def test_feed_is_in_millimetres_per_minute(machine_file, capsys):
     def seconds(feed):
         out = machine_file.parent / 'plan'
         run('plan', '--machine', machine_file, '--out', out, '--feed', feed,
-            '--corner-dwell', '0', '--end-dwell', '0', '--passes', '1')  # fmt: skip
+            {'corner_dwell': 0, 'end_dwell': 0, 'passes': 1})  # fmt: skip
         words = capsys.readouterr().out.replace(':', ' ').replace(';', ' ').split()
         return float(words[words.index('s') - 1]), float(words[words.index('m,') - 1])
 

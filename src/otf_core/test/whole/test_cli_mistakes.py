@@ -97,6 +97,23 @@ def test_monsters_in_other_files(place, capsys, option, content, words):
     assert not Path('out').exists()
 
 
+@pytest.mark.parametrize(
+    ('content', 'words'),
+    [
+        (f'passes: {HUGE}', 'passes: the number is too large'),
+        (f'margin: {HUGE}', 'margin: the number is too large'),
+        (f'levels: 0x{"f" * 9000}', 'levels: the number is too large'),
+        ('passes: 1\npasses: 2', "key 'passes' appears twice"),
+        ('- passes', 'expected a mapping'),
+    ],
+)
+def test_monsters_in_a_config(place, capsys, content, words):
+    Path('c.yaml').write_text(content)
+    assert run('plan', '--machine', 'machine.yaml', '--config', 'c.yaml', '--out', 'out') == 2
+    said = message(capsys)
+    assert words in said and said.startswith('otf plan: c.yaml: ')
+
+
 @pytest.mark.parametrize('content', ['{"u_range": NUMBER}'.replace('NUMBER', HUGE), '[' * 100_000])
 def test_monsters_in_a_noise_file(place, capsys, content):
     Path('noise.json').write_text(content)
@@ -114,8 +131,8 @@ def test_monsters_in_a_noise_file(place, capsys, content):
         ),
         (('xyz',), "otf: unknown command 'xyz'; commands: check, info, "),
         (
-            ('calibrate', 'bag', '--machine', 'm', '--out', 'o', '--piece-lenght', '1'),
-            'otf calibrate: unknown option --piece-lenght; did you mean --piece-length? '
+            ('calibrate', 'bag', '--machine', 'm', '--out', 'o', '--methd', '1'),
+            'otf calibrate: unknown option --methd; did you mean --method? '
             '(see otf calibrate --help)',
         ),
         (
@@ -136,5 +153,5 @@ def test_typing_mistakes_point_to_what_was_meant(capsys, arguments, words):
 def test_help_lists_choices_and_overwriting(capsys):
     assert run('calibrate', '--help') == 0
     said = ' '.join(capsys.readouterr().out.split())
-    assert '--reversal {auto,none,constant,tables}' in said
+    assert '--method {otf,standstill}' in said and 'piece_length' in said
     assert '--overwrite' in said

@@ -50,8 +50,8 @@ def test_bag_without_end_is_read_and_damage_inside_needs_recover(tmp_path, capsy
     data[len(data) // 2] ^= 1
     file.write_bytes(data[:-100])
     assert run('noise', file, '--out', tmp_path / 'out') == 3
-    assert '--recover' in capsys.readouterr().err
-    assert run('noise', file, '--out', tmp_path / 'out', '--recover') == 0
+    assert 'recover: true in --config' in capsys.readouterr().err
+    assert run('noise', file, '--out', tmp_path / 'out', {'recover': True}) == 0
     assert 'the damaged chunk at byte' in caplog.text
     assert 'a.mcap has no end (cut off, or still being recorded)' in caplog.text
 

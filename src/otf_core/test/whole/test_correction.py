@@ -23,7 +23,7 @@ from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.removable_effect import removable_effect
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated_effect import FILE, FOUND, format_effects
+from otf_core.effects.stated_effect import FILE, FOUND
 from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
@@ -296,8 +296,6 @@ def test_effects_are_listed_with_value_u_and_unit(runs_and_nodes):
     stated = found.taken_off(SimpleNamespace(runs=runs, joint=done)).stated
     assert set(stated[0].u) == {'tau', 'S_X', 'S_Y', 'S_X_2'} and stated[0].how == FOUND
     assert stated[0].units['S_X_2'] == 'm/m' and stated[0].units['tau'] == 's'
-    text = format_effects(stated)
-    assert 'thermal_axis_expansion (found by diagnosis)' in text and 'as given' in text
 
 
 @dataclass(frozen=True)

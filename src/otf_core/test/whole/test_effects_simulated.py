@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import yaml
+from cli_cells import words_of
 from core_cells import some_machine
 from effect_cells import (
     DISPLACING,
@@ -234,8 +235,8 @@ def test_command_line_adds_effects(machine, tmp_path):
     (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(machine.to_dict()))
     (tmp_path / 'e.yaml').write_text('[{effect: tracker_range_offset, parameters: {c: 1e-4}}]')
     (tmp_path / 'wrong.yaml').write_text('[{effect: backlash, parameters: {B_W: 1e-4}}]')
-    common = ['simulate', '--machine', str(tmp_path / 'machine.yaml'), '--passes', '1', '--rate',
-              '20', '--feed', '30000', '--levels', '2']  # fmt: skip
+    quick = words_of({'passes': 1, 'levels': 2, 'feed': 0.5, 'rate': 20})
+    common = ['simulate', '--machine', str(tmp_path / 'machine.yaml'), *quick]
     effects = ['--effects', str(tmp_path / 'e.yaml')]
     assert cli.main([*common, '--out', str(tmp_path / 'plain')]) == 0
     assert cli.main([*common, *effects, '--out', str(tmp_path / 'moved')]) == 0

@@ -5,16 +5,16 @@ import json
 
 import pytest
 import yaml
+from cli_cells import run
 from nature import Cell, Extra, judge
 
-from otf_core import cli
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.model.tables import load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.predict import predict
-from otf_core.reports.calibration import format_result
+from otf_core.reports.calibration import calibration_html, facts_of
 from otf_core.sim.twin import twin_recording
 
 CELL = {
@@ -45,8 +45,8 @@ def folder(tmp_path_factory):
     (base / 'machine.yaml').write_text(yaml.safe_dump(GROWING.machine.to_dict()))
     (base / 'effects.yaml').write_text(yaml.safe_dump(TOO_SMALL))
     words = ['calibrate', base / 'bag', '--machine', base / 'machine.yaml', '--out', base / 'out']
-    words += ['--effects', base / 'effects.yaml', '--piece-length', '0.016']
-    assert cli.main([str(w) for w in words]) == 0
+    words += ['--effects', base / 'effects.yaml', {'piece_length': 0.016}]
+    assert run(*words) == 0
     return base / 'out'
 
 
@@ -76,7 +76,8 @@ def test_file_and_summary_state_the_effect_with_its_uncertainty(folder):
     plain = json.loads((folder / 'plain' / 'error_tables.json').read_text())
     assert plain['effects'] == [] and plain['run_id'] != data['run_id']
     assert 'effects' in data['budget']['dof'] and 'effects' not in plain['budget']['dof']
-    assert 'thermal_axis_expansion (named in a file)' in (folder / 'summary.txt').read_text()
+    page = (folder / 'report.html').read_text(encoding='utf-8')
+    assert 'thermal axis expansion' in page and 'named in a file' in page
 
 
 def test_what_was_taken_off_is_a_file_of_effects_again(folder):
@@ -103,5 +104,5 @@ def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
     assert done.result.effects == () and done.applied == ((),)
     assert 'No gap' in done.words and 'No effect was removed' in done.words
-    assert done.words in format_result(done.result)
+    assert 'No effect was removed' in calibration_html(facts_of(done.result))
     assert done.result.run_id == done.plain.run_id

@@ -47,33 +47,6 @@ data = {'headline': {'error': sizes, 'U_of_largest': 1e-6,
 sys.exit(4 if 'gate' in name else 5 if 'limit' in name else 0)
 """
 
-BLIND_STUB = """
-import json, os, pathlib, sys
-module, words = sys.argv[1], sys.argv[2:]
-with open(os.environ['CALLS'], 'a') as calls:
-    calls.write(f'{words[0]} {words[1]}\\n')
-if module == 'otf_core.cli':
-    cell, out, name = pathlib.Path(words[1]).parent, words[5], 'gap.json'
-    assert (cell / 'bag').is_dir() and words[3] == str(cell / 'machine.yaml')
-    if cell.name == '001':
-        sys.exit('otf diagnose: no memory')
-    found = {'verdict': 'none', 'causes': [], 'not_visible': [],
-             'when': os.environ['SOURCE_DATE_EPOCH']}
-else:
-    assert words[0] == 'otf_core.blind.seal:draw_cell'
-    order, out, name = json.loads(words[2]), words[1], 'result.json'
-    cell = f"{order['number']:03d}"
-    if cell == '003':
-        sys.exit('no such chain')
-    (pathlib.Path(order['folder']) / 'cells' / cell / 'bag').mkdir(parents=True, exist_ok=True)
-    noise = {'effect': 'tracker_noise', 'names': ['tracker_noise'], 'size_um': 1.0, 'raw_um': 1.0,
-             'snr': 9.0, 'depends': {'groups': [], 'besides': []}, 'parameters': {}}
-    found = {'cell': cell, 'seed': order['seed'], 'kind': order['kind'], 'bends_um': 0.0,
-             'parts': [] if order['kind'] == 'none' else [noise], 'heavy_tails': False}
-pathlib.Path(out).mkdir(parents=True, exist_ok=True)
-(pathlib.Path(out) / name).write_text(json.dumps(found))
-"""
-
 
 @pytest.fixture
 def plant(tmp_path, monkeypatch):
@@ -283,93 +256,11 @@ def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):
     assert 'pip install distributed' in capsys.readouterr().err
 
 
-@pytest.fixture
-def sealed_cells(tmp_path, monkeypatch):
-    """Stand-in for what draws and diagnoses: cell 003 cannot be drawn, 001 not diagnosed."""
-    (tmp_path / 'stub.py').write_text(BLIND_STUB)
-    monkeypatch.setattr(fleet_module, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
-    monkeypatch.setenv('CALLS', str(tmp_path / 'calls'))
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def blind(out, workers, seed=5):
-    return run('fleet', 'blind', '--trials', 5, '--seed', seed, '--out', out, '--workers', workers)
-
-
-def test_a_blind_trial_is_the_same_on_any_workers_and_no_broken_cell_ends_it(sealed_cells):
-    assert [blind('one', 1), blind('three', 3)] == [4, 4]
-    assert told(sealed_cells / 'one') == told(sealed_cells / 'three')
-    data = told(sealed_cells / 'one')
-    assert {n for n, r in data['runs'].items() if r['sha256']} == {
-        'answers-000', 'answers-002', 'answers-004'
-    }  # fmt: skip
-    assert data['runs']['drawn-003']['message'] == 'no such chain'
-    assert data['runs']['answers-001']['message'] == 'otf diagnose: no memory'
-    scores = [json.loads((sealed_cells / n / 'score.json').read_text()) for n in ('one', 'three')]
-    assert scores[0].pop('provenance') and scores[1].pop('provenance')
-    assert scores[0] == scores[1]
-
-
-def test_a_blind_trial_goes_on_where_it_stopped_and_keeps_its_key(sealed_cells, capsys):
-    blind('out', 2)
-    key = (sealed_cells / 'out/key.json').read_bytes()
-    (sealed_cells / 'out/answers/002/gap.json').unlink()
-    (sealed_cells / 'calls').unlink()
-    assert blind('out', 2) == 4
-    again = sorted((sealed_cells / 'calls').read_text().splitlines())
-    assert again == ['diagnose cells/001/bag', 'diagnose cells/002/bag']
-    assert (sealed_cells / 'out/key.json').read_bytes() == key
-    assert blind('out', 2, seed=6) == 2
-    assert 'holds another trial' in capsys.readouterr().err
-
-
-CELL_STUB = """
-import json, pathlib, sys
-assert sys.argv[1:5] == ['otf_core.cli', 'validate', '--cells', '1'], sys.argv
-seed, out = int(sys.argv[6]), pathlib.Path(sys.argv[8])
-if seed == 8:
-    sys.exit('otf validate: no memory')
-row = {'section': '2.1', 'quantity': 'left', 'paper': '', 'unit': 'um', 'values': [seed / 10],
-       'limit': [None, 0.5]}
-out.mkdir(exist_ok=True)
-(out / 'validation.json').write_text(json.dumps({'rows': [row]}))
-"""
-
-
-@pytest.mark.parametrize('workers', [1, 3])
-def test_cells_of_a_validation_come_together_in_one_table(tmp_path, capsys, monkeypatch, workers):
-    (tmp_path / 'stub.py').write_text(CELL_STUB)
-    monkeypatch.setattr(fleet_module, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
-    words = ('--seed', 6, '--trials', 4, '--out', tmp_path / 'out', '--workers', workers)
-    assert run('fleet', 'validate', *words) == 4
-    said = capsys.readouterr()
-    assert '8: exit 1: otf validate: no memory' in said.out
-    assert 'quality gate failed: left' in said.err
-    data = json.loads((tmp_path / 'out/validation.json').read_text())
-    assert data['cells'] == [6, 7, 9]
-    (row,) = data['rows']
-    assert row['values'] == [0.6, 0.7, 0.9]
-    assert row['mean'] == pytest.approx(2.2 / 3) and row['passed'] is False
-
-
 @pytest.mark.parametrize(
     ('words', 'said'),
-    [
-        (('calibrate',), 'fleet calibrate: --list is missing'),
-        (('blind', '--seed', 1), 'fleet blind: --trials is missing'),
-        (
-            ('blind', '--seed', 1, '--trials', 2, '--list', 'a.csv'),
-            '--list: does not apply to fleet blind',
-        ),
-        (
-            ('diagnose', '--list', 'a.csv', '--leave-one-out'),
-            '--leave-one-out: does not apply to fleet diag',
-        ),
-        (('blind', '--seed', 1, '--trials', 0), '--trials: 0 is out of range [1, 100000]'),
-    ],
+    [(('calibrate',), '--list'), (('blind', '--list', 'a.csv'), 'blind')],
 )
-def test_options_of_another_fleet_are_refused(tmp_path, capsys, words, said):
+def test_a_fleet_needs_a_list_and_a_verb_for_it(tmp_path, capsys, words, said):
     assert run('fleet', *words, '--out', tmp_path / 'out') == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_cells import run
 from core_cells import corner_path, record, small_plan, smooth, some_machine
 from html_cells import Page, unloading
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import free_rows, without_rigid_motion
@@ -51,18 +51,18 @@ def runs():
     found = []
     for seed in range(2601, 2605):
         truth = smooth(random_tables(machine, 2e-5, np.random.default_rng(seed)))
-        run = simulate(machine, plan, SimulationConfig(seed=seed, rate=RATE), truth)
-        setup = Setup.of(machine, run.place, config=ForecastConfig(rate=RATE))
-        found.append((run, calibrate(run.samples, plan.path, machine), forecast(plan, setup)))
+        one = simulate(machine, plan, SimulationConfig(seed=seed, rate=RATE), truth)
+        setup = Setup.of(machine, one.place, config=ForecastConfig(rate=RATE))
+        found.append((one, calibrate(one.samples, plan.path, machine), forecast(plan, setup)))
     return found
 
 
 def test_pieces_are_those_of_a_recording(runs):
-    for run, result, foreseen in runs:
+    for one, result, foreseen in runs:
         pieces, expected = result.runs[0].pieces, foreseen.pieces
         assert len(expected) == pytest.approx(len(pieces), rel=0.003)
         assert expected.used == pytest.approx(pieces.used, rel=0.005)
-        assert foreseen.duration == pytest.approx(run.samples.time[-1], rel=1e-3)
+        assert foreseen.duration == pytest.approx(one.samples.time[-1], rel=1e-3)
 
 
 def test_rank_and_what_is_seen_are_those_of_the_calibration(runs):
@@ -88,12 +88,12 @@ def test_forecast_uncertainty_is_the_one_stated_afterwards(runs):
 
 def test_forecast_grid_uncertainty_is_the_error_achieved(runs):
     achieved, expected, spread = 0.0, 0.0, 0.0
-    for run, result, foreseen in runs:
+    for one, result, foreseen in runs:
         grid = foreseen.grid
-        field = displacement(result.tables, grid) - displacement(run.truth, grid)
+        field = displacement(result.tables, grid) - displacement(one.truth, grid)
         achieved += float(np.sum(without_rigid_motion(field, grid) ** 2))
         nodes = {m: foreseen.nodes[m[2]] for m in MOTIONS}
-        rows = prediction_rows(run.truth.machine, nodes, grid)
+        rows = prediction_rows(one.truth.machine, nodes, grid)
         rows = free_rows(rows.reshape(-1, rows.shape[2]), grid)
         matrix = (rows.T @ rows) @ foreseen.covariance
         expected += float(np.trace(matrix))
@@ -298,16 +298,15 @@ def machine_file(tmp_path):
 
 def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file, capsys):
     out = tmp_path / 'out'
-    arguments = ['plan', '--machine', str(machine_file), '--out', str(out), '--passes', '1',
-                 '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
-    assert main(arguments) == 0
+    arguments = ('plan', '--machine', machine_file, '--out', out, '--tracker-place',
+                 '-0.3,0.1,-0.1', {'passes': 1, 'levels': 2, 'grid': 2})  # fmt: skip
+    assert run(*arguments) == 0
     said, hints = capsys.readouterr()
-    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json', 'plan.svg', 'report.html']
+    names = ['manifest.json', 'path.csv', 'plan.json', 'report.html']
     assert sorted(f.name for f in out.iterdir()) == names
     assert 'no NC program: give --dialect' in hints.splitlines()[-1]
-    text = (out / 'forecast.txt').read_text()
     assert len(said.splitlines()) <= 14
-    assert said.splitlines()[:4] == text.splitlines()[:4]
+    assert said.splitlines()[-1] == f'open {out / "report.html"}'
     data = json.loads((out / 'plan.json').read_text())
     assert data['schema'] == 'otf-plan/1'
     assert data['assumed']['tracker_place'] == [-0.3, 0.1, -0.1]
@@ -323,8 +322,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     assert page.faults == [] and unloading(source) == []
     assert '@top-left' in source and '(m)' not in page.text.replace('Beam (m)', '')
     assert [row[0] for row in page.rows('Position of the tracker')]
-    assert 'written: path.csv, forecast.txt, plan.svg, report.html, plan.json' in said
-    picture = (out / 'plan.svg').read_text(encoding='utf-8')
+    assert 'written: path.csv, report.html, plan.json' in said
     for name, entry in data['forecast']['errors'].items():
         mean, unit = 1e6 * np.mean(entry['u']), 'µm' if entry['unit'] == 'm' else 'µrad'
         largest = 1e6 * np.max(entry['u'])
@@ -333,7 +331,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
             if entry['identifiable']
             else 'not shown by this path'
         )
-        row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', picture)
+        row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', source)
         assert row[1] == said, name
     sight = {name: entry['visible'] for name, entry in data['effects'].items()}
     assert sight['backlash']
@@ -344,12 +342,12 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
 def test_plan_judges_a_given_path(tmp_path, machine_file, capsys):
     (tmp_path / 'p.csv').write_text('x,y,z\n0,0,-0.1\n0.3,0.25,-0.1\n0.3,0,-0.1\n0,0.25,-0.1\n')
     out = tmp_path / 'out'
-    code = main(['plan', '--machine', str(machine_file), '--out', str(out), '--grid', '2',
-                 '--path', str(tmp_path / 'p.csv')])  # fmt: skip
-    assert code == 0
+    arguments = ('plan', '--machine', machine_file, '--out', out, {'grid': 2})
+    assert run(*arguments, '--path', tmp_path / 'p.csv') == 0
     said = capsys.readouterr().out
     assert 'Plan: the path given' in said
-    assert 'EYZ: the path does not move Z' in (out / 'forecast.txt').read_text()
+    page = (out / 'report.html').read_text(encoding='utf-8')
+    assert 'EYZ: the path does not move Z' in page
 
 
 def test_recorded_plan_of_the_shared_cell_has_the_forecast_rank(cell):

@@ -202,7 +202,7 @@ def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, 
     write_bag(tmp_path / 'bag', BagContent(cell.recording.measured(cell.truth), cell.path))
     data = {**cell.machine.to_dict(), 'limits': {'volumetric_error': 1e-2, 'EXX': 1e-6}}
     (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(data))
-    given = (tmp_path / 'bag', '--machine', tmp_path / 'machine.yaml', '--no-report')
+    given = (tmp_path / 'bag', '--machine', tmp_path / 'machine.yaml', {'report': False})
     assert run('calibrate', *given, '--out', tmp_path / 'out') == 5
     said = capsys.readouterr()
     lines = said.out.splitlines()

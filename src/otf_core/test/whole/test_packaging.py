@@ -21,10 +21,6 @@ ROOT = Path(__file__).resolve().parents[4]
 NAMES = {'yaml': 'pyyaml'}
 """Distributions that are called otherwise than what is imported from them."""
 
-OF_LINUXCNC = {'linuxcnc', 'hal'}
-"""Come with LinuxCNC for the Python of the system, which runs the files that import them."""
-
-
 FOLDER = ROOT / 'src/otf_core'
 PROJECT = ConfigParser()
 PROJECT.read(FOLDER / 'setup.cfg', encoding='utf-8')
@@ -50,7 +46,7 @@ def imported():
 def test_all_that_is_imported_is_required_and_nothing_else():
     foreign = set(imported()) - set(sys.stdlib_module_names) - {'otf_core', '__future__'}
     optional = set(PROJECT['options.extras_require'].values())
-    named = {NAMES.get(name, name) for name in foreign - OF_LINUXCNC}
+    named = {NAMES.get(name, name) for name in foreign}
     assert named - optional == required()
 
 

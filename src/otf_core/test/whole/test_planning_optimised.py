@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cli_cells import run
 from core_cells import corner_path, small_plan, smooth, some_machine
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import without_rigid_motion
@@ -218,9 +218,9 @@ def test_candidates_are_all_lines_between_lattice_points(best):
 def test_plan_verb_optimises_and_writes_the_program(tmp_path, best, capsys):
     file, out = tmp_path / 'machine.yaml', tmp_path / 'out'
     file.write_text(json.dumps(best.machine.to_dict()))
-    options = ['--time-budget', '60', '--dialect', 'heidenhain', '--rate', '100', '--grid', '2',
-               '--margin', '0.02', '--feed', '12000']  # fmt: skip
-    assert main(['plan', '--machine', str(file), '--out', str(out), *options]) == 0
+    options = ['--time-budget', '60', '--dialect', 'heidenhain', '--feed', '12000']
+    config = {'rate': 100, 'grid': 2, 'margin': 0.02}
+    assert run('plan', '--machine', file, '--out', out, *options, config) == 0
     said = capsys.readouterr().out
     assert 'least mean grid uncertainty in 60 s' in said
     assert 'at least 20.0 mm inside the axis ranges' in said
@@ -228,7 +228,7 @@ def test_plan_verb_optimises_and_writes_the_program(tmp_path, best, capsys):
     assert data['duration'] <= 60.0
     program = (out / 'OTFPATH.H').read_text().splitlines()
     assert sum(' L X' in line and 'Z' in line for line in program) == len(data['feed'])
-    both = main(['plan', '--machine', str(file), '--out', str(out / 'x'), '--time-budget', '60',
-                 '--wanted-uncertainty', '1'])  # fmt: skip
+    both = run('plan', '--machine', file, '--out', out / 'x', '--time-budget', '60',
+               '--wanted-uncertainty', '1')  # fmt: skip
     assert both == 2
     assert 'give only one of them' in capsys.readouterr().err

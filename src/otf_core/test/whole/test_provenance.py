@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import some_machine
+from html_cells import Page
 
 import otf_core
 from otf_core import cli
 from otf_core.bags.bag import BagContent, read_bag, write_bag
-from otf_core.blind.seal import KEY, seal
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
 from otf_core.model.evaluation import lattice, without_rigid_motion
@@ -32,7 +32,7 @@ from otf_core.reports.calibration_sections.error_motions import squareness_words
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'
-QUICK = ('--levels', '2', '--passes', '1', '--rate', '100', '--corner-dwell', '0.2')
+QUICK = ({'levels': 2, 'passes': 1, 'rate': 100, 'corner_dwell': 0.2},)
 
 
 def run(*arguments):
@@ -121,11 +121,6 @@ def test_method_and_options_are_stated_apart(cell, tmp_path):
     assert not file.exists() or block_of(file)['method'] == 'standstill'
 
 
-def test_key_of_a_blind_trial_says_it_too(tmp_path):
-    seal([], tmp_path, iter, print)
-    assert block_of(tmp_path / KEY)['verb'] == 'blind'
-
-
 def test_hash_follows_content_and_not_storage(tmp_path):
     samples = Samples(np.arange(5) * 10**9 + 10**18, np.linspace(0, 1, 15).reshape(5, 3))
     path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
@@ -192,10 +187,9 @@ def test_all_packages_and_the_command_have_one_version(capsys):
 # ---------------------------------------------------------------- words and numbers beside
 
 
-def test_summary_states_sign_date_and_predicted_volumetric_error(cell):
-    summary = (cell.tables.parent / 'summary.txt').read_text()
-    assert SIGN in ' '.join(summary.split())
-    assert 'measured 2023-11-14T22:13:20Z to' in summary
+def test_page_states_sign_date_and_predicted_volumetric_error(cell):
+    page = Page((cell.tables.parent / 'report.html').read_text(encoding='utf-8')).text
+    assert 'actual minus nominal' in page and '2023-11-14T22:13:20Z' in page
     tables = load_tables(cell.tables).tables
     grid = lattice(tables.machine)
     size = np.linalg.norm(without_rigid_motion(displacement(tables, grid), grid), axis=1)
@@ -203,7 +197,7 @@ def test_summary_states_sign_date_and_predicted_volumetric_error(cell):
     assert found == volumetric_error(tables)
     expected = [size.mean(), np.sort(size)[round(0.95 * 342)], size.max()]
     assert [found[k] for k in ('mean', 'p95', 'max')] == pytest.approx(expected, rel=0.02)
-    said = re.search(r'as found: mean ([\d.]+) um, largest ([\d.]+) ', summary)
+    said = re.search(r'as found: mean ([\d.]+)\s*µm, largest ([\d.]+)', page)
     assert [float(v) for v in said.groups()] == pytest.approx(
         [1e6 * size.mean(), 1e6 * size.max()], abs=0.5
     )

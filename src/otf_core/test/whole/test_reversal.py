@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reversal as part of the solution: recovered, chosen on held-out legs, honest where blind."""
 
-import csv
 import json
 
 import numpy as np
@@ -29,7 +28,7 @@ from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import load_tables
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import format_result, write_calibration
+from otf_core.reports.calibration import calibration_html, facts_of, write_calibration
 from otf_core.sim.cell import simulate
 from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import normal_equations
@@ -171,13 +170,9 @@ def test_files_hold_forward_and_backward_with_the_mean_in_the_tables(along_the_a
         np.testing.assert_allclose(forward - backward, entry['value'], atol=1e-18)
         np.testing.assert_allclose((forward + backward) / 2, mean['value'], atol=1e-18)
         assert entry['identifiable'] or not any(entry['value'])
-    rows = list(csv.DictReader((tmp_path / 'reversal.csv').read_text().splitlines()))
-    assert [float(r['value']) for r in rows if r['motion'] == 'EYX'] == (
-        data['reversal']['motions']['EYX']['value']
-    )
-    text = (tmp_path / 'summary.txt').read_text()
-    assert 'Reversal model: tables' in text
-    assert 'forward minus backward' in text
+    page = (tmp_path / 'report.html').read_text(encoding='utf-8')
+    assert 'Reversal model: tables' in page
+    assert 'Forward minus backward' in page
 
 
 def test_reversal_of_a_motion_that_is_not_identifiable_is_zero_and_says_so(chosen):
@@ -194,7 +189,7 @@ def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
     evidence = result.reversal.evidence
     assert evidence['gain_constant'] > evidence['needed'] * evidence['scatter_constant']
     assert evidence['rival'] == 'servo_mismatch'
-    assert 'servo_mismatch explains' in format_result(result)
+    assert 'servo_mismatch explains' in calibration_html(facts_of(result))
 
 
 def test_a_short_path_gives_no_evidence():
@@ -258,7 +253,7 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
     write_calibration(chosen, tmp_path, report=False)
     content = load_tables(tmp_path / 'error_tables.json')
     stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
-    text = format_result(chosen)
+    text = calibration_html(facts_of(chosen))
     for k, axis in enumerate(AXES):
         found = chosen.reversal.backlash[axis]
         assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6

@@ -7,15 +7,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cli_cells import run
 from rotary_cells import BAG, machine, recorded, truth
 
 from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.cli import main
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.axis_path import AxisPath, nominal_track
+from otf_core.model.circumstances import Circumstances
 from otf_core.model.declared import DeclaredUncertainty
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.joints import Sight
@@ -91,8 +92,9 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
 
 
 def test_files_hold_residuals_budget_and_certificate(tmp_path):
-    result = calibrated()
-    files = write_calibration(result, tmp_path, residuals_csv=True, certificate=True, report=False)
+    stated = replace(machine(), stated=Circumstances(certificate={'number': '2026-0117'}))
+    result = replace(calibrated(), machine=stated)
+    files = write_calibration(result, tmp_path, residuals_csv=True, report=False)
     assert {'residuals.npz', 'residuals.csv', 'certificate.html'} <= {f.name for f in files}
     rows = np.genfromtxt(tmp_path / 'residuals.csv', delimiter=',', names=True)
     assert {'part', 'x', 'y', 'z', 'a', 'c'} <= set(rows.dtype.names)
@@ -217,9 +219,9 @@ def test_places_off_by_ten_millimetres_still_converge():
 def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
     folder, out = tmp_path / 'bag', tmp_path / 'out'
     yaml = str(BAG / 'machine.yaml')
-    options = ['--rate', '25', '--feed', '9000', '--corner-dwell', '0.1', '--seed', '3']
-    assert main(['simulate', '--machine', yaml, '--out', str(folder), *options]) == 0
-    assert main(['calibrate', str(folder), '--machine', yaml, '--out', str(out)]) == 0
+    options = ['--rate', '25', '--feed', '9000', {'corner_dwell': 0.1}, '--seed', '3']
+    assert run('simulate', '--machine', yaml, '--out', str(folder), *options) == 0
+    assert run('calibrate', str(folder), '--machine', yaml, '--out', str(out)) == 0
     data = json.loads((out / 'error_tables.json').read_text())
     assert data['schema'] == 'otf-error-tables/2'
     assert data['motions']['ECC']['position_unit'] == 'rad'
@@ -228,14 +230,14 @@ def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
     points, errors = tmp_path / 'p.csv', tmp_path / 'e.csv'
     points.write_text('x,y,z,a,c\n0,0,0.1,0.5,3.0\n0.05,0.02,0.2,-0.3,9.0\n')
     words = ['--tables', str(out / 'error_tables.json'), '--points', str(points)]
-    assert main(['predict', *words, '--out', str(errors)]) == 0
+    assert run('predict', *words, '--out', str(errors)) == 0
     rows = np.genfromtxt(errors, delimiter=',', names=True)
     assert list(rows.dtype.names[:5]) == ['x', 'y', 'z', 'a', 'c']
     assert rows['inside'].tolist() == [1.0, 1.0] and np.all(rows['u_dx'] > 0)
-    assert main(['info', str(out / 'error_tables.json')]) == 0
+    assert run('info', str(out / 'error_tables.json')) == 0
     assert 'small-trunnion' in capsys.readouterr().out
     points.write_text('x,y,z\n0,0,0.1\n')
-    assert main(['predict', *words, '--out', str(errors), '--overwrite']) == 2
+    assert run('predict', *words, '--out', str(errors), '--overwrite') == 2
     assert 'expected x,y,z,a,c' in capsys.readouterr().err
     page = (out / 'report.html').read_text()
     assert 'mean error over A and C' in page

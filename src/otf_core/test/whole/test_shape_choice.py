@@ -5,11 +5,11 @@ import numpy as np
 from core_cells import some_machine
 from nature import LETTERS, NAMES, Cell
 from nature_forms import DENSE, Curve
+from standstill_points import edge_points, spread_points
 
 from otf_core.config import CalibrationConfig
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import prepare_runs
-from otf_core.planning.path_creation import edge_points, spread_points
 from otf_core.solving.model_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
 from otf_core.solving.unknowns import CUBIC, LINEAR
 

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Standstill method: recognition of stops, their order, and the calibration from them."""
 
+import json
+
 import numpy as np
 import pytest
 import yaml
+from cli_cells import run
 from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
 from scipy.spatial.transform import Rotation
+from standstill_points import edge_points, spread_points, standstill_plan
 
-from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
@@ -23,7 +26,6 @@ from otf_core.pieces.methods import (
     prepare_stops,
 )
 from otf_core.pieces.runs import Recording
-from otf_core.planning.path_creation import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate
 from otf_core.tracking.matching import OFF_PATH
@@ -178,18 +180,18 @@ def test_stops_of_another_path_are_refused():
         align_stops(samples, other, CONFIG)
 
 
-def test_command_calibrates_a_standstill_run(tmp_path, capsys):
+def test_command_calibrates_a_standstill_run(tmp_path):
     machine = some_machine()
     (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(machine.to_dict()))
     write_csv(tmp_path / 'points.csv', 'x,y,z', points_of(machine))
     common = ['--machine', str(tmp_path / 'machine.yaml')]
     simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
-                 '--corner-dwell', '1', '--out', str(tmp_path / 'bag')]  # fmt: skip
-    assert cli.main(simulated) == 0
-    out = ['--method', 'standstill', '--out', str(tmp_path / 'out'), '--residuals-csv',
-           '--verbose']  # fmt: skip
-    assert cli.main(['calibrate', str(tmp_path / 'bag'), *common, *out]) == 0
-    assert '100 path pieces' in capsys.readouterr().out
+                 {'corner_dwell': 1}, '--out', str(tmp_path / 'bag')]  # fmt: skip
+    assert run(*simulated) == 0
+    out = ['--method', 'standstill', '--out', tmp_path / 'out', {'residuals_csv': True}]
+    assert run('calibrate', tmp_path / 'bag', *common, *out) == 0
+    data = json.loads((tmp_path / 'out' / 'error_tables.json').read_text())
+    assert data['fit']['pieces'] == 100
     header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()
     assert header.endswith('deviation1,deviation2,deviation3,residual1,residual2,residual3')
     assert len(rows) == 100

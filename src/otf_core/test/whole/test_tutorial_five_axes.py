@@ -121,7 +121,8 @@ def test_of_smooth_errors_less_than_a_twentieth_is_left(folder, monkeypatch):
     monkeypatch.chdir(folder)
     truth = smooth_tables(load_machine('machine.yaml'), np.random.default_rng(21))
     Path('smooth.json').write_text(json.dumps(tables_to_dict(truth)))
-    drive = '--path plan/path.csv --feed 6000 --corner-dwell 0.1 --rate 40 --seed 12'
+    Path('dwell.yaml').write_text('corner_dwell: 0.1')
+    drive = '--path plan/path.csv --feed 6000 --config dwell.yaml --rate 40 --seed 12'
     for line in (
         f'simulate --machine machine.yaml --tables smooth.json {drive} --out run',
         'calibrate run --machine machine.yaml --out found',

@@ -89,14 +89,14 @@ class Backend(ABC):
         Samples per second of measurement time; 0 while unknown.
     expected : int
         Samples of the whole stream; 0 if the source does not know.
-    time_scale : float
-        So many times as fast as they were measured the samples come.
     path : NominalPath or None
         Nominal path that comes with the samples; known once connected.
     parts : tuple of AxisPath
         The same of a machine with rotary axes.
     remark : str
         What is worth saying about the stream when it starts.
+    allowed : int or None
+        Samples of the stream that may be handed out by now, if the source can wait; None: all.
     cancelled : callable
         Tells whether ``connect`` shall give up.
     now_ns : callable
@@ -107,8 +107,8 @@ class Backend(ABC):
     brings_path: ClassVar[bool] = False
     needs_plan: ClassVar[bool] = False
     rate: float = 0.0
-    time_scale: float = 1.0
     expected: int = 0
+    allowed: int | None = None
     path: NominalPath | None = None
     parts: tuple[AxisPath, ...] = ()
     remark: str = ''
@@ -148,6 +148,20 @@ class Backend(ABC):
     @abstractmethod
     def finished(self) -> bool:
         """True once ``poll`` has returned the last sample."""
+
+    def count_until(self, stamp_ns: int) -> int:
+        """Samples of the stream up to a stamp, if the source can wait for who takes them."""
+        return 0
+
+    @property
+    def real_time_factor(self) -> float:
+        """Measured time per elapsed time, of the last seconds or of the whole; 0: not known."""
+        return 1.0
+
+    @property
+    def pace_words(self) -> str:
+        """The same of a stream that is over; empty if it is no news."""
+        return ''
 
     @property
     def hindrance(self) -> Hindrance | None:

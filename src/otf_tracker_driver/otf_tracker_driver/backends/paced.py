@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -18,10 +19,15 @@ BROKEN = 1.9
 """s; so long a beam is broken where a reflector is moved by hand; shorter gaps are losses."""
 _LONGEST_STEP = 0.1
 """s; after a longer pause of the process the stream goes on late instead of in one burst."""
+_LOOKS, _BETWEEN_LOOKS = 10, 0.5
+"""Of them, so many s apart, the oldest and the newest give the pace."""
 
 
 class PacedBackend(Backend):
     """Base of backends that hold the whole stream in memory.
+
+    They publish no faster than the calibrators take: nothing is lost on a slow computer, the
+    stream takes longer.
 
     Parameters
     ----------
@@ -33,6 +39,8 @@ class PacedBackend(Backend):
 
     Attributes
     ----------
+    time_scale : float
+        So many times as fast as they were measured the samples come, at most.
     of_now : bool
         True if the stamps are moved, all by the same, so that they are those of now: the first
         sample is stamped with the moment of its start, or, if samples come faster than they were
@@ -53,6 +61,8 @@ class PacedBackend(Backend):
         self._next, self._elapsed, self._last = 0, 0.0, 0.0
         self.time_scale = common.time_scale
         self._breaks = np.empty(0, np.int64)
+        self._begun = 0.0
+        self._looks = deque([(0.0, 0.0)], _LOOKS)
 
     def load(self, samples: Samples) -> None:
         """Take the samples of the whole stream."""
@@ -63,7 +73,7 @@ class PacedBackend(Backend):
         wanted, most = self.common.time_scale, self.common.max_rate
         limit = most / self.rate if self.rate else np.inf
         self.time_scale = min(wanted, limit)
-        self.remark = f'{self.time_scale:.3g} times as fast as measured'
+        self.remark = f'at most {self.time_scale:.3g} times as fast as measured'
         if limit < wanted:
             self.remark += f', limited by max_rate = {most:g} samples per second'
         self._next = 0
@@ -112,6 +122,9 @@ class PacedBackend(Backend):
     def start(self) -> None:
         """Start from the first sample, which is due at once."""
         self._next, self._elapsed, self._last = 0, 0.0, self._clock()
+        self._begun = self._last
+        self._looks.clear()
+        self._looks.append((self._last, 0.0))
         if self.of_now and len(self._samples):
             stamp_ns = self._samples.stamp_ns
             span_ns = int(stamp_ns[-1] - stamp_ns[0])
@@ -120,13 +133,36 @@ class PacedBackend(Backend):
             self._samples = Samples(stamp_ns + shift_ns, self._samples.xyz)
 
     def poll(self) -> Samples:
-        """Return the samples that have become due."""
+        """Return the samples that have become due, as far as they are allowed."""
         now = self._clock()
         self._elapsed += min(now - self._last, _LONGEST_STEP) * self.time_scale
         self._last = now
-        first = self._next
-        self._next = int(np.searchsorted(self._due, self._elapsed, side='right'))
-        return self._samples.part(first, self._next)
+        first, due = self._next, int(np.searchsorted(self._due, self._elapsed, side='right'))
+        if self.allowed is not None and due > max(first, self.allowed):
+            due = max(first, self.allowed)
+            self._elapsed = float(self._due[due])  # no flood once it is allowed
+        self._next = due
+        if now - self._looks[-1][0] >= _BETWEEN_LOOKS:
+            self._looks.append((now, self._elapsed))
+        return self._samples.part(first, due)
+
+    def count_until(self, stamp_ns: int) -> int:
+        """Samples of the stream up to a stamp."""
+        return int(np.searchsorted(self._samples.stamp_ns, stamp_ns, side='right'))
+
+    @property
+    def real_time_factor(self) -> float:
+        """Of the last seconds, or of a stream that is over."""
+        if self.finished:
+            begun, before, now, elapsed = self._begun, 0.0, self._last, self._elapsed
+        else:
+            (begun, before), (now, elapsed) = self._looks[0], self._looks[-1]
+        return (elapsed - before) / (now - begun) if now > begun else 0.0
+
+    @property
+    def pace_words(self) -> str:
+        """How fast the stream was, when it is over."""
+        return f', {self.real_time_factor:.3g} times as fast as measured'
 
     @property
     def finished(self) -> bool:

@@ -26,5 +26,9 @@ class CommandRefused(TrackerError):
     """
 
     def __init__(self, command: int, status: int) -> None:
-        super().__init__(f'{command_text(command)}: {status_text(status)}')
+        super().__init__(command, status)
         self.status = status
+
+    def __str__(self) -> str:
+        command, status = self.args
+        return f'{command_text(command)}: {status_text(status)}'

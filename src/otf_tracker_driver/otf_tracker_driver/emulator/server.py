@@ -67,13 +67,6 @@ class EmulatedTracker:
         task.add_done_callback(self._clients.discard)
         task.add_done_callback(lambda _: writer.close())  # one that has not begun when cancelled
 
-    async def change(self, faults: Faults) -> None:
-        """Leave all clients; these faults happen from then on."""
-        self._faults = faults
-        for task in list(self._clients):
-            task.cancel()
-        await asyncio.gather(*self._clients, return_exceptions=True)
-
     async def close(self, server: asyncio.Server) -> None:
         """Close the server that hands on clients; leave all clients, and those just accepted.
 

@@ -17,7 +17,7 @@ over as well; they are estimated with the spread and the power that the data mak
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -81,11 +81,6 @@ class Option:
     def axes(self) -> tuple[str, ...]:
         """Machine axes of the terms that take part."""
         return tuple(sorted({self.terms.axes[i] for i in self.take} - {''}))
-
-    def without_columns(self) -> Option:
-        """The same without the memory of its columns."""
-        none = np.zeros((0, len(self.take)))
-        return replace(self, white=none, own=none, plain=none)
 
 
 @dataclass(frozen=True)

@@ -163,11 +163,6 @@ def shrink_interval(
     return max(0.0, low), min(100.0, high)
 
 
-NAMED = 0.5
-"""Probability from which on a departure is named: the more likely of two."""
-SURE = 0.95
-"""The same of slow noise: it makes no gap, as the simulation has the colour of the run's own
-standstills, so nothing calls for a name."""
 SLOW, CORRELATED = 'correlation_time', 'correlated over'
 """Slow noise as a parameter of the effect, and in words."""
 
@@ -202,27 +197,31 @@ class NoiseFinding:
         return REGISTRY[TrackerNoise.name]
 
 
-def _parameters(seen: Departure) -> dict[str, tuple[float, float]]:
-    """Value and probability of every parameter of the effect."""
-    # the effect has one factor for both angles
-    angle = float(np.sqrt(np.mean(seen.level[1:] ** 2)))
-    return {
-        'level_range': (float(seen.level[0]), float(seen.of_level[0])),
-        'level_angle': (angle, float(seen.of_level[1:].max())),
-        'correlation_time': (seen.time, seen.of_time),
-        'dof': (seen.dof, seen.of_dof),
-    }
+def _parameters(seen: Departure) -> dict[str, float]:
+    """Parameters of the effect that depart."""
+    named = {}
+    if seen.loud[0]:
+        named['level_range'] = float(seen.level[0])
+    if seen.loud[1:].any():  # the effect has one factor for both angles
+        named['level_angle'] = float(np.sqrt(np.mean(seen.level[1:] ** 2)))
+    if seen.slow:
+        named[SLOW] = seen.time
+    if seen.heavy:
+        named['dof'] = seen.dof
+    return named
 
 
 def _words(seen: Departure) -> list[str]:
     parts = [
-        f'noise of the {name} {level:.2f} times as specified'
-        for name, level, p in zip(QUANTITIES, seen.level, seen.of_level, strict=True)
-        if p > NAMED
+        f'noise of the {name} {level:.2f} times as specified (u {level * u:.2g})'
+        for name, level, u, loud in zip(
+            QUANTITIES, seen.level, seen.u_level, seen.loud, strict=True
+        )
+        if loud
     ]
-    if seen.of_time > SURE:
-        parts.append(f'{CORRELATED} {seen.time:.1f} s')
-    if seen.of_dof > NAMED:
+    if seen.slow:
+        parts.append(f'{CORRELATED} {seen.time:.1f} s (u {seen.time * seen.u_time:.2g} s)')
+    if seen.heavy:
         parts.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
     return parts
 
@@ -244,12 +243,10 @@ def check_noise(
         seen = noise_departure(run.recording.samples, run.machine.tracker, speed)
         if seen is None:
             continue
-        all_told = gap or bool(np.any(seen.least > 1.0))
-        for name, (value, probability) in _parameters(seen).items():
-            if not all_told and name != SLOW:
-                continue
-            least = SURE if name == SLOW else NAMED
-            if probability > max(least, departures.get(name, (0.0, 0.0))[1]):
+        all_told = gap or bool(np.any(seen.louder))
+        for name, value in _parameters(seen).items():
+            probability = seen.probability(name)
+            if (all_told or name == SLOW) and probability > departures.get(name, (0.0, 0.0))[1]:
                 departures[name] = (value, probability)
         words += [w for w in _words(seen) if all_told or w.startswith(CORRELATED)]
     if not departures:
@@ -278,7 +275,7 @@ def replace_louder(noise: NoiseModel, recording: Recording, speed: float) -> Noi
     measured = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None or measured is None:
         return noise
-    parts = zip(noise, measured.noise, seen.least > 1.0, strict=True)
+    parts = zip(noise, measured.noise, seen.louder, strict=True)
     return NoiseModel(*(own if loud else old for old, own, loud in parts))
 
 

@@ -12,16 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.terms import POSITIONING
 
 STANDS = 1e-6
 """rad/s; a slower axis is clamped."""
-
-
-def _drawn(axes: tuple[str, ...]) -> Either:
-    size = OneOf((-4e-6, 4e-6))
-    return Either(tuple((Number(f'K_EZ{a}', size),) for a in axes if a in 'ABC'))
 
 
 class AxisClamping(Effect):
@@ -37,7 +31,6 @@ class AxisClamping(Effect):
         'at rest the axis lies elsewhere than in motion at the same position'
     )
     needs: ClassVar[str] = 'the same position of the axis, passed in motion and at rest'
-    trial: ClassVar[Trial] = Trial((OfMachine(_drawn),))
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """The change that displaces most."""

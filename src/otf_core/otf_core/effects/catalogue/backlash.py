@@ -16,13 +16,11 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Maybe, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.path import MOVING
 
 HELD = 'held'
 """Shape parameter: 1 if an axis that stands stays on the side of its last travel, else 0."""
-SOMETIMES_HELD = Maybe(0.5, Number(HELD, 1.0))
 
 
 def travel_sign(state: State, shape: Shape) -> Array:
@@ -53,7 +51,6 @@ class Backlash(Effect):
     )
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((Axes('B'), SOMETIMES_HELD), second_place=9)
     shape_names: ClassVar[tuple[str, ...]] = (HELD,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({HELD: 0.0})

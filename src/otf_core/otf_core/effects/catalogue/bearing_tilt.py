@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, OneOf, Trial
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
 
@@ -41,9 +40,6 @@ class BearingTilt(Effect):
     signature: ClassVar[str] = 'circles of the axis wobble more the more it is tilted'
     needs: ClassVar[str] = 'circles of the one axis at several positions of the other, three nests'
     stays_in_place: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((
-        Number('S_EAC', OneOf((-1e-5, 1e-5))), Number('C_EBC', OneOf((-1e-5, 1e-5))),
-    ))  # fmt: skip
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Amplitude of the tilt motion that is strongest."""

@@ -17,7 +17,6 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
@@ -43,7 +42,6 @@ class CentreGrowth(drift.DriftingEffect):
         'targets elsewhere do not'
     )
     needs: ClassVar[str] = 'one pass of the axis repeated at the end of the run'
-    trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D_Y')))
     shape_names: ClassVar[tuple[str, ...]] = (*drift.SHAPE_NAMES, 'since')
     shape_units: ClassVar[tuple[str, ...]] = (*drift.SHAPE_UNITS, 's')
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(

@@ -14,7 +14,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, Trial, Uniform
 from otf_core.effects.free import Free
 
 LENGTHS = (0.002, 0.004, 0.008, 0.016, 0.032)
@@ -55,7 +54,6 @@ class CornerRounding(Effect):
     refine: ClassVar[str] = 'l'
     refine_width: ClassVar[float] = 0.5
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
-    trial: ClassVar[Trial] = Trial((Number('l', Uniform(0.004, 0.03)), Number('A', 1e-6)))
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(

@@ -15,7 +15,6 @@ import numpy as np
 
 from otf_core.effects.action import vector
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Either, Number, OfMachine, Several, Share, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
 from otf_core.model.frames import XYZ
@@ -36,18 +35,6 @@ def _labels(names: tuple[str, ...]) -> list[str]:
 def _label(axes: Sequence[str]) -> str:
     counts = [(a, axes.count(a)) for a in dict.fromkeys(axes)]
     return ''.join(name + (str(count) if count > 1 else '') for name, count in counts)
-
-
-_SIZE = Share(1e-6, 0.5, signed=False)
-
-
-def _one_of(axes: tuple[str, ...]) -> Either:
-    numbers = {d: tuple((Number(f'{d}_{p}', _SIZE),) for p in _labels(axes)) for d in XYZ}
-    return Either(tuple((Either(numbers[d]),) for d in XYZ))
-
-
-_DRAWN = OfMachine(_one_of)
-"""Any one of the coefficients."""
 
 
 class CrossCoupling(Effect):
@@ -75,7 +62,6 @@ class CrossCoupling(Effect):
     )
     stays_in_place: ClassVar[bool] = True
     couples: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((Several(_DRAWN, 2),), second_place=7)
 
     free: ClassVar[tuple[Free, ...]] = tuple(
         Free(

@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms, Wave
-from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
 from otf_core.effects.free import Free
 
 WAVES = 3
@@ -56,12 +55,6 @@ class CyclicError(Effect):
     refine_width: ClassVar[float] = 0.01
     wave: ClassVar[Wave | None] = Wave('period', in_time=False, probe=0.01)
     stays_in_place: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((
-        Number('period', OneOf((0.005, 0.008, 0.01, 0.012, 0.016, 0.02, 0.025))),
-        Maybe(0.5, Number('period', Uniform(0.006, 0.03))),
-        Axes('S', most=2),
-        Axes('C', most=2),
-    ))  # fmt: skip
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(

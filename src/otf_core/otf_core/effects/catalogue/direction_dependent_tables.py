@@ -18,28 +18,14 @@ from numpy.polynomial import legendre
 
 from otf_core.arrays import Array
 from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.catalogue.backlash import HELD, SOMETIMES_HELD, travel_sign
-from otf_core.effects.drawing import Either, Normal, Number, OfMachine, Some, Trial
+from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.free import Free
 from otf_core.effects.inputs import harmonics
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import Axis
-from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
+from otf_core.model.motions import DIRECTIONS, ErrorMotion
 
 ORDER = 3
-
-
-def _drawn_motion(motion: ErrorMotion) -> Either:
-    """One motion up to an order drawn from 1 to ``ORDER``: about 1 um or 4 urad each."""
-    size = Normal(1e-6 if motion.is_translation else 4e-6)
-    first = int(motion.is_positioning)
-    numbers = [Number(f'{motion}_{k}', size) for k in range(first, ORDER + 1)]
-    return Either(tuple(tuple(numbers[: k + 1 - first]) for k in range(1, ORDER + 1)))
-
-
-def _drawn_axis(axis: str) -> Some:
-    """One or two of the motions of an axis."""
-    return Some(tuple(_drawn_motion(m) for m in MOTIONS if m.axis == axis), 2)
 
 
 def functions_along(axis: Axis, q: Array, order: int) -> Array:
@@ -90,9 +76,6 @@ class DirectionDependentTables(Effect):
     needs: ClassVar[str] = 'every line driven forward and backward'
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (OfMachine(lambda axes: Either(tuple((SOMETIMES_HELD, _drawn_axis(a)) for a in axes))),)
-    )
     shape_names: ClassVar[tuple[str, ...]] = ('order', HELD)
     shape_units: ClassVar[tuple[str, ...]] = ('', '')
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(

@@ -16,7 +16,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, OneOf, Trial
 
 SHOWN = np.radians(25.0)
 """rad; angle at which the size is stated."""
@@ -42,7 +41,6 @@ class FacingIncidence(Effect):
         'tilt motions, but for each target its own'
     )
     needs: ClassVar[str] = 'the same angles driven with two facings of the reflector'
-    trial: ClassVar[Trial] = Trial((Number('k', OneOf((-2e-5, 2e-5))),))
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Range error at 25 deg."""

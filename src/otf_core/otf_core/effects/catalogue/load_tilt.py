@@ -15,7 +15,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, OneOf, Trial
 from otf_core.effects.sizes import vector_size
 from otf_core.effects.terms import POSITIONING
 from otf_core.model.frames import XYZ
@@ -51,7 +50,6 @@ class LoadTilt(Effect):
         'the tracker on the bed, targets on the table, and both axes moving together; for a load '
         'on the axis of the table two runs, with and without it'
     )
-    trial: ClassVar[Trial] = Trial((Number('L_X_A', OneOf((-1e-5, 1e-5))),))
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Largest twist."""

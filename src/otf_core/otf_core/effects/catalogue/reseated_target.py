@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Number, Trial
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
@@ -36,7 +35,6 @@ class ReseatedTarget(Effect):
     shape_names: ClassVar[tuple[str, ...]] = (PART,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     own_per_run: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((Number(PART, 2.0), Axes('P', 5e-6)))
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Parts whose target was used before."""

@@ -16,7 +16,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Number, OneOf, Trial
 from otf_core.effects.terms import rotary_columns
 
 PER_TURN = 'per_turn'
@@ -50,9 +49,6 @@ class RotaryCyclicError(Effect):
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     stays_in_place: ClassVar[bool] = True
     held_by_tables: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((
-        Number(PER_TURN, OneOf((36.0, 48.0, 60.0))), Axes('S', 1e-5, most=1),
-    ))  # fmt: skip
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Every whole number of waves per turn that tables cannot follow."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.model.machine import BED, Machine
 
@@ -44,7 +43,6 @@ class ServoMismatch(Effect):
     )
     needs: ClassVar[str] = 'two feeds, forward and backward; at one feed it looks like backlash'
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((Axes('T', 1e-5, most=2),))
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(('feed',), (2,), 'the lag is not proportional to the feed'),

@@ -19,17 +19,12 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import BetweenNodes, Number, Some, Trial
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 
 NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
 TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')
-_DRAWN = tuple(
-    BetweenNodes(m + '@{:.6g}..{:.6g}', m.axis, size=1e-6, lengths=(1.0, 2.5), rough=0.3)
-    for m in map(ErrorMotion.of, ('EXX', 'EYX', 'EZX', 'EYY', 'EXY', 'EZY', 'EZZ', 'EXZ', 'EYZ'))
-)
 
 BOW_SQUARE, WAVE_SQUARE = 8.0 / 15.0, 18.0 / 35.0
 """Mean squares of the two functions between two nodes."""
@@ -87,7 +82,6 @@ class TableResolution(Effect):
     belongs_to: ClassVar[BelongsTo] = BelongsTo.TABLES
     material_um: ClassVar[float] = 0.45
     """um; smooth errors always leave a little between nodes."""
-    trial: ClassVar[Trial] = Trial((Number('order', 2.0), Some(_DRAWN, 3)))
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Order 1: bows of the translations; 2: waves as well; (3: rotations as well)."""

@@ -17,18 +17,9 @@ import numpy as np
 
 from otf_core.effects.action import turned_about_zero_by_axis, turned_by_axis
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Drawn, Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
 from otf_core.model.frames import XYZ
-
-
-def _drawn(tilt: str) -> Drawn:
-    """Tilt about one axis by any one that moves."""
-    size = OneOf((-2e-5, 2e-5))
-    return OfMachine(
-        lambda axes: Either(tuple((Number(f'tilt_{tilt}_by_{a}', size),) for a in axes))
-    )
 
 
 class TableTilt(Effect):
@@ -46,9 +37,6 @@ class TableTilt(Effect):
     signature: ClassVar[str] = 'like an angular error of the axis, but about the tracker'
     needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
     rigid: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (Either(tuple((_drawn(k),) for k in XYZ)),), hard_to_see=True, second_place=4
-    )
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(

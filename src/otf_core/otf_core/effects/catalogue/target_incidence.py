@@ -14,7 +14,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.effects.drawing import Maybe, Normal, Number, OneOf, Trial
 
 
 class TargetIncidence(Effect):
@@ -37,10 +36,6 @@ class TargetIncidence(Effect):
     )
     needs: ClassVar[str] = (
         'the target turned about its axis between runs, or realigned at some positions'
-    )
-    trial: ClassVar[Trial] = Trial(
-        (Number('k', OneOf((-2e-5, 2e-5))), Maybe(0.3, Number('k_u', Normal(5e-6)))),
-        second_place=6,
     )
 
     def terms(self, state: State, shape: Shape) -> Terms:

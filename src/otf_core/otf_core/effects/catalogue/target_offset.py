@@ -12,7 +12,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
@@ -31,7 +30,6 @@ class TargetOffset(Effect):
     contributions: ClassVar[tuple[Contribution, ...]] = (
         Contribution('target offset', ('target_offset',)),
     )
-    trial: ClassVar[Trial] = Trial((Axes('dT', 5e-3),), hard_to_see=True, second_place=5)
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Offset, with its direction where one component is most of it."""

@@ -14,7 +14,6 @@ import numpy as np
 from otf_core.effects import drift
 from otf_core.effects.action import Acting
 from otf_core.effects.base import Coefficients, Contribution, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
 
@@ -81,7 +80,6 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             {'tau': AT_ONCE, 'until': 0.0, 'order': 1.0},
         ),
     )
-    trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
     follows: ClassVar[tuple[Acting, ...]] = (strain_displacement, strain_and_shift_displacement)
     switches: ClassVar[tuple[Acting, ...]] = (strain_displacement,)

@@ -14,7 +14,6 @@ from otf_core.arrays import Array
 from otf_core.effects import drift
 from otf_core.effects.action import Acting, vector
 from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
-from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
@@ -48,7 +47,6 @@ class ThermalStructureDrift(drift.DriftingEffect):
         'from a drift of the tracker, which has exactly the same effect'
     )
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
     follows: ClassVar[tuple[Acting, ...]] = (vector,)
     switches: ClassVar[tuple[Acting, ...]] = (vector,)

@@ -20,11 +20,8 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
 from otf_core.effects.beam import Beam, beam_of
-from otf_core.effects.drawing import Number, Share, Some, Trial
 
 OFFSETS = ('x1n', 'x1z', 'x2', 'x3')
-DRAWN = ('x1n', 'x2', 'x3', 'x5n9n', 'x5z7', 'x8x', 'x8y', 'x11a', 'x11b', 'x12a', 'x12b')
-"""Parameters that blind trials draw."""
 NO_EFFECT = 1e-9
 """Displacement per unit of a parameter, relative to the largest possible, that is rounding."""
 
@@ -98,11 +95,6 @@ class TrackerAngles(Effect):
         Contribution('tracker angles', ('tracker_offset', 'tracker_angle'), size=_shared_equally),
     )
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (Some(tuple(Number(n, Share(2e-6, 0.5)) for n in DRAWN), 3),),
-        hard_to_see=True,
-        second_place=3,
-    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return x1n ... x12b: offsets in m, all others in rad."""

@@ -16,7 +16,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Either, Number, Trial, Uniform
 from otf_core.errors import ConfigError
 
 SPECIFIED = -1.0
@@ -63,14 +62,6 @@ class TrackerNoise(Effect):
     )
     belongs_to: ClassVar[BelongsTo] = BelongsTo.NOISE
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial((
-        Either((
-            (Number('level_range', Uniform(1.7, 3.0), also=('level_angle',)),),
-            (Number('correlated_share', Uniform(0.85, 0.97)),
-             Number('correlation_time', Uniform(0.8, 2.0))),
-            (Number('dof', 3.0), Number('level_angle', 1.5), Number('level_range', 1.5)),
-        )),
-    ))  # fmt: skip
 
     def complete_shape(self, parameters: Shape) -> dict[str, float]:
         """Shape parameters with the defaults; levels and share may be zero.

@@ -15,12 +15,9 @@ from otf_core.effects import drift
 from otf_core.effects.action import Acting, rigid_tracker
 from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
 from otf_core.effects.catalogue.thermal_structure_drift import translation_columns
-from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
-
-_SHIFT, _TURN = Axes('M'), Axes('W', 2e-6)
 
 
 class TrackerPoseDrift(drift.DriftingEffect):
@@ -45,9 +42,6 @@ class TrackerPoseDrift(drift.DriftingEffect):
         'as a drift of the structure'
     )
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
-    )
 
     follows: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
     switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)

@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, OneOf, Trial
 
 
 class TrackerRangeOffset(Effect):
@@ -32,9 +31,6 @@ class TrackerRangeOffset(Effect):
         Contribution('tracker range offset', ('tracker_range_offset',)),
     )
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (Number('c', OneOf((-5e-6, 5e-6))),), hard_to_see=True, second_place=2
-    )
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Range error."""

@@ -18,7 +18,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
-from otf_core.effects.drawing import Number, OneOf, Trial
 
 PER_KELVIN = 0.93e-6
 PER_PASCAL = 2.7e-9
@@ -49,9 +48,6 @@ class TrackerScale(Effect):
         Contribution('air', ('air_temperature', 'air_pressure'), size=_air),
     )
     any_axes: ClassVar[bool] = True
-    trial: ClassVar[Trial] = Trial(
-        (Number('m', OneOf((-4e-6, 4e-6))),), hard_to_see=True, second_place=1
-    )
 
     def sizes(self, fitted: Coefficients) -> tuple[Size, ...]:
         """Relative error of the range."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms, Wave
-from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.frames import XYZ
 
@@ -57,9 +56,6 @@ class Vibration(Effect):
     refine: ClassVar[str] = 'frequency'
     refine_width: ClassVar[float] = 2e-4
     wave: ClassVar[Wave | None] = Wave('frequency', in_time=True, probe=10.0)
-    trial: ClassVar[Trial] = Trial(
-        (Number('frequency', LogUniform(1.5, 45.0)), Axes('S'), Axes('C'))
-    )
 
     free: ClassVar[tuple[Free, ...]] = (
         Free(

@@ -71,8 +71,6 @@ class Dialect(ABC):
         s.
     needs_dwell : bool
         True where only a dwell makes the machine stop exactly at a corner.
-    decimals : int
-        Of positions in mm.
     unchecked : str
         What of a program for rotary axes no manual at hand confirmed.
     """
@@ -81,7 +79,6 @@ class Dialect(ABC):
     file_name: str
     longest_dwell: float = 9999.0
     needs_dwell: bool = False
-    decimals: int = 3
     unchecked: str = ''
 
     @abstractmethod
@@ -151,10 +148,10 @@ class Dialect(ABC):
         return lines
 
 
-def words(axes: str, point: Array, sign: bool = False, decimals: int = 3) -> str:
+def words(axes: str, point: Array, sign: bool = False) -> str:
     """Axis words in mm: ``X10.000 Y20.000``; ``sign`` writes a plus too."""
-    style = f'{"+" if sign else ""}.{decimals}f'
-    values = {a: round(float(point['XYZ'.index(a)]), decimals) + 0.0 for a in axes}
+    style = f'{"+" if sign else ""}.3f'
+    values = {a: round(float(point['XYZ'.index(a)]), 3) + 0.0 for a in axes}
     return ' '.join(f'{a}{value:{style}}' for a, value in values.items())
 
 

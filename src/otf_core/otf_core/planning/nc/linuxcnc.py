@@ -32,7 +32,7 @@ class LinuxCnc(Dialect):
 
     def move(self, axes: str, point: Array, feed: int) -> str:
         """Straight line in machine coordinates."""
-        return f'G53 G1 {words(axes, point, decimals=self.decimals)} F{feed}'
+        return f'G53 G1 {words(axes, point)} F{feed}'
 
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""

@@ -39,12 +39,11 @@ def round_to_increment(plan: Plan, low: Array, high: Array) -> Plan:
 
 def _check(dialect: Dialect, plan: Plan) -> None:
     points = plan.path.points
-    increment = 10.0 ** -(3 + dialect.decimals)
-    off = np.abs(points - np.rint(points / increment) * increment).max()
+    off = np.abs(points - np.rint(points / INCREMENT) * INCREMENT).max()
     if off > 1e-9:
         raise ConfigError(
             f'{dialect.name}: the path has positions between the increments of '
-            f'{1e3 * increment:g} mm'
+            f'{1e3 * INCREMENT:g} mm'
         )
     if np.abs(points).max() > LARGEST_POSITION:
         raise ConfigError(f'{dialect.name}: positions beyond {1e3 * LARGEST_POSITION:.3f} mm')

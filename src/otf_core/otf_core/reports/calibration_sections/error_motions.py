@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.calibration.calibration_result import GAUGE, CalibrationResult
 from otf_core.files.writing import tidy
-from otf_core.model.expanded import figure, micro_with_expanded, significant, with_expanded
+from otf_core.model.expanded import figure, micro_with_expanded, significant
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
@@ -23,13 +22,11 @@ from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.page import Cell, Picture, Section, Table, dof_words, micro, micro_unit
 from otf_core.solving.reversal import MODELS, Reversal
 
-# Reversal of a calibration as plain data, CSV rows and text.
+# Reversal of a calibration as plain data and in words.
 #
 # Sign: reversal value = error in forward travel (towards larger positions) less error in backward
 # travel, as ISO 230-2 takes the difference of the means of the two directions of approach; forward
 # and backward are the mean of the error table plus and minus half of it.
-
-CSV_HEADER = 'motion,axis,position,forward,backward,value,unit,u,identifiable'
 
 
 def _directions(
@@ -68,38 +65,25 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
     }
 
 
-def reversal_csv(reversal: Reversal, tables: ErrorTables) -> str:
-    """Return reversal.csv: one row a node; the header alone without a reversal model."""
-    lines = [CSV_HEADER]
-    for name, forward, backward, seen in _directions(reversal, tables):
-        table = reversal.motions[name]
-        for row in zip(table.position, forward, backward, table.value, table.u, strict=True):
-            position, ahead, back, value, u = map(float, row)
-            lines.append(
-                f'{name},{ErrorMotion.of(name).axis},{tidy(position)!r},{ahead!r},{back!r},{value!r},'
-                f'{unit_of(name)},{u!r},{str(seen).lower()}'
-            )
-    return '\n'.join(lines) + '\n'
-
-
-def _why(reversal: Reversal) -> list[str]:
+def why_reversal(reversal: Reversal) -> list[str]:
+    """Why this model of reversal was chosen: sentences."""
     evidence = reversal.evidence
     if 'lines' not in evidence or 'needed' not in evidence:
         decided = evidence.get('decided_by')
-        return [f'  decided by {decided}'] if decided else []
+        return [f'Decided by {decided}.'] if decided else []
     lines = []
     for model in MODELS:
         if f'gain_{model}' in evidence:
             gain, scatter = evidence[f'gain_{model}'], evidence[f'scatter_{model}']
             lines.append(
-                f'  {model}: gain over the best simpler model on {evidence["lines"]} held-out '
+                f'Model {model}: gain over the best simpler model on {evidence["lines"]} held-out '
                 f'lines {gain:.1f} +/- {scatter:.1f}; {evidence["needed"]:g} times the scatter is '
-                f'needed'
+                f'needed.'
             )
     if 'rival' in evidence:
         lines.append(
-            f'  but {evidence["rival"]} explains these legs better: an error that changes sign '
-            f'with the direction of travel and grows with the feed; see otf diagnose'
+            f'But {evidence["rival"]} explains these legs better: an error that changes sign '
+            f'with the direction of travel and grows with the feed; see otf diagnose.'
         )
     return lines
 
@@ -113,29 +97,6 @@ def backlash_words(reversal: Reversal) -> str:
         f'backlash at the target (forward minus backward, k = 2): {", ".join(sizes)}; on the '
         f'middle line of the axis, including the reversal of rotations'
     )
-
-
-def format_reversal(reversal: Reversal) -> str:
-    """Return the reversal model as text."""
-    lines = [f'Reversal model: {reversal.model}', *_why(reversal)]
-    if not reversal.motions:
-        return '\n'.join(lines)
-    stays = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
-    lines += [
-        f'axes at rest {stays}',
-        *filter(None, [backlash_words(reversal)]),
-        'reversal value of every motion alone, forward minus backward',
-        'motion  unit       min       max    mean u, k = 1',
-    ]
-    for name, table in reversal.motions.items():
-        row = f'{name:<8}{"um" if unit_of(name) == "m" else "urad":<6}'
-        if table.identifiable:
-            row += f'{1e6 * table.value.min():>8.2f}{1e6 * table.value.max():>10.2f}'
-            row += f'{1e6 * table.u.mean():>17.2f}'
-        else:
-            row += ' not identifiable in these data'
-        lines.append(row)
-    return '\n'.join(lines)
 
 
 LIMIT_HEIGHT_RATIO = 4.0
@@ -184,10 +145,7 @@ def motions_section(facts: CalibrationFacts) -> Section:
         *_largest_motions(facts),
         'One picture for each error motion, over the position of its axis. Scales differ.',
     )
-    text = ('motion  unit  nodes       min       max  largest U  holds',
-            *(_motion_line(facts, name) for name in MOTIONS),
-            '', f'Gauge: {GAUGE}.', spacing_words(facts.result), '')  # fmt: skip
-    return Section('motions', 'Error motions', words, _motion_data(facts), (table,), text,
+    return Section('motions', 'Error motions', words, _motion_data(facts), (table,),
                    draw=lambda: _motion_pictures(facts))  # fmt: skip
 
 
@@ -233,34 +191,6 @@ def _motion_row(facts: CalibrationFacts, name: ErrorMotion) -> tuple[str, ...]:
     sizes = (figure(1e6 * size, wide) for size in (low, high, high - low))
     mean = figure(1e6 * float(whole.mean()) / max(k, 1.0), wide)
     return (*start, *sizes, mean, significant(wide), f'{k:.2f}', dof)
-
-
-def _motion_line(facts: CalibrationFacts, name: ErrorMotion) -> str:
-    table = facts.tables.motions[name]
-    row = f'{name:<8}{micro_unit(name.unit):<6}{len(table.position):>5}'
-    if not table.identifiable:
-        return row + '   not identifiable in these data'
-    wide = 1e6 * float(facts.result.expanded[name].max())
-    low, high = (figure(1e6 * float(v), wide) for v in (table.value.min(), table.value.max()))
-    row += f'{low:>10}{high:>10}{significant(wide):>11}'
-    return f'{row}  {facts.result.offset_bound.words(name)}'.rstrip()
-
-
-def spacing_words(result: CalibrationResult) -> str:
-    """What straight lines between the nodes cost."""
-    wish, cost = result.table_costs[1], result.table_costs[result.fraction]
-    worst = max(wish.motions, key=lambda name: wish.motions[name])
-    unit = micro_unit(ErrorMotion.of(worst).unit)
-    costs = (
-        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
-        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
-    )
-    if result.fraction == 1:
-        return f'Nodes stand table_pitch apart; {costs}.'
-    return (
-        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
-        f'{1e6 * cost.grid:.2f} um on the grid; at table_pitch {costs}.'
-    )
 
 
 def _motion_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
@@ -378,14 +308,12 @@ def squareness_section(facts: CalibrationFacts) -> Section:
     """Squareness errors as angles in words, in both habits of sign."""
     result, bound = facts.result, facts.result.offset_bound
     rows: list[tuple[Cell, ...]] = []
-    text = ['squareness, urad: value +/- U of the headline; u of the files, k = 1']
     data, angles = {}, []
     for name in SQUARENESS:
         entry = facts.tables.squareness[name]
         if name in result.not_identifiable:
-            rows.append((name, 'not known', '', '', '', '', ''))
+            rows.append((name, 'not known', '', '', '', ''))
             angles.append(f'{name}: not identifiable in these data.')
-            text.append(f'{name}  not identifiable in these data')
             continue
         wide = float(result.expanded[name][0])
         larger = ANGLES[name][2] * entry.value
@@ -396,10 +324,6 @@ def squareness_section(facts: CalibrationFacts) -> Section:
         rows.append((name, *figures, significant(1e6 * wide), significant(1e6 * entry.u),
                      holds or 'at any target offset'))  # fmt: skip
         angles.append(f'{name}: {statement}{f", {holds}" if holds else ""}.')
-        text.append(
-            f'{name}  {with_expanded(1e6 * entry.value, 1e6 * wide):<20}'
-            f'u {significant(1e6 * entry.u):<8}{statement}{f"; {holds}" if holds else ""}'
-        )
     words = (
         *angles,
         'Two sign conventions are in use. Here and in all files the value is a right-handed '
@@ -410,20 +334,19 @@ def squareness_section(facts: CalibrationFacts) -> Section:
     head = ('', 'Value (urad)', 'Larger than 90 deg positive (urad)', 'U (urad)',
             'u in the files, k = 1 (urad)', 'Holds')  # fmt: skip
     table = Table(head, tuple(rows), numbers=(1, 2, 3, 4))
-    return Section('squareness', 'Squareness', words, data, (table,), (*text, ''))
+    return Section('squareness', 'Squareness', words, data, (table,))
 
 
 def reversal_section(facts: CalibrationFacts) -> Section:
     """Forward and backward travel, and figures in the manner of ISO 230-2 derived from them."""
     reversal = facts.result.reversal
-    text = (format_reversal(reversal), '')
     if not facts.both_ways:
         statement = (
             f'Reversal model: {reversal.model}. The data do not distinguish forward from '
             f'backward travel, so no figures after ISO 230-2 can be derived.',
+            *why_reversal(reversal),
         )
-        return Section('reversal', 'Forward and backward', statement,
-                       {'model': reversal.model}, text=text)  # fmt: skip
+        return Section('reversal', 'Forward and backward', statement, {'model': reversal.model})
     rows: list[tuple[str, ...]] = []
     data = {}
     for axis in facts.machine.axis_names:
@@ -446,6 +369,7 @@ def reversal_section(facts: CalibrationFacts) -> Section:
         f'Reversal model: {reversal.model}; axes at rest {stay}. A reversal value is the error '
         f'in forward travel (towards larger positions) less that in backward travel.',
         *([f'{at_target[:1].upper()}{at_target[1:]}.'] if at_target else []),
+        *why_reversal(reversal),
         DERIVED,
     )
     head = ('Axis', 'E, bidirectional systematic deviation', 'M, range of the mean',
@@ -455,7 +379,7 @@ def reversal_section(facts: CalibrationFacts) -> Section:
         reversal_table(reversal),
     )
     return Section('reversal', 'Forward and backward', words,
-                   {'model': reversal.model, 'derived': data}, tables, text)  # fmt: skip
+                   {'model': reversal.model, 'derived': data}, tables)  # fmt: skip
 
 
 def reversal_table(reversal: Reversal) -> Table:

@@ -111,7 +111,7 @@ def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
     for name in (*MOTIONS, *SQUARENESS):
         known = name not in result.not_identifiable
         value, wide = (
-            size_and_expanded(name, facts.tables, result.budget_with_typical, result.prior)
+            size_and_expanded(name, facts.tables, result.budget_with_typical)
             if known
             else (0.0, 0.0)
         )
@@ -239,7 +239,7 @@ MOODS = {PASS: 'good', FAIL: 'bad', OPEN: 'open', UNKNOWN: 'open'}
 SUMMARY_CONTRIBUTORS = 4
 """Errors that are named as the largest contributors."""
 SUMMARY_WARNINGS, SUMMARY_WIDTH = 3, 110
-"""Warnings that are shown, and letters of each; summary.txt has all of them."""
+"""Warnings that are shown, and letters of each; report.html has all of them."""
 
 
 def overview_section(facts: CalibrationFacts) -> Section:
@@ -271,23 +271,8 @@ def overview_section(facts: CalibrationFacts) -> Section:
             'contributions': dict(contributions(facts)),
             'warnings': list(result.warnings),
         },
-        text=_overview_lines(facts),
         draw=lambda: (volume_pictures(facts), error_bars(facts)),
         script=SCRIPT,
-    )
-
-
-def _overview_lines(facts: CalibrationFacts) -> tuple[str, ...]:
-    result, fit, machine = facts.result, facts.result.fit, facts.machine
-    return (
-        *(f'WARNING {line}' for line in result.warnings),
-        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
-        f'samples {fit.samples}, used {fit.used} in {fit.pieces} path pieces; '
-        f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
-        f'mean distance from the path {micro(fit.path_mae_before)} um, compensated '
-        f'{micro(fit.path_mae_after)} um; residual rms {micro(fit.residual_rms)} um',
-        f'the volumetric error is that of {result.headline.points} points of a regular grid over '
-        f'the whole volume, best rigid motion removed',
     )
 
 
@@ -453,5 +438,5 @@ def _warning_lines(facts: CalibrationFacts) -> list[str]:
     lines = [f'warning: {shortened(w, SUMMARY_WIDTH)}' for w in every[:SUMMARY_WARNINGS]]
     more = len(every) - SUMMARY_WARNINGS
     if more > 0:
-        lines.append(f'warning: {more} more in summary.txt')
+        lines.append(f'warning: {more} more in report.html')
     return lines

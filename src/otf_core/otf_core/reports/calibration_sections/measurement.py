@@ -16,14 +16,13 @@ from scipy.special import gammaincc
 from otf_core.arrays import Array
 from otf_core.budget.budget import NOISE
 from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
-from otf_core.effects.stated_effect import FOUND, effects_to_list, format_effects
+from otf_core.effects.stated_effect import FOUND, effects_to_list
 from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
 from otf_core.model.provenance import moment
 from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.calibration_facts import (
     CalibrationFacts,
-    measurement_dates,
     run_table,
     stated_tables,
 )
@@ -45,10 +44,8 @@ from otf_core.reports.page import (
     dof_words,
     join_names,
     micro,
-    millimetres,
     whole_dof,
 )
-from otf_core.version import __version__
 
 # The measurement: conditions, residuals along the path, samples, drift, fit.
 
@@ -69,19 +66,7 @@ def conditions_section(facts: CalibrationFacts) -> Section:
     tables, words = stated_tables(facts.machine)
     tables += [run_table(n, run) for n, run in enumerate(result.runs, start=1)]
     data = {'instrument': dict(given.instrument), 'conditions': dict(given.conditions)}
-    text = tuple(_run_line(number, run) for number, run in enumerate(result.runs, start=1))
-    return Section('conditions', 'Conditions and instrument', words, data, tuple(tables), text)
-
-
-def _run_line(number: int, run: RunResult) -> str:
-    where, offset = (
-        ', '.join(map(millimetres, vector))
-        for vector in (run.T_machine_tracker.translation, run.target_offset)
-    )
-    return (
-        f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
-        f'{100 * run.coverage:.1f} % driven, tracker at ({where}) mm, target offset ({offset}) mm'
-    )
+    return Section('conditions', 'Conditions and instrument', words, data, tuple(tables))
 
 
 def path_section(facts: CalibrationFacts) -> Section:
@@ -363,14 +348,6 @@ def _time_range(times: list[float]) -> str:
 
 # What the numbers mean and where they come from: effects, conventions, versions.
 
-CONVENTION = (
-    'error = actual minus nominal, of the target relative to the table, in machine '
-    'coordinates; u standard uncertainty (k = 1), U expanded uncertainty (k = 2, about 95 %)'
-)
-FILES = (
-    'files: position in m; value, u and U in m for EX, EY, EZ, in rad for EA, EB, EC and '
-    'squareness'
-)
 PLACE_OF_B = (
     'position of b in the chain as stated: it defines what is called squareness, straightness '
     'and positioning, and no data can verify it'
@@ -382,11 +359,7 @@ def effects_section(facts: CalibrationFacts) -> Section | None:
     stated, sentence = facts.result.effects, facts.result.effects_sentence
     introduction = (sentence,) if sentence else ()
     if not stated:
-        return (
-            Section('effects', 'Effects', introduction, text=(*introduction, ''))
-            if introduction
-            else None
-        )
+        return Section('effects', 'Effects', introduction) if introduction else None
     rows = []
     for one in stated:
         how = 'found by a diagnosis' if one.how == FOUND else 'named in a file'
@@ -403,8 +376,7 @@ def effects_section(facts: CalibrationFacts) -> Section | None:
     head = ('Effect', 'How', 'Parameter', 'Value', 'u, k = 1', 'Unit (SI)')
     table = Table(head, tuple(rows), numbers=(3, 4))
     data = {'effects': effects_to_list(stated)}
-    return Section('effects', 'Effects taken off', words, data, (table,),
-                   (*introduction, format_effects(stated), ''))  # fmt: skip
+    return Section('effects', 'Effects taken off', words, data, (table,))
 
 
 def reference_words(result: CalibrationResult) -> str:
@@ -430,7 +402,7 @@ def reference_words(result: CalibrationResult) -> str:
 
 def conventions_section(facts: CalibrationFacts) -> Section:
     """Conventions and gauge in words: signs, reference points, what u and U are."""
-    machine, origin = facts.machine, facts.result.origin
+    machine = facts.machine
     carried = {
         'table': ', '.join(machine.chain.table_side) or 'none',
         'target': ', '.join(machine.chain.target_side) or 'none',
@@ -456,16 +428,7 @@ def conventions_section(facts: CalibrationFacts) -> Section:
         f"Student's t); bands are pointwise. "
         f'The full covariance is in error_tables.json (JCGM 102).',
     )
-    date = f'measured {measurement_dates(origin)}, ' if measurement_dates(origin) else ''
-    text = (
-        CONVENTION,
-        FILES,
-        reference_words(facts.result),
-        f'{PLACE_OF_B}.',
-        f'{date}calibrated by otf_core {__version__}',
-        '',
-    )
-    return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE}, text=text)
+    return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE})
 
 
 def provenance_section(facts: CalibrationFacts) -> Section:
@@ -497,13 +460,13 @@ def repeat_command(facts: CalibrationFacts) -> str:
     """The command that gives the same tables from the same recordings."""
     bags = ' '.join(o.name or 'BAG' for o in facts.result.origin) or 'BAG'
     config = facts.result.config
-    given = [
-        f'--{name.replace("_", "-")} {value}'
+    given = ', '.join(
+        f'{name}: {value}'
         for name, value in asdict(config).items()
         if value != getattr(type(config)(), name)
-    ]
+    )
     method = facts.provenance['method']
-    options = ' '.join([f'--method {method}', *given])
+    options = f'--method {method}' + (f' --config FILE with {given}' if given else '')
     return (
         f'./otf calibrate {bags} --machine machine.yaml --out DIR {options}; the same bags, '
         f'machine.yaml and version give the same tables and the same run id.'

@@ -32,7 +32,6 @@ from otf_core.reports.calibration_facts import (
     BudgetLine,
     CalibrationFacts,
     correlations,
-    format_budget,
 )
 from otf_core.reports.drawing.panel import Bar, bars, svg
 from otf_core.reports.drawing.panel import words as svg_words
@@ -98,7 +97,6 @@ def section_of_budget(tables: ErrorTables, budget: Budget, lines: Sequence[Budge
     )
     data = {line.name: {'u': line.u, 'k': line.k, 'sources': line.parts} for line in lines}
     return Section('budget', 'Uncertainty budget', tuple(words), data, listed,
-                   (format_budget(tables, budget, list(lines)),),
                    draw=lambda: _budget_pictures(lines))  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def volume_section(facts: CalibrationFacts) -> Section:
     ]
     words = (
         f'Length of the error vector on {first.points} points of a regular grid over the '
-        f'whole volume. After compensation with these tables their uncertainty remains, and '
+        f'driven volume. After compensation with these tables their uncertainty remains, and '
         f'outside the driven range that of extrapolation; a validation run after loading them '
         f'would measure it.',
         f'The largest error, {micro_figure(first.error["max"], first.of_largest)}, has U = '

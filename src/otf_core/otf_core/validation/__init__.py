@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The paper's comparisons on simulated cells (Sanders et al. 2023, section 2)."""
