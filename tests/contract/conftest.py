@@ -27,7 +27,7 @@ def result_of(tmp_path_factory):
 
     def found(name):
         def make(folder):
-            done = otf(*RECORDINGS[name].words(folder / 'out'))
+            done = otf(*RECORDINGS[name].words, '--out', folder / 'out')
             assert (folder / 'out').is_dir(), done.said
             (folder / 'code').write_text(str(done.code))
 
