@@ -54,8 +54,10 @@ def otf(*words, folder='.', **environment):
 
 
 def with_variables(changes):
-    """Variables of this process, with changes."""
-    return {**os.environ, 'OPENBLAS_NUM_THREADS': '1', **changes}
+    """Variables of this process, with changes; the package is found from any folder."""
+    places = filter(None, os.environ.get('PYTHONPATH', '').split(os.pathsep))
+    path = os.pathsep.join(map(os.path.abspath, places))
+    return {**os.environ, 'PYTHONPATH': path, 'OPENBLAS_NUM_THREADS': '1', **changes}
 
 
 def refused(done, code, *parts, written=()):

@@ -40,12 +40,16 @@ def errors():
 
 def made(kind):
     """An error of the kind: a message, and something for whatever else it asks for."""
-    parameters = list(inspect.signature(kind).parameters.values())
-    if any(p.kind is p.VAR_POSITIONAL for p in parameters) or not parameters:
-        return kind('line 7: what, where, what to do')
-    needed = [p for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
-    words = ['line 7: what, where, what to do', *[[1, 2]] * (len(needed) - 1)]
-    return kind(*words[: max(1, len(needed))])
+    message = 'line 7: what, where, what to do'
+    if '__init__' not in vars(kind) and kind.__init__ is Exception.__init__:
+        return kind(message)
+    try:
+        parameters = inspect.signature(kind).parameters.values()
+    except ValueError:  # as it is built in
+        return kind(message)
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    more = [p for p in parameters if p.default is p.empty and p.kind not in several][1:]
+    return kind(message, *[[1, 2]] * len(more))
 
 
 def test_every_error_keeps_its_message_when_it_is_pickled():

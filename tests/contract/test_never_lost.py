@@ -59,9 +59,8 @@ def test_no_clock_is_in_common(recording, tmp_path):
 
 def test_any_order_of_driving_with_laps_gaps_and_backward(recording, tmp_path):
     xyz = recording.samples.xyz
-    half = len(xyz) // 2
-    gap = np.r_[0:700, 900:half]
-    done, document = calibrated(tmp_path, recording, xyz[::-1][:half], xyz[gap], xyz[half:][::-1])
+    back, half = xyz[::-1], len(xyz) // 2
+    done, document = calibrated(tmp_path, recording, back[:700], back[900:], xyz[:half])
     assert done.code == 0, done.said
     assert document['fit']['coverage'] > 0.9
     assert share_left(tmp_path) < 0.04
