@@ -63,9 +63,7 @@ from otf_core.solving.joint import (
 )
 from otf_core.solving.normal import (
     NormalEquations,
-    RepeatedLineSums,
     sum_groups,
-    weigh_repeated_lines,
 )
 from otf_core.solving.residuals import FOLDS, fold_of
 from otf_core.solving.reversal import MODELS
@@ -510,7 +508,7 @@ def too_few(lines: int) -> str:
 
 def line_folds(joint: _Solved) -> list[Index]:
     """Fold of every line of every run: passes over one line are held out together."""
-    count = [len(solved.whitener.once.bounds) for solved in joint.runs]
+    count = [int(solved.whitener.line.max()) + 1 for solved in joint.runs]
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
 
 
@@ -541,17 +539,17 @@ def choose_model(held_out: Mapping[str, Array], held: bool) -> Choice:
 def _held_out_squares(
     runs: Sequence[Observed], joint: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
-    """Squared whitened residual of every leg under every model fitted to the other folds."""
+    """Squared whitened residual of every line under every model fitted to the other folds."""
     unknowns = layout(joint.unknowns.bases, len(runs), max(MODELS.values()), held=held)
     tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
-    lines, rivals = [], []
+    rows, rivals = [], []
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
-        lines.append(weigh_repeated_lines(system, solved.whitener))
-        rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
+        rows.append((system, solved.whitener))
+        rivals.append(_rival_columns(run, system))
     seen = joint.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]
-    folded = FoldedLines.of(lines, fold, rivals, unknowns, blocks)
+    folded = FoldedLines.of(rows, fold, rivals, unknowns, blocks)
     visible = identifiable_blocks(folded.total, unknowns, limit)
     columns = {
         model: free_columns(
@@ -567,13 +565,16 @@ def _held_out_squares(
     return folded.squares(columns, prior)
 
 
+WhitenedRows = tuple[System, Whitener]
+
+
 @dataclass(frozen=True)
 class FoldedLines:
     """Lines of all runs, dealt to folds.
 
     Attributes
     ----------
-    lines : sequence of RepeatedLineSums
+    rows : sequence of (System, Whitener)
         Of every run.
     fold : sequence of ndarray of int64
         Fold of every line.
@@ -585,7 +586,7 @@ class FoldedLines:
         Of all of them, and what is known beside the rows.
     """
 
-    lines: Sequence[RepeatedLineSums]
+    rows: Sequence[WhitenedRows]
     fold: Sequence[Index]
     further: Sequence[Array]
     unknowns: Unknowns
@@ -595,7 +596,7 @@ class FoldedLines:
     @classmethod
     def of(
         cls,
-        lines: Sequence[RepeatedLineSums],
+        rows: Sequence[WhitenedRows],
         fold: Sequence[Index],
         further: Sequence[Array],
         unknowns: Unknowns,
@@ -604,11 +605,11 @@ class FoldedLines:
     ) -> FoldedLines:
         """Sum up the rows of every fold; see ``normal.sum_groups``."""
         sums = [
-            sum_groups(own.system, unknowns, own.whitener, group, more, FOLDS, blocks)
-            for own, group, more in zip(lines, fold, further, strict=True)
+            sum_groups(system, unknowns, whitener, group[whitener.line], more, FOLDS, blocks)
+            for (system, whitener), group, more in zip(rows, fold, further, strict=True)
         ]
         parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
-        return cls(lines, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
+        return cls(rows, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
 
     def squares(self, columns: Mapping[str, Index], prior: Array) -> dict[str, Array]:
         """Squares (lines,) that models of some columns leave of the lines that they do not know.
@@ -619,7 +620,7 @@ class FoldedLines:
             Places among free unknowns and further columns.
         prior : ndarray, shape (k, k), 1 / (m, rad)^2
         """
-        held_out = [_folds(*run) for run in zip(self.lines, self.fold, self.further, strict=True)]
+        held_out = [_folds(*run) for run in zip(self.rows, self.fold, self.further, strict=True)]
         for some in (part for folds in held_out for part in folds):
             some.rows.prepare()
         values = side_by_side(
@@ -628,9 +629,9 @@ class FoldedLines:
 
         def left(model: str) -> Array:
             own = [of_fold[model] for of_fold in values]
-            pairs = zip(self.lines, held_out, strict=True)
+            pairs = zip(self.rows, held_out, strict=True)
             return np.concatenate(
-                [_squares(line, folds, self.unknowns, own) for line, folds in pairs]
+                [_squares(rows, folds, self.unknowns, own) for rows, folds in pairs]
             )
 
         return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
@@ -683,28 +684,26 @@ class _Fold:
     rival: Array
 
 
-def _folds(own: RepeatedLineSums, fold: Index, rival: Array) -> list[_Fold]:
+def _folds(rows: WhitenedRows, fold: Index, rival: Array) -> list[_Fold]:
     """Folds of a run, by the fold of every line."""
-    of_piece = fold[_line_of_piece(own)]
+    system, whitener = rows
+    of_piece = fold[_line_of_piece(whitener)]
     places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
-    return [_Fold(p, own.system.rows.at(p), rival[:, p]) for p in places]
+    return [_Fold(p, system.rows.at(p), rival[:, p]) for p in places]
 
 
-def _line_of_piece(own: RepeatedLineSums) -> Index:
-    size = [high - low for low, high in own.whitener.bounds]
-    return np.repeat(np.arange(len(size)), size)
+def _line_of_piece(whitener: Whitener) -> Index:
+    return np.repeat(whitener.line, [high - low for low, high in whitener.bounds])
 
 
 def _squares(
-    own: RepeatedLineSums, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
+    rows: WhitenedRows, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
 ) -> Array:
-    """Sum of squares of each line of a run with the values (columns,) of its fold.
-
-    What passes over a line differ among themselves is left out: it is the same for every model.
-    """
-    rest = own.system.deviation.copy()
+    """Sum of squares of each line of a run with the values (columns,) of its fold."""
+    system, whitener = rows
+    rest = system.deviation.copy()
     for fold, value in zip(folds, values, strict=True):
         rest[:, fold.pieces] -= fold.rows.times(unknowns.gauge @ value[: unknowns.free])
         rest[:, fold.pieces] -= fold.rival @ value[unknowns.free :]
-    white, number, size = own.whitener.whiten(rest), _line_of_piece(own), own.whitener.bounds
-    return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)
+    square = (whitener.whiten(rest) ** 2).sum(axis=0)
+    return np.asarray(np.bincount(_line_of_piece(whitener), square), dtype=float)
