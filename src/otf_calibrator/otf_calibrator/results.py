@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from otf_calibrator.children import Answer, Failure, internal_error
-from otf_calibrator.job import CalibrationOutput
+from otf_calibrator.job import CalibrationOutput, Request
 from otf_calibrator.losses import lost_words
 from otf_calibrator.messages import messages_of
 from otf_calibrator.session import Session
@@ -131,6 +131,7 @@ class OutcomePublisher:
     ) -> None:
         self._log, self._session, self._state = node.get_logger(), session, state
         self.results = ResultPublishers(node, machine)
+        self._unpublished: Request | None = None
 
     def finish(self, job: Future[CalibrationOutput]) -> None:
         """Publish the result of a calibration, or why there is none."""
@@ -141,7 +142,7 @@ class OutcomePublisher:
                     self._log.warning(text)
                 return
             except Exception as defect:  # noqa: BLE001 - the files are there
-                error = defect
+                error, self._unpublished = defect, job.result().request
         if not isinstance(error, OtfError):
             self._log.error(''.join(traceback.format_exception(error)))
         text = self.results.publish_failure(error) + self._session.intake.journal_words()
@@ -152,6 +153,8 @@ class OutcomePublisher:
 
     def complete(self, outcome: CalibrationOutput) -> None:
         """State that all files of a calibration are there; diagnose it if that is wanted."""
+        if outcome.request is self._unpublished:
+            return  # the state says what failed
         self._state.done(outcome)
         if outcome.request.files.diagnose:
             started, text = self._session.diagnose()
