@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a change leave every result as it was? Every file of two commits, byte for byte.
+"""Does a change leave every result as it was? Two commits, byte for byte or within a share of u.
 
 The commit is laid out beside the repository for the time of the run (``git worktree``). It
 simulates the recordings once; then both trees run the same commands on them, with the same words
@@ -7,13 +7,18 @@ in the same folder and one date (SOURCE_DATE_EPOCH). Ends with 1 where a file di
 it. Live tables need no run of their own: tests/test_bags.py compares them with offline ones bit
 for bit.
 
-Usage: python bench/same_results.py [COMMIT] [--only CASE,CASE]
+With ``--tolerance 0.1`` digits may change: values and u of error tables by a tenth of u (noise and
+misfit alone), sizes of causes by their u; exit codes, verdicts, causes, hidden motions and the
+choice of reversal are the same. The largest change of every case is printed.
+
+Usage: python bench/same_results.py [COMMIT] [--only CASE,CASE] [--tolerance SHARE]
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import math
 import shutil
 import subprocess
@@ -23,6 +28,9 @@ from pathlib import Path
 
 from child import ROOT, core_on_path
 from markdown import texts
+
+sys.path.append(str(ROOT / 'tests/contract'))
+from golden import RECORDINGS, departures, gap_departures, reduced
 
 BAGS = ('all-axes-carry-the-target', 'y-carries-the-table', 'x-and-y-carry-the-table')
 STOPPING = 'x-and-y-carry-the-table'
@@ -102,7 +110,13 @@ def cases() -> dict[str, list[str]]:
     both = ['plain', 'longer', *machine, '--machine', SECOND]
     found['calibrate two runs'] = ['calibrate', *both]
     found['diagnose two runs'] = ['diagnose', *both]
-    return found
+    return {**found, **stored_cases()}
+
+
+def stored_cases() -> dict[str, list[str]]:
+    """Commands on the recordings of the contract that are not in ``bags``."""
+    stored = {name: own for name, own in RECORDINGS.items() if 'recordings' in own.bags[0]}
+    return {f'stored {name}': own.words for name, own in stored.items()}
 
 
 def run(tree: Path, folder: Path, words: list[str], codes: tuple[int, ...] = (0,)) -> int:
@@ -147,6 +161,35 @@ def results(tree: Path, folder: Path, words: list[str]) -> dict[str, str]:
     return {'exit code': str(code), **found}
 
 
+def document(tree: Path, folder: Path, words: list[str]) -> dict:
+    """What is compared within a tolerance: exit code, and tables or gap where there are any."""
+    out = folder / 'out'
+    code = run(tree, folder, ['-m', 'otf_core.cli', *words, '--out', 'out'], (0, 4, 5))
+    found = {'exit': code}
+    for file in ('gap.json', 'error_tables.json'):
+        if (out / file).exists():
+            found = reduced(code, json.loads((out / file).read_text(encoding='utf-8')))
+            break
+    shutil.rmtree(out)
+    return found
+
+
+def compare_within(before: Path, folder: Path, chosen: list[str], share: float) -> list[str]:
+    """Print the largest change of each case, in u; return what departs by more."""
+    differing = []
+    for name in chosen:
+        old, new = (document(tree, folder, cases()[name]) for tree in (before, ROOT))
+        if 'causes' in old:
+            said, worst = gap_departures(old, new)
+        elif 'motions' in old:
+            said, worst = departures(old, new, share)
+        else:
+            said, worst = [f'exit code {new["exit"]}, was {old["exit"]}'] * (old != new), 0.0
+        print(f'{name}: {worst:.3f} u{"".join(f"; {word}" for word in said)}', flush=True)
+        differing += [f'{name}: {word}' for word in said]
+    return differing
+
+
 def compare(before: Path, folder: Path, chosen: list[str]) -> list[str]:
     """Print a line per case; return what differs."""
     differing = []
@@ -163,6 +206,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('commit', nargs='?', default='HEAD')
     parser.add_argument('--only', type=texts, default=())
+    parser.add_argument('--tolerance', type=float, metavar='SHARE', help='of u, e.g. 0.1')
     chosen = parser.parse_args()
     if unknown := set(chosen.only) - set(cases()):
         parser.error(f'--only: {", ".join(unknown)}; possible: {", ".join(cases())}')
@@ -176,7 +220,11 @@ def main() -> int:
             return 2
         try:
             prepare(before, folder)
-            differing = compare(before, folder, list(chosen.only or cases()))
+            names = list(chosen.only or cases())
+            if chosen.tolerance is None:
+                differing = compare(before, folder, names)
+            else:
+                differing = compare_within(before, folder, names, chosen.tolerance)
         finally:
             subprocess.run([*git, 'remove', '--force', str(before)], check=True)
     return 1 if differing else 0

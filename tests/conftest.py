@@ -2,10 +2,6 @@
 """Every test has a ROS domain and node processes of its own."""
 
 import pytest
-from cells import write_machine
-from graph import Graph
-
-from otf_bringup.domain import free_domain
 
 
 @pytest.fixture(autouse=True, scope='session')
@@ -19,6 +15,10 @@ def local_discovery():
 @pytest.fixture
 def graph(tmp_path):
     """An empty graph; whatever is started in it ends with the test."""
+    from graph import Graph  # here: without ROS the contract is tested below this folder
+
+    from otf_bringup.domain import free_domain
+
     with free_domain() as domain:
         graph = Graph(domain, tmp_path)
         try:
@@ -30,4 +30,6 @@ def graph(tmp_path):
 @pytest.fixture
 def machine_file(tmp_path):
     """machine.yaml of the small machine."""
+    from cells import write_machine
+
     return write_machine(tmp_path)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """./otf test: lint, types, the core suites without ROS, the workspace suite with it.
 
-The core suite proper is quick; whole simulated cells through whole pipelines are a suite of their
-own. So are devices and their protocols: they wait more than they compute, and run side by side.
+The contract, commands and files without ROS and then the live graph, knows nothing of modules. The
+core suite proper is quick; whole simulated cells through whole pipelines are a suite of their own.
+So are devices and their protocols: they wait more than they compute, and run side by side.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ ROOT = Path(layout.ROOT)
 CORE_SUITE = 'src/otf_core/test'
 WHOLE_CELLS = f'{CORE_SUITE}/whole'
 DEVICES = 'tests/devices'
+CONTRACT = 'tests/contract'
+LIVE_CONTRACT = f'{CONTRACT}/nodes'
 PACKAGES = 'tests of the packages'
 """Short ones of every package with nodes or messages, which ``colcon test`` runs as well."""
 NO_TESTS = 5  # pytest's exit code when nothing was collected
@@ -87,11 +90,21 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
         Check('mypy', [python, '-m', 'mypy'], core),
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
+        shared_out(python, 2, core, CONTRACT, (), f'--ignore={LIVE_CONTRACT}'),
+        shared_out(node_python, 2, workspace_env, LIVE_CONTRACT),
         shared_out(python, 2, core, CORE_SUITE, (), f'--ignore={WHOLE_CELLS}'),
         shared_out(python, 2, core, WHOLE_CELLS),
         shared_out(node_python, 4, workspace_env, DEVICES),
         shared_out(node_python, 2, workspace_env, PACKAGES, package_tests()),
-        shared_out(node_python, 3, workspace_env, 'tests', (), f'--ignore={DEVICES}'),
+        shared_out(
+            node_python,
+            3,
+            workspace_env,
+            'tests',
+            (),
+            f'--ignore={DEVICES}',
+            f'--ignore={CONTRACT}',
+        ),
     ]
 
 
@@ -112,7 +125,7 @@ def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[C
 def suite_of(word: str) -> str:
     """Suite that a test file or folder belongs to; the whole of core is the core suite."""
     place = Path(absolute(word).partition('::')[0])
-    for suite in (WHOLE_CELLS, 'src/otf_core', DEVICES):
+    for suite in (WHOLE_CELLS, 'src/otf_core', DEVICES, LIVE_CONTRACT, CONTRACT):
         if ROOT / suite == place or ROOT / suite in place.parents:
             return CORE_SUITE if suite == 'src/otf_core' else suite
     return PACKAGES if ROOT / 'src' in place.parents else 'tests'

@@ -19,7 +19,7 @@ from command import HERE, ROOT, otf, read
 SHARE = 0.1
 """Most that a value or a u may depart from the golden one, in u."""
 SMALL = 1e-10
-"""m or rad: below this nothing counts; u of a value set by the gauge is zero but for rounding."""
+"""m or rad: below this nothing counts; u of what the gauge sets is zero but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,11 @@ class Recording:
     machines: tuple[str, ...]
     options: tuple[str, ...] = ()
 
-    def words(self, out):
-        """The command but for its name."""
+    @property
+    def words(self):
+        """The command but for its name and the folder that it fills."""
         machines = [word for m in self.machines for word in ('--machine', m)]
-        return [self.verb, *self.bags, *machines, '--out', out, *self.options]
+        return [self.verb, *self.bags, *machines, *self.options]
 
     @property
     def truth(self):
@@ -132,8 +133,8 @@ def _rounded(value):
     return None if value is None else float(f'{float(value):.7g}') if abs(value) > 1e-15 else 0.0
 
 
-def departures(golden, found):
-    """What departs from golden tables by more than is allowed: sentences, and the worst ratio."""
+def departures(golden, found, share=SHARE):
+    """What departs from golden tables by more than a share of u: sentences, and the worst."""
     said, worst = [], 0.0
     for key in ('exit', 'reversal', 'not_identifiable'):
         if golden[key] != found[key]:
@@ -145,8 +146,29 @@ def departures(golden, found):
         for name, was in golden[kind].items():
             ratio = _ratio(was, found[kind][name])
             worst = max(worst, ratio)
-            if ratio > SHARE:
+            if ratio > share:
                 said.append(f'{name}: off by {ratio:.2f} u')
+    return said, worst
+
+
+def gap_departures(golden, found):
+    """The same for a diagnosis: verdict and causes are the same, their sizes within u."""
+    said, worst = [], 0.0
+    for key in ('exit', 'verdict'):
+        if golden[key] != found[key]:
+            said.append(f'{key}: {found[key]}, was {golden[key]}')
+    causes = [[(c['effect'], c['axes']) for c in own['causes']] for own in (golden, found)]
+    if causes[0] != causes[1]:
+        return [*said, f'causes: {causes[1]}, were {causes[0]}'], np.inf
+    for was, now in zip(golden['causes'], found['causes'], strict=True):
+        for name, u in was['u'].items():
+            ratio = abs(now['parameters'].get(name, np.inf) - was['parameters'][name]) / u
+            worst = max(worst, ratio)
+            if ratio > 1.0:
+                said.append(f'{was["effect"]}: {name} is off by {ratio:.2f} u')
+    for key, size in golden['gap'].items():
+        if abs(found['gap'][key] - size) > 0.1 + 0.1 * size:
+            said.append(f'gap: {key} {found["gap"][key]}, was {size}')
     return said, worst
 
 
@@ -172,7 +194,7 @@ def write(name, command=otf):
     own = RECORDINGS[name]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / 'out'
-        done = command(*own.words(out))
+        done = command(*own.words, '--out', out)
         (file,) = out.glob('gap.json' if own.verb == 'diagnose' else 'error_tables.json')
         text = json.dumps(reduced(done.code, read(file)), separators=(',', ':'))
     golden_file(name).parent.mkdir(exist_ok=True)
