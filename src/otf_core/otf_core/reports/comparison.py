@@ -15,7 +15,6 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder
-from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
@@ -68,25 +67,18 @@ def _colour_key(comparison: Comparison) -> Key:
     return (('after', f'a: {a}'), ('before', f'b: {b}'))
 
 
-def motion_panel(
-    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None = None
-) -> str:
-    """One motion of both sides with bands, and readings of a direct instrument if given."""
+def motion_panel(comparison: Comparison, motion: ErrorMotion) -> str:
+    """One motion of both sides with bands."""
     unit = 'µm' if motion.is_translation else 'µrad'
     pair = comparison.motions.get(motion)
     if pair is None:
         return _empty_panel(motion, unit)
     x, k = 1e3 * pair.position, 1e6 * COVERAGE_FACTOR
     sides = ((1e6 * pair.a, k * pair.u_a, 'after'), (1e6 * pair.b, k * pair.u_b, 'before'))
-    rows = _reading_rows(comparison, motion, readings)
     reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
-    reach += [e for _, middle, spread, _ in rows for e in (middle - spread, middle + spread)]
     panel = Panel(_along(x, motion), scale_around(np.concatenate(reach), f'{motion} ({unit})'))
     marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides]
     marks += [panel.line(x, v, kind) for v, _, kind in sides]
-    for at, middle, spread, kind in rows:
-        marks += [panel.ranges(at, middle - spread, middle + spread, f'{kind} thin'),
-                  panel.dots(at, middle, f'{kind} node')]  # fmt: skip
     return panel.draw(marks, f'{motion} of both', motion)
 
 
@@ -117,39 +109,6 @@ def _along(x: Array, motion: ErrorMotion) -> Scale:
     return Scale(low, high if high > low else low + 1.0, f'{motion.axis} (mm)')
 
 
-def _reading_rows(
-    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None
-) -> list[tuple[Array, Array, Array, str]]:
-    """Position, mean and scatter of the runs, um or urad, forward and backward."""
-    folded = motion.is_translation and any(f.axis == motion.axis for f in comparison.common.folded)
-    if readings is None or folded:
-        return []
-    position, base = readings.position, readings.mean
-    offset = np.full(len(position), np.interp(max(0.0, position[0]), position, base))
-    if motion.is_straightness:
-        offset = np.interp(position, position[[0, -1]], base[[0, -1]])
-    return [
-        (1e3 * position, 1e6 * (rows.mean(axis=0) - offset), 1e6 * rows.std(axis=0, ddof=1), kind)
-        for rows, kind in ((readings.forward, 'z'), (readings.backward, 'ink'))
-    ]
-
-
-def draw_motion(
-    comparison: Comparison,
-    motion: str,
-    folder: str | Path,
-    name: str,
-    readings: MotionReadings | None = None,
-) -> Path:
-    """Write one motion of both sides with bands of k = 2, and readings if given."""
-    one, key, caption = ErrorMotion.of(motion), _colour_key(comparison), BANDS
-    if readings is not None:
-        key = (*key, ('z', 'readings forward'), ('ink', 'backward'))
-        caption += ' Readings of the direct instrument: mean and standard deviation of the runs.'
-    pictures = [motion_panel(comparison, one, readings), difference_panel(comparison, one)]
-    return write_sheet(folder, name, pictures, 2, f'{motion} of two sources', caption, key)
-
-
 def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     """Write motions.svg: all motions both sides know, and below their differences."""
     axes = comparison.common.machine.axis_names
@@ -164,7 +123,7 @@ def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     return write_sheet(folder, 'motions', pictures, 3, title, caption, _colour_key(comparison))
 
 
-def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume') -> Path:
+def draw_volume(comparison: Comparison, folder: str | Path) -> Path:
     """Write mean errors, histograms of the differences per direction, and their vectors."""
     volume = comparison.volume
     fields = (volume.a, volume.b, volume.difference)
@@ -187,7 +146,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
         f'{len(volume.q)} points; difference by direction; vectors of the difference, mean '
         f'{1e6 * length.mean():.2f} um, longest {1e6 * length.max():.2f} um, colour by length.'
     )
-    return write_sheet(folder, name, pictures, 3, 'Two sources in the volume', caption, key)
+    return write_sheet(folder, 'volume', pictures, 3, 'Two sources in the volume', caption, key)
 
 
 def difference_histogram(values: Array, reach: float, axis: str) -> str:
