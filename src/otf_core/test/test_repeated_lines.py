@@ -76,7 +76,6 @@ def test_matrices_that_are_not_held_are_those_that_are(monkeypatch):
     assert all(isinstance(a.held, np.ndarray) for a in held.alike)
     assert not any(isinstance(a.held, np.ndarray) for a in anew.alike)
     np.testing.assert_array_equal(anew.weighted(system.deviation), held.weighted(system.deviation))
-    np.testing.assert_array_equal(anew.covaried(system.deviation), held.covaried(system.deviation))
     np.testing.assert_array_equal(anew.expected, held.expected)
     a, b = normal_equations(system, unknowns, anew), normal_equations(system, unknowns, held)
     np.testing.assert_array_equal(a.matrix, b.matrix)

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri, dtrtrs
+from scipy.linalg.lapack import dtrtri
 
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
@@ -149,17 +149,6 @@ def inverse_of_lower(lower: Array) -> Array:
     size = lower.shape[-1]
     inverses = [dtrtri(own.T)[0].T for own in lower.reshape(-1, size, size)]
     return np.stack(inverses).reshape(lower.shape)
-
-
-def covariance_times(inverse: Array, values: Array) -> Array:
-    """Covariances (..., m, m) of inverse lower factors T, T^-1 T^-T, times values (..., m, k)."""
-    size, product = inverse.shape[-1], np.empty(values.shape)
-    flat = product.reshape(-1, *values.shape[-2:])
-    pairs = zip(inverse.reshape(-1, size, size), values.reshape(flat.shape), strict=True)
-    for k, (factor, own) in enumerate(pairs):
-        half = dtrtrs(factor.T, own)[0]
-        flat[k] = dtrtrs(factor.T, half, trans=1)[0]
-    return product
 
 
 NO_MISFIT = Misfit()
@@ -308,10 +297,6 @@ class Whitener:
             return np.asarray(np.swapaxes(inverse, -1, -2) @ (inverse @ own))
 
         return self._applied(product, values, legs)
-
-    def covaried(self, values: Array) -> Array:
-        """Multiply values (c, p, ...) by the covariance of the noise."""
-        return self._applied(covariance_times, values)
 
 
 class _Legs(Sequence[Array]):
