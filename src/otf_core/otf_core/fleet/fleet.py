@@ -146,8 +146,8 @@ def _clear_half(out: Path) -> None:
 def _verdict(result: Path) -> str:
     """Verdict that is not good, of a calibration; empty of anything else."""
     verdicts = read_json(result).get('verdicts') or {}
-    failed = verdicts and not verdicts['measurement']['good']
-    return str(verdicts['measurement' if failed else 'machine']['sentence']) if verdicts else ''
+    good = verdicts.get('measurement', {}).get('good', True)
+    return str(verdicts.get('machine' if good else 'measurement', {}).get('sentence', ''))
 
 
 def _message(code: int, said: str) -> str:
