@@ -106,7 +106,7 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
-        'u includes rotations that the data do not determine, by their prior',
+        'u includes rotations that the data do not determine',
     )  # fmt: skip
 
 

@@ -3,11 +3,11 @@
 
 Which functions the error motions are made of: smooth, finer, or straight between the nodes.
 
-Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
-between the nodes of machine.yaml: a machine that its control compensates with such tables has
-kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
-noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
-The functions with the largest restricted likelihood are taken, the size of the residuals free:
+Smooth functions over ``INTERVALS`` parts of every axis are compared with splines over twice as
+many parts, and with tables that are linear between the nodes of machine.yaml: a machine that its
+control compensates with such tables has kinks there. On legs that are enough to tell, the
+functions with the largest restricted likelihood are taken, finer ones only if clearly so, the size
+of the residuals free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 
@@ -31,8 +31,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from operator import add, attrgetter
-from typing import Generic, Protocol, TypeVar
+from operator import add
+from typing import Generic, Protocol
 
 import numpy as np
 from scipy import linalg
@@ -88,18 +88,14 @@ SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
-MIN_SIGNIFICANCE = 4.0
-"""Standard deviations of the mean."""
-MIN_NOTABLE_SHARE = 0.05
-"""Share of the variance of a step between pieces."""
+MIN_GAIN_OF_FINER = 10.0
+"""Difference of log likelihoods from which on finer functions are taken."""
 MAX_FIRST_PIECES = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
 MIN_FIRST_LEGS = 20
 """Fewer legs, however long, are not enough for that."""
 MAX_FIRST_ITERATIONS = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
-CLEAR = 30.0
-"""Difference of log likelihoods of some of the legs that all of them cannot turn round."""
 
 
 @dataclass(frozen=True)
@@ -141,21 +137,6 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
     return {axis: linear(at) for axis, at in nodes.items()}
 
 
-def _steps_unexplained(solved: _SolvedRun) -> bool:
-    """Return whether neighbouring pieces of a line differ by more than the noise."""
-    pairs = []
-    for alike in solved.whitener.alike:
-        noise = alike.moments.step.ravel()
-        step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
-        pairs.append(np.stack([step - noise, noise]))
-    excess, noise = np.concatenate(pairs, axis=1)
-    if not excess.size:  # stops: no two pieces of one line to compare
-        return True
-    excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
-    mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
-    return mean > MIN_SIGNIFICANCE * scatter and mean > MIN_NOTABLE_SHARE * float(np.mean(noise))
-
-
 def choose_shapes(
     runs: Sequence[AnyRun],
     nodes: Mapping[str, Array],
@@ -175,7 +156,7 @@ def choose_shapes(
     seen = find_identifiable_blocks(runs, smooth, limit)
     start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
-    best, scores = _try_all(moved, nodes, start, limit)
+    best, scores = _chosen(moved, nodes, start, limit)
     improved = improve_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
@@ -208,17 +189,14 @@ def _started(
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
-def _try_all(
+def _chosen(
     runs: Sequence[AnyRun], nodes: Mapping[str, Array], start: Start, limit: float
 ) -> tuple[JointSolution, dict[str, float]]:
-    """Linear solutions with some functions, and with finer ones where the best leaves steps.
-
-    Functions that some of the legs rule out are not solved for with all of them.
+    """Linear solution with the functions that are the most likely on some of the legs.
 
     Returns
     -------
     solution : JointSolution
-        The most likely one.
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
@@ -234,72 +212,24 @@ def _try_all(
         normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
         return LinearSolution.of(normal, unknowns, start.accepted, limit, start.logs)
 
-    some = rows(_thinned(runs))
-    scores = _likelihoods({name: fit(name, *some) for name in (SMOOTH, STRAIGHT)})
-    every = rows(runs)
-
-    def solved(linear: LinearSolution) -> JointSolution:
-        return _solved(linear, *every, poses)
-
-    names = [name for name, score in scores.items() if score > -CLEAR]
-    solution, of_all = most_likely(lambda name: fit(name, *every), solved, names)
-    return solution, {name: s + of_all[names[0]] for name, s in scores.items()} | of_all
+    some, every = rows(_thinned(runs)), rows(runs)
+    best, scores = most_likely({name: fit(name, *some) for name in _CHOICES})
+    return _solved(fit(best, *every), *every, poses), scores
 
 
-class _SolvedRun(Protocol):
-    @property
-    def whitener(self) -> Whitener: ...
-
-    @property
-    def residual(self) -> Array: ...
-
-
-class _Solved(Protocol):
-    @property
-    def runs(self) -> Sequence[_SolvedRun]: ...
-
-
-AnySolution = TypeVar('AnySolution', bound=_Solved)
-
-
-def most_likely(
-    fit: Callable[[str], LinearSolution],
-    solved: Callable[[LinearSolution], AnySolution],
-    names: Sequence[str] = (SMOOTH, STRAIGHT),
-) -> tuple[AnySolution, dict[str, float]]:
-    """Choose the most likely functions, finer ones included where the best leave steps.
-
-    Parameters
-    ----------
-    fit : callable(name)
-        Linear solution with some functions, by their name.
-    solved : callable(solution)
-        The same with its runs.
-    names : sequence of str
-        Functions to choose from.
+def most_likely(tried: Mapping[str, LinearSolution]) -> tuple[str, dict[str, float]]:
+    """Name of the most likely functions, finer ones only if clearly so, and all log likelihoods.
 
     Returns
     -------
-    solution
-        The most likely one, as ``solved`` gives it.
+    best : str
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    tried = {name: fit(name) for name in names}
-    scores, best = _likelihoods(tried), max(tried.values(), key=attrgetter('likelihood'))
-    solution = solved(best)
-    if any(_steps_unexplained(run) for run in solution.runs):
-        finer = fit(FINER)
-        scores[FINER] = finer.likelihood - best.likelihood
-        if scores[FINER] > 0.0:
-            solution = solved(finer)
-    return solution, {name: score - max(scores.values()) for name, score in scores.items()}
-
-
-def _likelihoods(tried: Mapping[str, LinearSolution]) -> dict[str, float]:
-    """Log likelihoods, less the best."""
+    simpler = max((n for n in tried if n != FINER), key=lambda n: tried[n].likelihood)
+    finer = tried[FINER].likelihood > tried[simpler].likelihood + MIN_GAIN_OF_FINER
     most = max(one.likelihood for one in tried.values())
-    return {name: one.likelihood - most for name, one in tried.items()}
+    return FINER if finer else simpler, {n: o.likelihood - most for n, o in tried.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, legs: Index) -> AnyRun:
@@ -504,6 +434,16 @@ def choose_reversal(
 def too_few(lines: int) -> str:
     """Why held-out lines do not decide."""
     return f'too few lines: {lines}, {MIN_LINES} needed'
+
+
+class _SolvedRun(Protocol):
+    @property
+    def whitener(self) -> Whitener: ...
+
+
+class _Solved(Protocol):
+    @property
+    def runs(self) -> Sequence[_SolvedRun]: ...
 
 
 def line_folds(joint: _Solved) -> list[Index]:

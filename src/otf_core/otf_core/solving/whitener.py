@@ -69,27 +69,22 @@ class CovarianceMoments:
     ----------
     variance : ndarray, shape (c, n, m), m^2
         Of every piece.
-    step : ndarray, shape (c, n, m - 1), m^2
-        Of the difference of two neighbouring pieces.
     square : ndarray, shape (c, n), m^4
         tr S S.
     """
 
     variance: Array
-    step: Array
     square: Array
 
     @classmethod
     def of(cls, covariance: Array) -> CovarianceMoments:
         """Of covariances (c, n, m, m)."""
         own = np.diagonal(covariance, axis1=-2, axis2=-1)
-        beside = np.diagonal(covariance, 1, axis1=-2, axis2=-1)
-        step = own[..., 1:] + own[..., :-1] - 2.0 * beside
-        return cls(own.copy(), step, np.einsum('cnij,cnij->cn', covariance, covariance))
+        return cls(own.copy(), np.einsum('cnij,cnij->cn', covariance, covariance))
 
     def only(self, some: NDArray[np.bool_] | slice) -> CovarianceMoments:
         """Those of some of the lines."""
-        return CovarianceMoments(self.variance[:, some], self.step[:, some], self.square[:, some])
+        return CovarianceMoments(self.variance[:, some], self.square[:, some])
 
 
 @dataclass(frozen=True)
