@@ -19,7 +19,7 @@ from otf_bringup.processes import NodeProcess, module_of
 from otf_msgs.msg import CalibrationResult, CalibratorState, TrackerStatus
 from otf_ros import qos
 
-PATIENCE = 60.0
+PATIENCE = 240.0
 """s; far more than anything here takes on a busy computer."""
 LOST = 'failed to send response'
 """What rclpy says when it answers a client that the node's side has not discovered yet."""

@@ -38,7 +38,7 @@ def start_cell(graph, machine_file, rate, **driver):
 
 @pytest.mark.parametrize(('rate', 'time_scale'), [(1000.0, 1.0), (2000.0, 50.0)])
 def test_no_sample_is_lost_however_fast_they_are_wanted(graph, machine_file, rate, time_scale):
-    start_cell(graph, machine_file, rate=rate, time_scale=time_scale, max_rate=50_000.0)
+    start_cell(graph, machine_file, rate=rate, time_scale=time_scale)
     status, state = wait_for_the_end(graph)
     assert state.samples == status.samples_published == status.samples_expected
     assert state.samples_lost == 0 and state.stream_id == status.stream_id
@@ -88,7 +88,7 @@ def test_source_goes_on_without_a_calibrator_that_was_killed(graph_by_udp, machi
 
 def test_lost_samples_are_counted_and_reported(graph_by_udp, machine_file):
     graph = graph_by_udp
-    node = start_cell(graph, machine_file, rate=5000.0, time_scale=2.0, max_rate=10000.0)
+    node = start_cell(graph, machine_file, rate=5000.0, time_scale=2.0)
     wait_for_samples(graph)
     node.interrupt(signal.SIGSTOP)  # until it is out of the graph, and its queue has run over
     until = graph.status().samples_published + 45_000
