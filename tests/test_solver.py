@@ -105,8 +105,8 @@ def test_defect_in_the_process_is_told_with_its_traceback_and_the_process_goes_o
     assert solver.solve(task(recording), ignored).run_id and solver._process is process
 
 
-def test_defect_in_a_diagnosis_is_told_with_its_traceback(recording, tmp_path):
-    diagnosis = Diagnosis(recording, None, tmp_path)
+def test_defect_in_a_diagnosis_is_told_with_its_traceback(tmp_path):
+    diagnosis = Diagnosis(None, CONFIG, tmp_path)  # which nobody can diagnose
     while not (answer := diagnosis.finished()):
         time.sleep(0.05)
     assert answer.exit_code == 1 and answer.text.startswith('internal error: ')
