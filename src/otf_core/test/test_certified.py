@@ -135,7 +135,11 @@ def test_run_is_the_one_that_its_maker_draws(monkeypatch, tmp_path):
     make_run.main()
     assert read_run(tmp_path) == RUN
     for name in ('samples.csv', 'twin.csv'):
-        assert (tmp_path / name).read_bytes() == (HERE / name).read_bytes()
+        drawn, stored = (
+            np.loadtxt(place / name, delimiter=',', skiprows=1) for place in (tmp_path, HERE)
+        )
+        np.testing.assert_array_equal(drawn[:, :2], stored[:, :2])
+        np.testing.assert_allclose(drawn, stored, rtol=0, atol=1.1e-9)  # rounded to 1 nm
 
 
 def test_samples_are_averaged_over_the_same_pieces(prepared):
