@@ -19,7 +19,7 @@ from cli_cells import run
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
-from otf_core.fleet.fleet import call_job, listed_jobs, read_list
+from otf_core.fleet.fleet import listed_jobs, read_list
 from otf_core.model.tables import load_tables
 from otf_core.reports.fleet_report import fleet_rows
 
@@ -301,17 +301,6 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',
     ]  # fmt: skip
-
-
-def test_a_function_by_its_name_is_a_run(tmp_path):
-    wrong = call_job('w', 'math:sqrt', {}, tmp_path / 'w')
-    assert fleet_module.run_job(wrong).message.startswith('TypeError')
-    done = call_job(
-        'd', 'otf_core.files.output_folder:file_digest', {'path': __file__}, tmp_path / 'd'
-    )
-    assert fleet_module.run_job(done).message == ''
-    text = (tmp_path / 'd/result.json').read_text()
-    assert json.loads(text) == hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def test_real_bags_give_what_calibrating_gives(cell, calibrated, tmp_path, monkeypatch):
