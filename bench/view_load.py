@@ -18,10 +18,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from visualization_msgs.msg import MarkerArray
 
 from otf_bringup.domain import free_domain
-from otf_msgs.msg import CalibrationResult
 from otf_ros import qos
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,7 +79,7 @@ def main() -> None:
         simulated = {'simulated.rate': RATE, 'simulated.seed': SEED}
         graph.start('tracker_driver', **machine, **simulated)
         graph.state()
-        early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
+        early = graph.listen(TransformStamped, 'calibrator/alignment', qos.RESULT)
         pictures = graph.listen(MarkerArray, 'view/live', qos.PICTURE)
         graph.wait(lambda: early, 'a first look', 300.0)
         measure(graph, pictures, OVER)

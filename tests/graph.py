@@ -43,7 +43,6 @@ class Graph:
     def __init__(self, domain, folder):
         self.folder = folder
         self.nodes = []
-        # what a killed driver leaves is for the next one in this graph only
         self.environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_HOME': str(folder / 'ros')}
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)

@@ -13,15 +13,12 @@ import numpy as np
 import pytest
 
 from otf_calibrator.collector import SILENT
-from otf_calibrator.intake import Batch
 from otf_calibrator.job import recording_of
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.publishers import SequenceWatch
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag, read_parts
 from otf_core.bags.cdr import encode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.rosbag2_metadata import OTHER_POINT
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
@@ -137,7 +134,7 @@ class Side:
                 str(name): (stamp[rows][names[rows] == name], xyz[rows][names[rows] == name])
                 for name in np.unique(names[rows])
             }
-            self.session.intake.take_samples(Batch(points))
+            self.session.intake.take_samples(points)
         time.sleep(1.1 * SILENT * bool(self.session.collector.held))
         self.session.intake.decide()
 
@@ -231,92 +228,25 @@ def test_clock_set_back_begins_a_run_live_and_the_parts_stay_apart(side):
     assert 'the clock was set back' in joined.remarks[0]
 
 
-def judged(side):
-    """Let it find out which path is driven."""
-    session = side.session
-    while session._judge_paths(at_the_end=True):
-        time.sleep(0.01)
-
-
 def other_path():
     """A path through the same volume that is not the one driven."""
     return NominalPath(WHOLE.path.points[:, [0, 2, 1]] * [1.0, 1.2, -0.8])
 
 
-def test_another_path_in_mid_run_costs_nothing_while_the_samples_follow_the_first(side):
+def test_another_path_in_mid_run_costs_nothing_and_is_that_of_the_next_run(side):
     side.take(STAMP[:2000], XYZ[:2000], None)
     side.path(other_path())
     side.take(STAMP[2000:], XYZ[2000:], None)
-    judged(side)
     request = side.session.request()
     assert np.array_equal(request.path.points, WHOLE.path.points)
     assert len(request.samples) == COUNT and not side.said
-    (folder,) = side.close()
-    assert len(read_bag(folder).samples) == COUNT
-
-
-def test_another_path_in_mid_run_begins_a_run_once_the_target_follows_it(side):
-    before, first = 1500, 3 * COUNT // 4
-    side.session.collector.path = other_path()
-    side.take(STAMP[:before] - (STAMP[before] - STAMP[0]), XYZ[-before:][::-1], None)
-    side.path(WHOLE.path)
-    assert side.session.collector.path is not WHOLE.path and not side.said
-    side.take(STAMP[:first], XYZ[:first], None)
-    judged(side)
-    side.take(STAMP[first:], XYZ[first:], None)
-    assert f'{before} samples set aside, the target follows the path that was' in side.said[0]
-    request = side.session.request()
-    assert np.array_equal(request.path.points, WHOLE.path.points)
-    assert request.samples.xyz.tobytes() == XYZ.tobytes()
-    folders = side.close()
-    assert str(folders[0]) in side.said[0]
-    recording = read_bag(folders[1])
-    assert recording.samples.xyz.tobytes() == XYZ.tobytes()
-    assert np.array_equal(recording.path.points, WHOLE.path.points)
-
-
-def test_wrong_path_that_comes_last_before_the_run_does_not_spoil_it(side):
-    side.path(other_path())
-    side.take(STAMP, XYZ, None)
-    judged(side)
-    request = side.session.request()
-    assert np.array_equal(request.path.points, WHOLE.path.points)
-    assert len(request.samples) == COUNT
-    folders = side.close()
-    assert len(read_bag(folders[-1]).samples) == COUNT
-
-
-def test_second_publisher_costs_nothing_and_its_samples_are_in_the_journal(side):
-    intake, half = side.session.intake, COUNT // 2
-    side.take(STAMP[:half], XYZ[:half], None)
-    other = {'tracker': (STAMP[:700] - 49 * 10**9, XYZ[:700])}
-    intake.keep_apart(Batch(other))
-    side.take(STAMP[half:], XYZ[half:], None)
-    (said,) = intake.troubles()
-    assert said.startswith('700 samples of a second publisher on /tracker/point are not part')
-    request = side.session.request()
-    assert len(request.samples) == COUNT and request.remarks == (said,)
-    (folder,) = side.close()
-    assert len(read_bag(folder).samples) == COUNT
-    assert len(read_bag(folder, point=OTHER_POINT).samples) == 700
-
-
-def test_samples_lost_by_the_numbers_of_their_publisher_are_counted_and_said(side):
-    session, known = side.session, [1]
-    session.intake._sequence = SequenceWatch(lambda: known[0])
-
-    def take(count, numbers):
-        used, missed, beside = session.intake.separate_publishers(STAMP[:count].tolist(), numbers)
-        session.intake.take_samples(Batch({'tracker': (STAMP[:3], XYZ[:3])}, missed))
-        return len(used), len(beside)
-
-    assert take(3, [7, 8, 12]) == (3, 0) and session.request().lost == 3
-    assert session.intake.troubles() == ['3 samples were lost on the way']
-    known[0] = 2
-    assert take(3, [5000, 13, 5001]) == (1, 2)
-    assert take(2, [14, 15]) == (2, 0)
-    assert session.request().lost == 3
-    side.close()
+    side.session.forget()
+    assert np.array_equal(side.session.collector.path.points, other_path().points)
+    side.take(STAMP[:100] + 10**12, XYZ[:100], None)
+    first, second = side.close()
+    assert len(read_bag(first).samples) == COUNT
+    assert np.array_equal(read_bag(first).path.points, WHOLE.path.points)
+    assert np.array_equal(read_bag(second).path.points, other_path().points)
 
 
 def test_table_of_bad_data_lists_every_case():

@@ -20,7 +20,6 @@ from otf_msgs.msg import CalibrationResult, CalibratorState
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 KINDS = {
     '/calibrator/state': CalibratorState,
-    '/calibrator/provisional': CalibrationResult,
     '/calibrator/result': CalibrationResult,
 }
 OTHERS = {

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from otf_calibrator.intake import Batch
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.parts import TOGETHER, PartsCollector
 from otf_calibrator.session import Session
@@ -94,14 +93,14 @@ def life(folder, samples):
     machine = load_machine(CELL / 'machine.yaml')
     session.intake.machine = machine
     session.intake.journal = Journal(folder, {})
-    said = session.intake.resume_run(None, None)
+    said = session.intake.resume_run(None)
     heard = [
         session.intake.take_part(
             one, machine, encode_axes(one.axes, one.positions, 7, one.target), 7
         ).name
         for one in read_bag(CELL / 'bag').axis_paths
     ]
-    session.take(Batch({'tracker': (samples.stamp_ns, samples.xyz)}))
+    session.take({'tracker': (samples.stamp_ns, samples.xyz)})
     request = session.request()
     targets = [one.target for one in request.path.parts]
     session.close()

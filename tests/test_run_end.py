@@ -6,13 +6,13 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from otf_calibrator.intake import Batch, Status
+from otf_calibrator.intake import Status
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path
-from otf_core.bags.journal import Journal
-from otf_core.bags.rosbag2_metadata import GAP, STATUS
+from otf_core.bags.journal import Journal, state_of
+from otf_core.bags.rosbag2_metadata import STATUS
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
 from otf_ros.definitions import message_text
@@ -44,26 +44,24 @@ def begun(folder):
     """A session with a journal, and what it asks about its samples."""
     session, asked = Session(lambda: SETTINGS, lambda text: None), []
 
-    def follow(look, request):
-        asked.append((Future(), len(request.samples)))
+    def look(look, samples):
+        asked.append((Future(), len(samples)))
         return asked[-1][0]
 
-    session.worker.follow = follow
+    session.worker.look = look
     session.intake.journal = Journal(folder, {})
     return session, asked
 
 
-def ended(folder, samples, batch, late, ends, given_up=None):
+def ended(folder, samples, batch, late, ends):
     """Samples of the run and of its journal; it is looked at so many batches later."""
     session, asked = begun(folder)
-    if given_up is not None:
-        session.worker.give_up = lambda: given_up.append(len(asked))
     session.intake.take_path(PATH, encode_path(PATH.points, 0, 'machine'))
     stamps, xyz = samples
     due = {}
     for number, at in enumerate(range(0, len(stamps) + batch * (late + 2), batch)):
         rows = slice(at, at + batch)
-        session.take(Batch({'tracker': (stamps[rows], xyz[rows])}))
+        session.take({'tracker': (stamps[rows], xyz[rows])})
         for verdict, count in asked:
             if due.setdefault(count, number + late) == number:
                 verdict.set_result(count in ends)
@@ -99,19 +97,11 @@ def test_stop_shortly_before_the_end_is_part_of_the_run(tmp_path, batch, late):
     assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
 
 
-def test_calibration_begun_at_a_stop_is_given_up_when_the_target_moves_on_too_soon(tmp_path):
-    stamps, _ = samples = driven(100, 160)
-    stop, end, given_up = 200 + AT_REST, 201 + 100 + AT_REST, []
-    found, journal = ended(tmp_path, samples, 10, 0, [stop, end], given_up)
-    assert given_up == [1]  # before the end was asked about
-    assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
-
-
 def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_back(tmp_path):
     samples, end = driven(0, 160), 201 + AT_REST
     found, _ = ended(tmp_path, samples, 10, 0, [end])
     session, asked = begun(tmp_path)
-    assert f'continues with {end} samples' in session.intake.resume_run(None, None)
+    assert f'continues with {end} samples' in session.intake.resume_run(None)
     assert not session.reason_to_end()
     ((verdict, count),) = asked
     verdict.set_result(True)
@@ -120,15 +110,10 @@ def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_
     session.close()
 
 
-TEXTS = {
-    STATUS.type: message_text('otf_msgs', 'TrackerStatus'),
-    GAP.type: message_text('otf_msgs', 'TrackerGap'),
-}
-PUBLISHED = {b'a': 130, b'b': 100, b'c': 100}
-"""Samples of streams of the driver, of which 100 arrive."""
+TEXTS = {STATUS.type: message_text('otf_msgs', 'TrackerStatus')}
 
 
-def life(folder, stream, before, start):
+def life(folder, stream, start):
     """A calibrator that takes a run up, hears 100 samples of a stream, and is killed."""
     session = Session(lambda: SETTINGS, lambda text: None)
     session.intake.journal = Journal(folder, TEXTS)
@@ -136,22 +121,47 @@ def life(folder, stream, before, start):
     def status(message):
         return Status(message.decode(), 0, streaming=True, finished=False)
 
-    def gap(message):
-        return message.decode(), PUBLISHED[message]
-
-    session.intake.resume_run(status, gap)
+    session.intake.resume_run(status)
     session.intake.take_status(status(stream), stream)
-    if before:
-        session.intake.take_gap(*gap(before), before)
     stamps = STEP * np.arange(start, start + 100)
-    session.intake.take_samples(Batch({'tracker': (stamps, np.full((100, 3), 0.5))}))
-    restarts = session.collector.restarts
-    found = session.collector.lost, restarts.uncounted, restarts.samples
+    session.intake.take_samples({'tracker': (stamps, np.full((100, 3), 0.5))})
+    said = session.intake.remarks()
     session.close()
-    return found
+    return said
 
 
-def test_what_was_lost_at_a_restart_is_known_after_the_next_one(tmp_path):
-    assert life(tmp_path, b'a', None, 0) == (0, False, 0)
-    assert life(tmp_path, b'b', b'a', 150) == (30, False, 50)
-    assert life(tmp_path, b'c', b'b', 270) == (30, False, 70)
+def test_gaps_of_restarts_are_said_after_the_next_one_as_well(tmp_path):
+    first = 'driver or calibrator restarted at stamp 0.198 s: gap of 0.10 s'
+    assert life(tmp_path, b'a', 0) == ()
+    assert life(tmp_path, b'b', 150) == (first,)
+    assert life(tmp_path, b'c', 270) == (
+        first,
+        first.replace('0.198', '0.498').replace('10', '04'),
+    )
+
+
+def test_run_of_another_machine_yaml_is_kept_and_not_continued(tmp_path):
+    file, folder = tmp_path / 'machine.yaml', tmp_path / 'journal'
+    stamps, xyz = driven(0, 160)
+
+    def begun_again(said):
+        session = Session(lambda: SETTINGS, lambda text: None)
+        session.intake.journal = Journal(folder, {}, (), file)
+        assert said in session.intake.resume_run(None)
+        return session
+
+    file.write_text('table_pitch: 0.03')
+    session = begun_again('')
+    session.intake.take_path(PATH, encode_path(PATH.points, 0, 'machine'))
+    session.intake.take_samples({'tracker': (stamps[:100], xyz[:100])})
+    session.close()
+    begun_again('continues with 100 samples').close()
+    file.write_text('table_pitch: 0.04')
+    session = begun_again(f'{file} has changed')
+    (run,) = (p for p in folder.iterdir() if p.is_dir())
+    (said,) = session.intake.troubles()
+    assert f'./otf calibrate {run} --machine MACHINE.yaml' in said
+    assert len(session.collector.buffer) == 0
+    session.close()
+    assert state_of(run) == f'set aside: {file} has changed' and len(read_bag(run).samples) == 100
+    begun_again('').close()

@@ -4,13 +4,20 @@
 import os
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.children import CalibrationTask, Solver
+from otf_calibrator.children import (
+    CalibrationTask,
+    ChildError,
+    Diagnosis,
+    Solver,
+    internal_error,
+)
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled, InputError, OtfError
@@ -86,6 +93,24 @@ def test_process_that_the_system_ends_is_told_of_and_begun_anew(solver, recordin
     with pytest.raises(OtfError, match='ended by the system'):
         solver.solve(task(recording), killed)
     assert solver.solve(task(recording), ignored).run_id
+
+
+def test_defect_in_the_process_is_told_with_its_traceback_and_the_process_goes_on(
+    solver, recording
+):
+    with pytest.raises(ChildError, match='Traceback') as told:
+        solver.solve(replace(task(recording), method='unheard of'), ignored)
+    assert internal_error(told.value) == "internal error: KeyError: 'unheard of'"
+    process = solver._process
+    assert solver.solve(task(recording), ignored).run_id and solver._process is process
+
+
+def test_defect_in_a_diagnosis_is_told_with_its_traceback(tmp_path):
+    diagnosis = Diagnosis(None, CONFIG, tmp_path)  # which nobody can diagnose
+    while not (answer := diagnosis.finished()):
+        time.sleep(0.05)
+    assert answer.exit_code == 1 and answer.text.startswith('internal error: ')
+    assert 'Traceback' in answer.traceback and not list(tmp_path.iterdir())
 
 
 def test_process_ends_with_its_owner(solver):

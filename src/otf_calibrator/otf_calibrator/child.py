@@ -11,11 +11,19 @@ import gc
 import pickle
 import shutil
 import sys
+import traceback
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from otf_calibrator.children import CalibrationTask, DiagnosisTask, Failure, Solved
+from otf_calibrator.children import (
+    CalibrationTask,
+    ChildError,
+    DiagnosisTask,
+    Failure,
+    Solved,
+    internal_error,
+)
 from otf_core.calibration.axis_calibration import calibrate_axes
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.diagnosis.diagnose import NONE, calibrate_with_effects, diagnose
@@ -57,7 +65,7 @@ def _diagnose(task: DiagnosisTask, progress: Progress) -> dict[str, Any]:
 
 def _serve_calibrations(node: Connection) -> int:
     """Perform tasks until the node is gone."""
-    answer: Solved | OtfError
+    answer: Solved | OtfError | ChildError
     try:
         while True:
             task: CalibrationTask = node.recv()
@@ -65,6 +73,10 @@ def _serve_calibrations(node: Connection) -> int:
                 answer = _calibrate(task, lambda stage, share: node.send((stage, share)))
             except OtfError as error:
                 answer = error
+            except (BrokenPipeError, ConnectionResetError):
+                raise
+            except Exception:  # noqa: BLE001 - a defect, which the node reports
+                answer = ChildError(traceback.format_exc())
             node.send(answer)
             del task, answer  # the next one may be hours away
             gc.collect()
@@ -81,6 +93,10 @@ def _perform_diagnosis(node: Connection) -> int:
             node.send(_diagnose(task, lambda stage, share: node.send((stage, share))))
         except OtfError as error:
             node.send(Failure(error.exit_code, str(error)))
+        except BrokenPipeError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the same
+            node.send(Failure(1, internal_error(error), traceback.format_exc()))
     except BrokenPipeError:  # the node is gone, which would remove it
         shutil.rmtree(task.folder, ignore_errors=True)
         return 1

@@ -65,10 +65,24 @@ class DiagnosisTask:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why there is no diagnosis; the code is the exit code of ``./otf diagnose``."""
+    """Why there is no diagnosis; the code is the exit code of ``./otf diagnose``.
+
+    ``traceback`` is that of a defect.
+    """
 
     exit_code: int
     text: str
+    traceback: str = ''
+
+
+class ChildError(Exception):
+    """A defect in a child; the text is its traceback."""
+
+
+def internal_error(error: BaseException) -> str:
+    """A defect in one line; its traceback belongs into the log."""
+    text = str(error).strip().splitlines()[-1] if isinstance(error, ChildError) else repr(error)
+    return f'internal error: {text}'
 
 
 Answer = dict[str, Any] | Failure
@@ -125,6 +139,8 @@ class Solver:
         ------
         OtfError
             As ``calibrate_runs``; or if the process was ended.
+        ChildError
+            If it failed for any other reason.
         """
         self._begin()
         assert self._end is not None and self._process is not None, 'just begun'
@@ -141,10 +157,10 @@ class Solver:
                 stage = answer
         except (EOFError, OSError):
             raise _ended(self._process.wait()) from None
-        except OtfError:
+        except BaseException:  # given up, or no answer that can be read
             self.close()  # whatever it was at
             raise
-        if isinstance(answer, OtfError):
+        if isinstance(answer, OtfError | ChildError):
             raise answer
         return answer
 

@@ -35,16 +35,10 @@ def tell(
         return Finding(Level.OK, f'{count} samples of the present run', values)
 
     def losses() -> Finding:
-        lost = session.collector.count_surely_lost(time.monotonic())
-        restarts = session.collector.restarts
-        values = {
-            'lost': lost,
-            'on their way': session.collector.lost - lost,
-            'missed during restarts': restarts.samples,
-        }
+        lost = session.collector.count_lost(time.monotonic())
         if not lost:
-            return Finding(Level.OK, 'nothing is lost', values)
-        return Finding(Level.WARN, lost_words(lost, restarts.uncounted), values)
+            return Finding(Level.OK, 'nothing is lost', {'lost': 0})
+        return Finding(Level.WARN, lost_words(lost), {'lost': lost})
 
     def work() -> Finding:
         if session.busy:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from functools import partial
 from importlib import import_module
+from pathlib import Path as FilePath
 from typing import Any
 
 from nav_msgs.msg import Path
@@ -29,7 +30,7 @@ from otf_core.errors import InputError, OtfError
 from otf_core.model.axis_path import PartsTrack, nominal_track
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
-from otf_msgs.msg import TrackerGap, TrackerStatus
+from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
 from otf_ros.convert import ns_from_time
 from otf_ros.definitions import message_text
@@ -132,10 +133,10 @@ class PathReceiver:
         collector, points = self._session.collector, len(message.poses)
         if fate == PathTaken.USED:
             log.info(f'new path of {points} points, for {len(collector.buffer)} samples so far')
-        elif fate == PathTaken.WAITS:
+        elif fate == PathTaken.NEXT:
             text = f'another path, of {points} points, was published in mid-run by {sender}'
-            collector.remarks.append(text)
-            log.warning(f'{text}; {fate.value}')
+            collector.remarks.append(f'{text}; {fate.value}')
+            log.warning(collector.remarks[-1])
 
 
 def status_of(message: TrackerStatus) -> Status:
@@ -147,11 +148,6 @@ def status_of(message: TrackerStatus) -> Status:
         message.state == TrackerStatus.FINISHED,
         ns_from_time(message.last),
     )
-
-
-def stream_before(message: TrackerGap) -> tuple[str, int]:
-    """Return the stream of a driver that was killed, empty if none was, and its samples."""
-    return message.stream_before, message.published_before
 
 
 def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
@@ -194,11 +190,9 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
         STATUS.type: message_text('otf_msgs', 'TrackerStatus'),
         GAP.type: message_text('otf_msgs', 'TrackerGap'),
     }
-    intake.journal = Journal(place, texts, [topic_of(s) for s in intake.signals.specs])
-    said = intake.resume_run(
-        lambda data: status_of(deserialize_message(data, TrackerStatus)),
-        lambda data: stream_before(deserialize_message(data, TrackerGap)),
-    )
+    topics = [topic_of(s) for s in intake.signals.specs]
+    intake.journal = Journal(place, texts, topics, FilePath(files.machine_file))
+    said = intake.resume_run(lambda data: status_of(deserialize_message(data, TrackerStatus)))
     if said:
         logger.warning(said)
     logger.info(f'journal: {place}')

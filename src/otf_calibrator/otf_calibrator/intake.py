@@ -6,23 +6,21 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_calibrator.collector import Collector, PathTaken
+from otf_calibrator.job import Request
 from otf_calibrator.losses import lost_words
 from otf_calibrator.parts import PartReception, PartsCollector
-from otf_calibrator.publishers import Choice, SequenceWatch
-from otf_calibrator.request import Request
 from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.bags.cdr import DecodedPoints, decode_axes, decode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.rosbag2_metadata import AXES, GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import AXES, GAP, PATH, POINT, STATUS
 from otf_core.bags.sample_order import screen_points
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
@@ -32,7 +30,6 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
 
-A = TypeVar('A')
 RESUMED_WITHIN = 600.0
 """s; a run that was written longer ago is not the running measurement."""
 MOST_VALUES = 200_000
@@ -53,20 +50,8 @@ class Status:
     last_ns: int = 0
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Samples of one publisher that arrived together.
-
-    Attributes
-    ----------
-    points : mapping of frame to (stamps, points)
-        ndarray of int64, shape (n,), ns, and ndarray, shape (n, 3), m.
-    missed : int
-        Samples of the same publisher that the transport lost among them.
-    """
-
-    points: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
-    missed: int = 0
+Batch = Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+"""Samples that arrived together by frame: stamps, shape (n,), ns, and points, shape (n, 3), m."""
 
 
 class SignalBuffer:
@@ -106,8 +91,6 @@ class Intake:
     ----------
     warn : callable
         Takes messages for the user.
-    publishers : callable
-        Returns how many publishers of samples the graph knows at this moment.
 
     Attributes
     ----------
@@ -115,19 +98,13 @@ class Intake:
         As described when the last part arrived, or at the start.
     """
 
-    def __init__(
-        self,
-        collector: Collector,
-        warn: Callable[[str], None],
-        publishers: Callable[[], int] = lambda: 1,
-    ) -> None:
+    def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
         self._collector, self._warn = collector, warn
         self.journal: Journal | None = None
         self.signals = SignalBuffer()
         self.machine: Machine | None = None
         self._parts = PartsCollector()
-        self._sequence, self._choice = SequenceWatch(publishers), Choice()
-        self._apart = 0
+        self._left_out, self._second = 0, ''
         self._gaps: set[bytes] = set()
         self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
         self._size = np.zeros(0, np.int64)  # of the run with each of them
@@ -169,83 +146,11 @@ class Intake:
         assert self.machine is not None, 'of which the parts are'
         return nominal_track(self.machine, self._parts.plan.parts)
 
-    def follow_the_other_path(self) -> None:
-        """Begin a run with the samples since another path was published: they follow that one."""
-        self._write_known()
-        if self.journal and not (self._collector.other and self._collector.other.since):
-            self.journal.end(
-                'set aside: its samples belong to the next run, with the path that was driven'
-            )
-        rest = self._collector.follow_the_other()
-        self._warn('the target follows the other path; its samples form a run along that path')
-        if self.journal:
-            self.journal.message(PATH, self._collector.path_message)
-        self._take_again(rest)
-
-    def _take_again(self, samples: Samples) -> None:
-        """Count and journal the first samples of a run that follows one set aside."""
-        if len(samples):
-            self._collector.screening.good(samples.stamp_ns, samples.xyz)
-            if self.journal:
-                self.journal.points(samples.stamp_ns, samples.xyz, POINT.frame)
-
-    def take_gap(self, stream: str, published: int, message: bytes) -> None:
-        """Record a gap of the stream that the driver reports; it repeats it after a restart.
-
-        Parameters
-        ----------
-        stream : str
-            Of a driver that was killed before this one; empty where none was.
-        published : int
-            Samples that it had published.
-        """
-        if message in self._gaps:
-            return
-        self._gaps.add(message)
-        if stream:
-            self._collector.count_published_before(stream, published)
-        if self.journal:
+    def take_gap(self, message: bytes) -> None:
+        """Journal a gap of the stream that the driver reports; it repeats it after a restart."""
+        if self.journal and message not in self._gaps:
+            self._gaps.add(message)
             self.journal.event(GAP, message)
-
-    def separate_publishers(
-        self, messages: Sequence[A], numbers: Sequence[int | None]
-    ) -> tuple[list[A], int, list[A]]:
-        """Separate the samples of the run from those of a second publisher.
-
-        Parameters
-        ----------
-        messages : sequence
-            May be empty: what was held is decided on then.
-        numbers : sequence of int or None
-            Numbers that the publishers gave them, where the transport tells.
-
-        Returns
-        -------
-        used : list
-        missed : int
-            Samples of the same publisher that are missing among them.
-        beside : list
-            Samples of another publisher.
-        """
-        publishers = self._sequence.publishers(numbers)
-        used, beside = self._choice.take(publishers, messages, time.monotonic())
-        return [message for message, _ in used], sum(missed for _, missed in used), beside
-
-    @property
-    def waiting(self) -> bool:
-        """Whether samples are held of a publisher that may be the successor of the one before."""
-        return self._choice.waiting
-
-    def release_held(self) -> list[Any]:
-        """Return the samples held; for the end of the node."""
-        return self._choice.release_held()
-
-    def keep_apart(self, batch: Batch) -> None:
-        """Journal samples of a second publisher apart from the run."""
-        for frame, (stamp_ns, xyz) in batch.points.items():
-            self._apart += 0 if self._collector.taken else len(stamp_ns)
-            if self.journal and self.journal.folder:
-                self.journal.points(stamp_ns, xyz, frame, OTHER_POINT)
 
     def take_status(self, status: Status, message: bytes) -> None:
         """Process a status of the driver."""
@@ -271,8 +176,7 @@ class Intake:
             Samples after a standstill are held back until it is known whether the run ends there.
         """
         collector = self._collector
-        collector.missed += batch.missed
-        for frame, (stamp_ns, xyz) in batch.points.items():
+        for frame, (stamp_ns, xyz) in batch.items():
             if frame == POINT.frame:
                 self._take(stamp_ns, xyz)
                 self._write_known(may_end)
@@ -281,28 +185,31 @@ class Intake:
                 if self.journal:
                     self.journal.points(stamp_ns, xyz, frame)
 
+    def leave_out(self, count: int, sender: str) -> None:
+        """Count samples of a second publisher, with the name of its node."""
+        self._left_out += 0 if self._collector.taken else count
+        self._second = sender
+
     def set_aside(self, why: str) -> None:
         """End the run in the journal; the collector calls this before it drops its samples."""
         collector = self._collector
         self._write_known()
         state = 'complete' if collector.taken else f'set aside: {why}'
         folder = self.journal.end(state) if self.journal else None
-        self._apart = 0
-        if collector.use_newest_path() and self.journal:
+        self._prepare_next()
+        if not collector.taken:
+            place = f'; they are in {folder}' if folder else ''
+            self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
+
+    def _prepare_next(self) -> None:
+        """Use the path or plan that was published during the run, if one was."""
+        collector, self._left_out = self._collector, 0
+        if collector.use_next_path() and self.journal:
             self.journal.message(PATH, collector.path_message)
         if self._parts.use_next_plan():
             collector.path = self._track()
             if self.journal:
                 self.journal.message(AXES, *self._parts.plan.messages)
-        if not collector.taken:
-            place = f'; they are in {folder}' if folder else ''
-            self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
-
-    def set_aside_until(self, until_ns: int, why: str) -> None:
-        """Set samples up to a stamp aside: they belong to the run of another machine."""
-        rest = self._collector.set_aside_until(until_ns, why)
-        if rest is not None:
-            self._take_again(rest)
 
     def decide(self, may_end: bool = True) -> None:
         """Assign the latest samples to a run if it is known by now to which."""
@@ -320,10 +227,8 @@ class Intake:
         """Drop the run; return where its samples are kept, in words."""
         self._write(self._at)
         folder = self.journal.end('set aside: reset') if self.journal else None
+        self._prepare_next()
         self._collector.reset()
-        self._apart = 0
-        if self._parts.use_next_plan():
-            self._use_parts(further=False)
         return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
@@ -338,23 +243,21 @@ class Intake:
 
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the samples for the reader of a result, except on rejected ones."""
-        said = self._collector.restarts.remarks
-        if not self._apart:
-            return tuple(said)
-        place = f' on {OTHER_POINT.name} of the journal' if self.journal else ' not kept'
+        said = (*self._collector.remarks, *self._collector.restarts.remarks)
+        if not self._left_out:
+            return said
         return (
             *said,
-            f'{self._apart} samples of a second publisher on {POINT.name} are not part of the '
-            f'run; they are{place}: end that publisher',
+            f'{self._left_out} samples of a second publisher on {POINT.name}, {self._second}, are '
+            f'left out; end it',
         )
 
     def troubles(self) -> list[str]:
         """Present problems of samples and journal, in words."""
         said = [self.journal.trouble] if self.journal and self.journal.trouble else []
-        collector = self._collector
-        if collector.missed:
-            said.append(lost_words(collector.missed, collector.restarts.uncounted))
-        return [*said, *self.remarks(), *collector.remarks, *collector.screening.remarks()]
+        if lost := self._collector.count_lost(time.monotonic()):
+            said.append(lost_words(lost))
+        return [*said, *self.remarks(), *self._collector.screening.remarks()]
 
     def close(self) -> None:
         """Write all samples received to the journal and close it."""
@@ -362,22 +265,21 @@ class Intake:
         if self.journal:
             self.journal.close()
 
-    def resume_run(
-        self, status: Callable[[bytes], Status], gap: Callable[[bytes], tuple[str, int]]
-    ) -> str:
+    def resume_run(self, status: Callable[[bytes], Status]) -> str:
         """Continue the run of a calibrator that ended early; return what was found, in words.
 
         Parameters
         ----------
-        status, gap : callable
-            Read a message of the driver's status; of a gap, the stream before it and its samples.
+        status : callable
+            Reads a message of the driver's status.
         """
         if self.journal is None:
             return ''
         try:
             recorded, others = self.journal.take_up(RESUMED_WITHIN)
         except InputError as error:
-            return f'an unfinished run cannot be resumed: {error}'
+            self._collector.remarks.append(f'an unfinished run is not continued: {error}')
+            return self._collector.remarks[-1]
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in others]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
@@ -397,7 +299,7 @@ class Intake:
                         wrong = wrong or self._restore_part(content)
                         journal.keep(AXES, *self._parts.plan.messages)
                     elif topic == GAP:
-                        self.take_gap(*gap(content), content)
+                        self._gaps.add(content)
                     else:
                         self.take_status(status(content), content)
                 self._collector.resume_run()

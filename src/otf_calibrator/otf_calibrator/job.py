@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
+import traceback
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -17,23 +18,31 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
 
-from otf_calibrator.children import AnyCalibration, CalibrationTask, Solved, Solver
+from otf_calibrator.children import (
+    AnyCalibration,
+    CalibrationTask,
+    Solved,
+    Solver,
+    internal_error,
+)
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.request import EarlyCalibration, Request
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.bags.sample_order import sort_by_time
+from otf_core.bags.sample_order import Screening, sort_by_time
 from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest, written_files
 from otf_core.files.writing import DISK_FULL, DiskFull, write_text
 from otf_core.history.store import add_run
-from otf_core.live.stages import Progress
 from otf_core.model.axis_path import PartsTrack
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 from otf_core.pieces.runs import Recording
 from otf_core.reports import rotary_calibration
 from otf_core.reports.calibration import (
@@ -61,6 +70,26 @@ BAG = 'samples'
 VERB = 'calibrator'
 """Where the files come from, in their manifest."""
 TOPIC = 'tracker/point'
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be calibrated.
+
+    ``remarks`` and ``screening`` say what happened to the samples, ``journal`` where they are
+    written; the run has ended if the request is ``final``.
+    """
+
+    samples: Samples
+    path: NominalPath
+    files: CalibratorConfig
+    config: CalibrationConfig
+    lost: int
+    remarks: tuple[str, ...] = ()
+    screening: Screening = field(default_factory=Screening)
+    journal: Path | None = None
+    final: bool = True
+    signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,37 +127,21 @@ class Worker:
 
     def __init__(self, warn: Callable[[str], None], wake: Wake = lambda: None) -> None:
         self._warn, self._wake = warn, wake
-        self._pool = ThreadPoolExecutor(1, 'calibration')
-        self._stop, self._ahead = threading.Event(), threading.Event()
-        self._cancelled = threading.Event()
+        self._pool = ThreadPoolExecutor(2, 'calibration')  # no end of a run waits for a first look
+        self._stop, self._cancelled = threading.Event(), threading.Event()
         self._solver = Solver()
         self._seen: Seen | None = None
-        self._early: EarlyCalibration | None = None
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[CalibrationOutput]:
         """Start a calibration; the future raises what went wrong."""
-        if self._early is None or not self._early.is_of(request):
-            self.give_up()
-            self.stage, self.fraction = 'aligning', 0.0
-        early, self._early = self._early, None
-        self._ahead.set()
+        self.stage, self.fraction = 'aligning', 0.0
         self._cancelled.clear()
-        return self._begin(self._calibrate, request, early)
+        return self._begin(self._calibrate, request)
 
     def cancel(self) -> None:
         """End the calibration under way at its next step."""
         self._cancelled.set()
-
-    def look_ahead(self, request: Request) -> Future[AnyCalibration]:
-        """Calibrate what has been driven so far, until a calibration is started."""
-        self._ahead.clear()
-        self._solver.warm_up()
-        return self._begin(self._provisional, request)
-
-    def give_way(self) -> None:
-        """End a calibration of what had been driven: the run seems to be over."""
-        self._ahead.set()
 
     def save(self, outcome: CalibrationOutput) -> Future[CalibrationOutput]:
         """Add the report, residuals, and path and samples as a bag, as far as wanted."""
@@ -150,55 +163,30 @@ class Worker:
             try:
                 if wanted and name in writers:
                     writers[name](folder)
-            except OtfError as error:
-                missing[name] = DISK_FULL if isinstance(error, DiskFull) else str(error)
-                problems.append(f'{name} not written: {error}')
+            except Exception as error:  # noqa: BLE001 - the other files are written
+                missing[name] = DISK_FULL if isinstance(error, DiskFull) else self._words(error)
+                problems.append(f'{name} not written: {self._words(error)}')
                 self._warn(problems[-1])
         with suppress(OtfError):  # no room for it: the state says the same
             write_manifest(folder / MANIFEST, written_files(folder), VERB, missing)
         return replace(outcome, problem='; '.join(problems), missing=missing)
 
-    def follow(self, look: Look, request: Request) -> Future[bool]:
-        """Find out whether samples follow the path to its end; go on to calibrate them if so.
+    def _words(self, error: Exception) -> str:
+        """What went wrong; the traceback of a defect goes to the log."""
+        if isinstance(error, OtfError):
+            return str(error)
+        self._warn(''.join(traceback.format_exception(error)))
+        return internal_error(error)
 
-        Nobody hears of that calibration unless exactly it is started.
-        """
-        self.give_up()
-        self._cancelled.clear()
+    def look(self, look: Look, samples: Samples) -> Future[bool]:
+        """Find out whether samples follow the path to its end; the solver gets ready meanwhile."""
         self.stage, self.fraction = 'aligning', 0.0  # of what is wanted as soon as the run is over
-        early = self._early = EarlyCalibration(request)
-        self._begin(self._begin_early, early, look)
-        return early.at_the_end
 
-    def give_up(self) -> None:
-        """End a calibration that was begun early: its samples are not the run."""
-        if self._early is not None:
-            self._early.given_up.set()
-            self._early = None
+        def at_the_end(samples: Samples) -> bool:
+            self._seen = look(samples)
+            return self._seen is not None and self._seen.to_the_end
 
-    def _begin_early(self, early: EarlyCalibration, look: Look) -> None:
-        try:
-            self._seen = look(early.request.samples)
-            early.at_the_end.set_result(self._seen is not None and self._seen.to_the_end)
-        except Exception as error:  # whoever waits for the end of the run gets it, too
-            early.at_the_end.set_exception(error)
-            raise
-        self._wake()
-        if not early.at_the_end.result():
-            return
-
-        def progress(stage: str, fraction: float) -> None:
-            if early.given_up.is_set():
-                raise Cancelled('the run goes on')
-            self._progress(stage, fraction)
-
-        try:
-            recording = replace(recording_of(early.request), seen=self._followed)
-            early.solved = self._solve(recording, early.request, progress)
-        except Cancelled:
-            if not self._stop.is_set():
-                self._solver.warm_up()  # for the calibration that comes instead
-            raise
+        return self.ask(at_the_end, samples)
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
@@ -214,7 +202,6 @@ class Worker:
     def close(self) -> None:
         """Stop a calibration under way, but finish writing the bag of one that is done."""
         self._stop.set()
-        self._ahead.set()
         self._pool.shutdown(wait=True)
         self._solver.close()
 
@@ -225,46 +212,25 @@ class Worker:
             raise Cancelled('the calibration was cancelled; its samples stay')
         self.stage, self.fraction = stage, fraction
 
-    @property
-    def _followed(self) -> FollowedTrack | None:
-        """What was found of the track, where that saves time."""
-        return self._seen if isinstance(self._seen, FollowedTrack) else None
-
-    def _provisional(self, request: Request) -> AnyCalibration:
-        def progress(stage: str, fraction: float) -> None:
-            if self._ahead.is_set():
-                raise Cancelled('the run is calibrated')
-
-        task = CalibrationTask(recording_of(request), request.config, request.files.method, NONE)
-        result = self._solver.solve(task, progress)
-        assert isinstance(result, AnyCalibration), 'no effects are removed'
-        return result
-
-    def _calibrate(self, request: Request, early: EarlyCalibration | None) -> CalibrationOutput:
-        solved = None if early is None else early.solved
-        if early is not None and solved is not None:
-            request = replace(request, signals=early.request.signals)
-        recording = replace(recording_of(request), seen=self._followed)
-        if solved is None:
-            solved = self._solve(recording, request, self._progress)
-        result, write, later = _result_and_writers(solved)
-        base = _base(request.files)
+    def _calibrate(self, request: Request) -> CalibrationOutput:
+        recording = recording_of(request)
+        if isinstance(self._seen, FollowedTrack):  # saves time
+            recording = replace(recording, seen=self._seen)
+        files = request.files
+        task = CalibrationTask(recording, request.config, files.method, files.effects)
+        result, write, later = _result_and_writers(self._solver.solve(task, self._progress))
+        base = _base(files)
         folder = free_folder(base, result.run_id)
         try:
             out = OutputFolder(folder)
             with out.filled(VERB) as partial:
                 write(partial, out.missing)
-        except OtfError as error:
-            problem = f'files not written: {error}'
+        except Exception as error:  # noqa: BLE001 - the result is published
+            problem = f'files not written: {self._words(error)}'
             return CalibrationOutput(request, recording, result, None, later, problem)
-        problems = [out.missing_words, _latest(base, folder), _add_to_store(request.files, folder)]
+        problems = [out.missing_words, _latest(base, folder), _add_to_store(files, folder)]
         problem = '; '.join(text for text in problems if text)
         return CalibrationOutput(request, recording, result, folder, later, problem, out.missing)
-
-    def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
-        files = request.files
-        task = CalibrationTask(recording, request.config, files.method, files.effects)
-        return self._solver.solve(task, progress)
 
 
 def _result_and_writers(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Writer]]:

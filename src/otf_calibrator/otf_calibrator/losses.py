@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lost samples of a run: by the driver's count of its stream, and by the stamps over restarts.
+"""Lost samples of a run by the driver's count of its stream, and the gaps that restarts left.
 
 The driver states how many samples it has published, and the stamp of the last of them. Samples
-arrive in their order: once one with a later stamp is there, those up to this stamp that are not
-are lost, however many more are on their way.
+arrive in their order: once that one or a later one is there, those before it that are not are
+lost, however many more are on their way.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
-from itertools import takewhile
+from dataclasses import dataclass
 
 from otf_core.model.observation import SampleBuffer
+from otf_core.model.provenance import moment
 
-REMEMBERED = 10_000
-"""Stamps of the last samples; a status is not later than so many of them."""
 LATE = 2.0
 """s; samples that have not arrived so long after the end of their stream are lost."""
 LOOKED_AT = 500
@@ -24,56 +21,59 @@ LOOKED_AT = 500
 
 @dataclass
 class Stream:
-    """What is known of one stream of the driver; all zero without any status.
+    """One stream of the driver as status and samples tell; all zero without any status.
 
-    One that was taken over from another has not shown yet whether it goes on with the run; of one
-    that is heard of again it is unknown how many of the samples before have arrived.
+    Attributes
+    ----------
+    before : int
+        Samples published before it was heard of, of which nobody here knows.
+    missing : int
+        Samples that have not arrived although later ones have.
     """
 
     name: str = ''
+    before: int = 0
     received: int = 0
     announced: int = 0
+    missing: int = 0
     finished: bool = False
     ended: bool = False
     ended_at: float = 0.0
     heard: float = 0.0
-    taken_over: bool = False
-    unknown: int = 0
-    missing: int | None = None
-    """Samples that have not arrived although later ones have; None: not known."""
-    _stamps: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    told: float = 0.0
+    _by_stamp: bool = False
     _stated: tuple[int, int] | None = None
-
-    def arrive(self, stamp_ns: int) -> None:
-        """Count a sample that has arrived."""
-        if self._stated and stamp_ns > self._stated[1]:
-            self._count(self._stated[0], self.received)
-        self.received += 1
-        self._stamps.append(stamp_ns)
 
     def announce(self, published: int, last_ns: int) -> None:
         """Process the number of published samples and the stamp of the last, ns; 0: not stated."""
-        self.announced, self._stated = published, None
-        later = sum(1 for _ in takewhile(lambda stamp: stamp > last_ns, reversed(self._stamps)))
-        if last_ns and later < len(self._stamps):
-            if later or self._stamps[-1] == last_ns:
-                self._count(published, self.received - later)
-            else:
-                self._stated = published, last_ns
+        self.announced, self._by_stamp = published, bool(last_ns)
+        self._stated = (published, last_ns) if last_ns else None
 
-    def _count(self, published: int, received: int) -> None:
-        """Update the number of missing samples."""
-        self.missing, self._stated = max(0, published - self.unknown - received), None
+    def count(self, newest_ns: int | None) -> None:
+        """Count what is missing, given the newest stamp that has arrived, ns."""
+        if self._stated and newest_ns is not None and newest_ns >= self._stated[1]:
+            of_these = self.received - (newest_ns > self._stated[1])
+            self.missing = max(self.missing, self._stated[0] - self.before - of_these)
+            self._stated = None
 
     @property
-    def lost(self) -> int:
+    def outstanding(self) -> int:
         """Samples that were announced and have not arrived."""
-        return max(0, self.announced - self.unknown - self.received)
+        return max(0, self.announced - self.before - self.received)
+
+    @property
+    def gone(self) -> int:
+        """Those of them that will not, as far as is known at this moment."""
+        return self.missing if self._by_stamp and not self.ended else self.outstanding
 
     def over(self, now: float) -> bool:
-        """Return whether no further sample of this stream will come."""
-        silent = now - max(self.ended_at, self.heard)
-        return self.ended and (self.received >= self.announced or silent > LATE)
+        """Return whether no further sample of this stream is to be expected."""
+        late = now - max(self.ended_at, self.heard) > LATE
+        return self.ended and (late or not self.outstanding)
+
+    def lost(self, now: float) -> int:
+        """Samples that were published and will not arrive."""
+        return self.outstanding if self.over(now) else self.missing
 
 
 class Restarts:
@@ -81,14 +81,12 @@ class Restarts:
 
     Attributes
     ----------
-    samples : int
-        As many as there would have been at the rate before.
-    uncounted : bool
-        Driver and calibrator were away together: nobody knows how many of them were published.
+    remarks : list of str
+        Each of them in words.
     """
 
     def __init__(self) -> None:
-        self.seconds, self.samples, self.uncounted = 0.0, 0, False
+        self.remarks: list[str] = []
         self._expected = False
 
     def expect(self) -> None:
@@ -101,24 +99,13 @@ class Restarts:
             return
         self._expected = False
         before = buffer.snapshot(max(0, len(buffer) - LOOKED_AT))
-        step = before.in_order().step_ns
-        left_out = stamp_ns - int(before.stamp_ns.max()) - step if step else 0.0
-        if left_out > 0.5 * step:
-            self.seconds += 1e-9 * left_out
-            self.samples += round(left_out / step)
-
-    @property
-    def remarks(self) -> list[str]:
-        """In words."""
-        if not self.samples:
-            return []
-        rate = self.samples / self.seconds
-        return [
-            f'{self.seconds:.2f} s of the run ({self.samples} samples at {rate:.0f} Hz) are '
-            f'missing because driver or calibrator restarted'
-        ]
+        last, step = int(before.stamp_ns.max()), before.in_order().step_ns
+        if step and stamp_ns - last > 1.5 * step:
+            at = moment(last) or f'stamp {1e-9 * last:.3f} s'
+            gap = 1e-9 * (stamp_ns - last)
+            self.remarks.append(f'driver or calibrator restarted at {at}: gap of {gap:.2f} s')
 
 
-def lost_words(count: int, at_least: bool) -> str:
+def lost_words(count: int) -> str:
     """State how many samples were lost."""
-    return f'{"at least " if at_least else ""}{count} samples were lost on the way'
+    return f'{count} samples were lost on the way'

@@ -10,9 +10,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 
 from otf_calibrator.children import AnyCalibration
-from otf_calibrator.job import CalibrationOutput
 from otf_core.arrays import Array
 from otf_core.calibration.axis_calibration import AxisCalibration
+from otf_core.calibration.first_sight import FirstSight
 from otf_ros import convert_result, convert_rotary
 from otf_ros.convert_result import Messages
 
@@ -34,11 +34,12 @@ def summary(result: AnyCalibration) -> str:
 
 
 def places_of(job: Future[Any]) -> Mapping[str, Array] | None:
-    """Where a calibration found the reflectors; None if it tells nothing of them."""
+    """Where a calibration or a look found the reflectors; None if it tells nothing of them."""
     if job.exception():
         return None
-    outcome = job.result()
-    result = outcome.result if isinstance(outcome, CalibrationOutput) else outcome
-    if not isinstance(result, AxisCalibration):
+    found = job.result()
+    if isinstance(found, FirstSight):
+        return found.places
+    if not isinstance(found.result, AxisCalibration):
         return None
-    return {name: place for name, (place, _) in result.targets.items()}
+    return {name: place for name, (place, _) in found.result.targets.items()}

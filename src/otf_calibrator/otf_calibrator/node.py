@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 
 from geometry_msgs.msg import PointStamped
@@ -11,11 +12,11 @@ from rclpy.serialization import serialize_message
 
 from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnostics import tell
-from otf_calibrator.inputs import PathReceiver, listen, status_of, stream_before
-from otf_calibrator.intake import Batch
+from otf_calibrator.inputs import PathReceiver, listen, status_of
 from otf_calibrator.job import check_files
 from otf_calibrator.messages import places_of
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.publishers import PublisherOfRun
 from otf_calibrator.results import OutcomePublisher
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
@@ -60,12 +61,9 @@ class Calibrator(Node):
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
         topic = self.resolve_topic_name(POINT)
-        self._session = Session(
-            self._read_settings,
-            self.get_logger().warning,
-            wake,
-            lambda: self.count_publishers(topic),
-        )
+        warn = self.get_logger().warning
+        self._session = Session(self._read_settings, warn, wake, lambda: self._drain.empty())
+        self._publisher = PublisherOfRun(lambda: self.count_publishers(topic))
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
@@ -83,15 +81,12 @@ class Calibrator(Node):
             lambda: self._paths.machine.name,
         )
         self._action = CalibrateAction(self, self._session, lambda: self._outcomes.results.latest)
-        create_timer(self, PERIOD, self._tick)
+        create_timer(self, PERIOD, self._look)
         # last: samples may come at once
-        Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
+        self._drain = Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
 
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
-        held = self._session.intake.release_held()
-        if held:
-            self._session.intake.keep_apart(Batch(convert.points_from_messages(held)))
         self._session.close()
         self._action.close()
 
@@ -102,21 +97,23 @@ class Calibrator(Node):
         self._session.intake.take_status(status_of(message), serialize_message(message))
 
     def _on_gap(self, message: TrackerGap) -> None:
-        self._session.intake.take_gap(*stream_before(message), serialize_message(message))
+        self._session.intake.take_gap(serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        intake = self._session.intake
-        used, missed, beside = intake.separate_publishers(messages, numbers)
+        used = self._publisher.select(messages, numbers, time.monotonic())
+        if len(used) < len(messages):
+            self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
+        self._session.collector.missed += self._publisher.missed
         if used:
             self._state.take(used[-1].header.stamp, len(used))
-        if beside:
-            intake.keep_apart(Batch(convert.points_from_messages(beside)))
-        if used and self._session.take(Batch(convert.points_from_messages(used), missed)):
+        if used and self._session.take(convert.points_from_messages(used)):
             self._tick()
 
+    def _look(self) -> None:
+        self._drain.empty()  # what came while the process stood still is of the run, if it is over
+        self._tick()
+
     def _tick(self) -> None:
-        if self._session.intake.waiting:
-            self._on_points([], [])
         self._watch.look()
         self._paths.show()
         self._session.collector.publishers = self._watch.publishers
@@ -127,10 +124,9 @@ class Calibrator(Node):
             self._outcomes.complete(outcome)
         if started := self._session.start_due():
             self.get_logger().info(started)
-        if early := self._session.look_ahead():
-            method = self._read_settings()[0].method
-            self.get_logger().info(self._outcomes.results.publish_provisional(early, method))
-            self._paths.show(places_of(early))
+        if look := self._session.first_look():
+            self.get_logger().info(self._outcomes.results.publish_sight(look))
+            self._paths.show(places_of(look))
         if diagnosed := self._session.take_diagnosed():
             self._outcomes.publish_diagnosis(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)

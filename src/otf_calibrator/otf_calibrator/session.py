@@ -10,75 +10,29 @@ import copy
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 
-from otf_calibrator.children import Answer, AnyCalibration, Diagnosis
+from otf_calibrator.children import Answer, Diagnosis, internal_error
 from otf_calibrator.collector import Collector
 from otf_calibrator.intake import Batch, Intake
-from otf_calibrator.job import CalibrationOutput, Wake, Worker
+from otf_calibrator.job import CalibrationOutput, Request, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.request import Request
 from otf_core.calibration.first_sight import (
     FirstSight,
-    TwoPaths,
     first_legs,
     first_sight,
-    follows_the_other,
+    first_sight_of_parts,
 )
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
-from otf_core.model.observation import Samples
-from otf_core.tracking.path_watch import NEARLY, PathWatcher
+from otf_core.rotary.run_progress import PartsWatcher
+from otf_core.tracking.path_watch import PathWatcher
 
-Ahead = AnyCalibration | FirstSight
-LAST_SAMPLES = 'waiting for the last samples'
 INTERIM = 'interim result: the run continues, and its samples are still collected'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
-LOOK_EVERY = 30.0
-"""s of driving between two looks."""
-LOOK_SHARE = 0.05
-"""Share of the path that is driven between two looks, if that is sooner."""
-MOST_LOOKS = 4
-"""Looks at a run; after that the first lap will tell."""
-UNREPORTED_LOOKS = 1
-"""Looks that may fail unsaid: the first legs often do not determine anything yet."""
-
-
-class FirstLooks:
-    """When to look at a run before its first lap is over: until the tracker is found."""
-
-    def __init__(self) -> None:
-        self._run = -1
-        self._began = 0.0
-        self._looks = 0
-        self._least = 0.0
-        self._found = False
-
-    @property
-    def patient(self) -> bool:
-        """Whether a look that shows nothing is nothing to worry about yet."""
-        return not self._found and self._looks <= UNREPORTED_LOOKS
-
-    def mark_found(self) -> None:
-        """Record that the place of the tracker is known: no further look at this run."""
-        self._found = True
-
-    def is_due(self, collector: Collector, now: float) -> bool:
-        """Return whether to look at time ``now`` (s); a look is counted."""
-        if collector.path is None or collector.taken or not collector.travelled:
-            return False
-        if isinstance(collector.path, PartsTrack):
-            return False  # the first part tells
-        if collector.run != self._run:
-            self._run, self._began, self._looks, self._found = collector.run, now, 0, False
-            self._least = first_legs(collector.path)
-        if self._found or self._looks >= MOST_LOOKS or collector.travelled < self._least:
-            return False
-        driven = collector.travelled / (LOOK_SHARE * collector.path.length)
-        if max(driven, (now - self._began) / LOOK_EVERY) < self._looks + 1:
-            return False
-        self._looks += 1
-        return True
+LOOK_SHARE, MOST_LOOKS = 0.05, 4
+"""Share of the path between two looks at where the tracker stands, and the most in a run."""
 
 
 class Session:
@@ -92,8 +46,8 @@ class Session:
         Takes messages for the user.
     wake : callable, optional
         Called, by another thread, as soon as there is something to look at.
-    publishers : callable, optional
-        Returns how many publishers of samples the graph knows at this moment.
+    collect : callable, optional
+        Takes the samples that have arrived, before a calibration that is asked for.
 
     Attributes
     ----------
@@ -106,36 +60,32 @@ class Session:
         settings: Settings,
         warn: Callable[[str], None],
         wake: Wake = lambda: None,
-        publishers: Callable[[], int] = lambda: 1,
+        collect: Callable[[], None] = lambda: None,
     ) -> None:
-        self._settings = settings
+        self._settings, self._collect = settings, collect
         self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
-        self.intake = Intake(self.collector, warn, publishers)
+        self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn, wake)
         self._job: Future[CalibrationOutput] | None = None
         self._saving: Future[CalibrationOutput] | None = None
-        self._ahead: Future[Ahead] | None = None
-        self._first_looks = FirstLooks()
+        self._first_look: Future[FirstSight] | None = None
+        self._looks = (0, 0)
+        self._unplaced = ''
         self._verdict: Future[bool] | None = None
-        self._which: tuple[int, Future[bool]] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
         self._diagnosed: CalibrationOutput | None = None
         self._last: CalibrationOutput | None = None
         self._asked = (-1, 0)
-        self._waits_since: float | None = None
-        self._withdrawn = False
 
     @property
     def busy(self) -> bool:
         """True from when a calibration is asked for until its samples are saved."""
-        return bool(self._job or self._saving) or self._waits_since is not None
+        return bool(self._job or self._saving)
 
     @property
     def progress(self) -> tuple[str, float]:
         """What a calibration asked for is at, and the part of that which is done."""
-        if self._waits_since is not None:
-            return LAST_SAMPLES, 0.0
         return self.worker.stage, self.worker.fraction
 
     @property
@@ -153,53 +103,31 @@ class Session:
         collector, watcher = self.collector, self.collector.watcher
         if watcher is None or collector.taken:
             return False
-        return watcher.worth_judging or (self._verdict is not None and watcher.stood)
+        return watcher.worth_judging or self.judging
 
     def calibrate(self) -> tuple[bool, str]:
         """Calibrate the samples so far; return whether that has started, and a message.
 
-        The run goes on with what comes after, unless it was over. Samples on their way are waited
-        for.
+        The run goes on with what comes after, unless it was over.
         """
+        self._collect()
         if self.busy:
             return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
         if self.collector.path is None:
             return False, 'no path yet: start the path planner or publish planner/path (axes)'
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
-        if self.collector.on_the_way(now := time.monotonic(), now):
-            self._waits_since, self._withdrawn = now, False
-            return True, 'calibration starts at once; follow calibrator/state'
-        return True, self._start_asked() + '; follow calibrator/state'
+        self._asked, now = self._present, time.monotonic()
+        if self.collector.over(now):
+            return True, self.start('requested') + '; follow calibrator/state'
+        remarks = (INTERIM,) if self.collector.goes_on(now) else ()
+        return True, self._start('requested', False, remarks) + '; follow calibrator/state'
 
     def start_due(self) -> str:
-        """Start a calibration that was requested or is due; return what was started, in words."""
+        """Start the calibration of a run that has ended; return what was started, in words."""
         self.intake.decide(not self.busy)
-        since = self._waits_since
-        if since is None:
-            if not self.busy:
-                self._judge_paths()
-            reason = self.reason_to_end()
-            return self.start(reason) if reason else ''
-        if self.collector.on_the_way(time.monotonic(), since):
-            return ''
-        self._waits_since = None
-        if not len(self.collector.buffer):
-            return (
-                'no calibration: the run was set aside while the calibrator waited for its '
-                'last samples'
-            )
-        started = self._start_asked()
-        if self._withdrawn:
-            self.worker.cancel()
-        return started
-
-    def _start_asked(self) -> str:
-        self._asked = self._present
-        if self.collector.ended:
-            return self.start('requested')
-        goes_on = self.collector.goes_on(time.monotonic())
-        return self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
+        reason = self.reason_to_end()
+        return self.start(reason) if reason else ''
 
     def start(self, reason: str) -> str:
         """Calibrate the samples of a complete run; return what was started, in words."""
@@ -214,63 +142,68 @@ class Session:
         self._job = self.worker.start(request)
         return f'calibration of {len(request.samples)} samples started: {reason}'
 
-    def request(
-        self,
-        final: bool = True,
-        remarks: tuple[str, ...] = (),
-        samples: Samples | None = None,
-    ) -> Request:
-        """Return the samples so far, or some of them, and all that is known of them."""
+    def request(self, final: bool = True, remarks: tuple[str, ...] = ()) -> Request:
+        """Return the samples so far and all that is known of them."""
         collector = self.collector
-        samples = collector.buffer.snapshot() if samples is None else samples
+        samples = collector.buffer.snapshot()
         path, not_driven = collector.driven_parts()
         return Request(
             samples,
             path,
             *self._settings(),
-            collector.count_surely_lost(time.monotonic()),
-            (*collector.remarks, *self.intake.remarks(), *not_driven, *remarks),
+            collector.count_lost(time.monotonic()),
+            (*self.intake.remarks(), *not_driven, *remarks),
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
             final,
-            collector.restarts.uncounted,
             self.intake.signals.of(samples),
         )
 
     def cancel(self) -> None:
         """Cancel a calibration under way at its next step; its samples are kept."""
-        if self._waits_since is not None:
-            self._withdrawn = True  # not before its samples are here, which would be left out
-        elif self.busy:
+        if self.busy:
             self.worker.cancel()
 
-    def look_ahead(self) -> Future[Ahead] | None:
-        """Align the first legs, calibrate the first lap or part; return a look that has ended.
+    def first_look(self) -> Future[FirstSight] | None:
+        """Look early in a run where the tracker stands; return a look that has shown it."""
+        look = self._first_look
+        if look is None and not self.busy and not self.collector.taken:
+            self._begin_first_look()
+        if look is None or not look.done():
+            return None
+        self._first_look, (run, looks) = None, self._looks
+        if look.exception() is None:
+            self._looks, self._unplaced = (run, MOST_LOOKS), ''
+            return look
+        if looks > 1:  # the first legs often do not determine anything yet
+            self._unplaced = f'the place of the tracker is not known yet: {look.exception()}'
+        return None
 
-        Early looks that show nothing yet are not reported.
-        """
-        collector = self.collector
-        under_way = self._ahead is not None and not self._ahead.done()
-        lap = None if self.busy or under_way else collector.take_first_lap()
-        if lap:
-            self._first_looks.mark_found()
-            self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
-        elif (
-            self._ahead is None
-            and not self.busy
-            and self._first_looks.is_due(collector, time.monotonic())
-        ):
-            look = partial(first_sight, path=collector.path, travelled=collector.travelled)
-            look = partial(look, config=self._settings()[1])
-            self._ahead = self.worker.ask(look, collector.buffer.snapshot())
-        if self._ahead is None or not self._ahead.done():
-            return None
-        ahead, self._ahead = self._ahead, None
-        if ahead.exception() is None:
-            self._first_looks.mark_found()
-        elif self._first_looks.patient:
-            return None
-        return ahead
+    def troubles(self) -> list[str]:
+        """What is wrong with samples, journal and set-up, in words."""
+        here = self._looks[0] == self.collector.run and not self.collector.taken
+        return [*self.intake.troubles(), *([self._unplaced] if here and self._unplaced else ())]
+
+    def _begin_first_look(self) -> None:
+        collector, path, watcher = self.collector, self.collector.path, self.collector.watcher
+        looks = self._looks[1] if self._looks[0] == collector.run else 0
+        if path is None or looks >= MOST_LOOKS:
+            return
+        if isinstance(watcher, PartsWatcher) and isinstance(path, PartsTrack):
+            count = len(watcher.starts)
+            if count <= looks:
+                return
+            samples = collector.buffer.snapshot(stop=watcher.starts[-1])
+            question = partial(first_sight_of_parts, track=path.first_parts(count))
+        else:
+            travelled = collector.travelled
+            due = travelled > (looks + 1) * LOOK_SHARE * path.length
+            if not due or travelled < first_legs(path):
+                return
+            samples, config = collector.buffer.snapshot(), self._settings()[1]
+            question = partial(first_sight, path=path, travelled=travelled, config=config)
+        self._looks = collector.run, looks + 1
+        self._first_look = self.worker.ask(question, samples)
 
     def forget(self) -> tuple[bool, str]:
         """Drop the run; return True and what was dropped, in words."""
@@ -294,6 +227,9 @@ class Session:
         if not self._saving or not self._saving.done():
             return None
         saving, self._saving = self._saving, None
+        if error := saving.exception():  # a defect; the tables are there
+            assert self._last is not None, 'it is being saved'
+            return replace(self._last, problem=f'report and samples: {internal_error(error)}')
         return saving.result()
 
     def diagnose(self) -> tuple[bool, str]:
@@ -336,9 +272,16 @@ class Session:
         self.intake.close()
         self.worker.close()
 
+    @property
+    def judging(self) -> bool:
+        """Whether it is being found out if the run has ended at its end point."""
+        watcher = self.collector.watcher
+        return self._verdict is not None and watcher is not None and watcher.stood
+
     def reason_to_end(self) -> str:
         """Return why the run is complete and can be calibrated; empty if it is not."""
-        if self.busy or self.answered or self.collector.undecided(time.monotonic()):
+        now = time.monotonic()
+        if self.busy or self.answered or self.collector.undecided(now):
             return ''
         files, collector, watcher = self._settings()[0], self.collector, self.collector.watcher
         if self._at_the_end():
@@ -346,31 +289,13 @@ class Session:
             return 'standstill at the end point'
         if not self._verdict and watcher and (samples := collector.take_end_to_judge()):
             if files.finish_at_standstill:
-                if watcher.share >= NEARLY:
-                    self.worker.give_way()
-                self._verdict = self.worker.follow(watcher.look, self.request(samples=samples))
+                self._verdict = self.worker.look(watcher.look, samples)
                 self._judged = watcher, watcher.end
             else:
                 watcher.dismiss()
-        if self._verdict and watcher and watcher.stood:
+        if self.judging:
             return ''  # whatever else ends it, it may end there
-        now = time.monotonic()
-        reason = collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
-        return '' if reason and self._judge_paths(at_the_end=True) else reason
-
-    def _judge_paths(self, at_the_end: bool = False) -> bool:
-        """Compare the samples with both paths; return whether the comparison is under way."""
-        if self._which is None:
-            run = self.collector.paths_to_compare(at_the_end)
-            if run is not None:
-                look = partial(_follows_the_other, run, self._settings()[1])
-                self._which = self.collector.run, self.worker.ask(look, run.samples)
-        elif self._which[1].done():
-            (number, answer), self._which = self._which, None
-            same = number == self.collector.run and not self.collector.taken
-            if same and answer.exception() is None and answer.result():
-                self.intake.follow_the_other_path()
-        return self._which is not None
+        return collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
 
     def _at_the_end(self) -> bool:
         """Return whether the run has ended at a standstill at the end point, once."""
@@ -380,7 +305,6 @@ class Session:
         same = not self.collector.taken and self._judged == (watcher, watcher and watcher.end)
         if not same or watcher is None:
             self._verdict = None
-            self.worker.give_up()
             return False
         if self._verdict.exception() or not self._verdict.result():
             self._verdict = None
@@ -390,8 +314,3 @@ class Session:
             return False  # it may move on
         self._verdict = None
         return True
-
-
-def _follows_the_other(run: TwoPaths, config: CalibrationConfig, samples: Samples) -> bool:
-    """Compare with both paths, as a question to the worker, which passes the samples."""
-    return follows_the_other(run, config)

@@ -15,7 +15,7 @@ from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.messages import summary
-from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
 from otf_core.rotary.run_progress import PartsWatcher
@@ -37,7 +37,6 @@ NAMES = {
 SILENCE = 2.0
 """s without samples that the state speaks of."""
 STAGES = {
-    LAST_SAMPLES: CalibratorState.BUFFERING,
     'aligning': CalibratorState.ALIGNING,
     'solving': CalibratorState.SOLVING,
 }
@@ -98,7 +97,7 @@ class StatePublisher:
         """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
-        troubles = [*troubles, *session.intake.troubles()]
+        troubles = [*troubles, *session.troubles()]
         self._warn(troubles)
         text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
@@ -125,7 +124,7 @@ class StatePublisher:
             progress=progress,
             time_left=time_left,
             samples=len(collector.buffer),
-            samples_lost=collector.count_surely_lost(now),
+            samples_lost=collector.count_lost(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             **_part(collector),
@@ -163,6 +162,11 @@ class StatePublisher:
             )
         if not len(collector.buffer):
             text = 'waiting for tracker/point: activate the tracker driver'
+            if collector.ended and collector.published:
+                text = (
+                    f'no samples: the stream of the tracker driver has ended, and none of the '
+                    f'{collector.published} samples that it published has arrived; drive again'
+                )
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
         silence = collector.silence(time.monotonic())
@@ -170,6 +174,8 @@ class StatePublisher:
         parts = _part(collector)
         if parts['parts'] > 1:
             text += f"part {parts['part']} of {parts['parts']}, target '{parts['target']}'; "
+        if session.judging:
+            return CalibratorState.BUFFERING, _driven(collector), text + 'the end is being judged'
         if silence > SILENCE and collector.ended:
             text += 'the stream has ended: call calibrator/calibrate, or drive again; '
             text += 'a new stream sets these samples aside'

@@ -85,9 +85,7 @@ def test_clock_set_back_is_refused(tmp_path):
     later = some_samples()
     points = point_messages(Samples(later.stamp_ns + 10**10, later.xyz)) + point_messages()
     messages = [(a, b, START + i, d) for i, (a, b, _, d) in enumerate([PATH_MESSAGE, *points])]
-    with pytest.raises(
-        InputError, match=r'goes back by \d+\.\d+ s at sample 200.*--publisher 2: 200'
-    ):
+    with pytest.raises(InputError, match=r'goes back by \d+\.\d+ s at sample 200.*its own bag'):
         read_bag(write_mcap(tmp_path / 'a.mcap', messages))
 
 

@@ -161,7 +161,7 @@ def test_moving_layers_show_the_tracker_where_it_stands_once_that_is_known():
         return named(layers.moving(run.path, 0.4, run.track, run.pose, 0.0))
 
     assert set(drawn()) == {'driven'}
-    run.set_solved(LiveSolution(True, True, ''), TURNED)
+    run.set_pose(TURNED)
     assert np.allclose(drawn()['beam'].points, [TURNED.translation, [0.1, 2e-5, 0]])
     begin, end = drawn()['deviations'].points
     assert np.allclose(begin, [0.1, 0, 0], atol=1e-9) and end[1] - begin[1] > 0.005
@@ -176,7 +176,8 @@ def test_numbers_of_a_run_and_a_new_run_forgets_the_old_one():
     run.set_path(PATH)
     run.set_progress(DRIVEN, 10.0)
     run.set_progress(RunProgress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
-    run.set_solved(LiveSolution(True, True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)}), TURNED)
+    run.set_pose(TURNED)
+    run.solved = LiveSolution(True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)})
     run.track.add(*in_tracker([[0.2, 0, 1e-5]])[0])
     now = numbers(run)
     assert now['distance_from_path'] == pytest.approx(1e-5)

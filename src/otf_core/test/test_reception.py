@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Order of reception against order of stamps, and one of several publishers on a topic."""
+"""Order of reception against order of stamps, and two publishers on one topic."""
 
 import numpy as np
 import pytest
-from bag_cells import CORNERS, PATH_MESSAGE, START, point_messages, write_mcap
-from cli_cells import run
+from bag_cells import PATH_MESSAGE, START, point_messages, write_mcap
 
 from otf_core.bags.bag import read_bag
 from otf_core.bags.sample_order import PERIODS, sort_by_time
-from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.recordings import ReadingOptions, read_content
+from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 
 COUNT, STEP = 2000, 10_000_000
@@ -118,93 +116,15 @@ def test_shuffled_at_a_standstill_are_sorted():
     assert samples.xyz.tobytes() == xyz.tobytes()
 
 
-# ---------------------------------------------------------------- publishers
-
-OTHER = track(seed=2, place=(-1.0, 3.0, 0.2))
-
-
-def mixed(apart_ns, gap=0):
-    """Samples of two publishers side by side, the second from sample ``gap`` on."""
-    rows = [(k, 0, t, p) for k, (t, p) in enumerate(zip(STAMPS.tolist(), XYZ, strict=True))]
-    rows += [
-        (k + 0.5, 1, t + apart_ns, p)
-        for k, (t, p) in enumerate(zip(STAMPS.tolist(), OTHER, strict=True))
-        if k >= gap
-    ]
-    return sorted(rows, key=lambda row: row[:2])
-
-
-def bag_of(tmp_path, rows, channels=False):
-    messages = [PATH_MESSAGE]
-    for at, who, stamp, point in rows:
-        (one,) = point_messages(Samples(np.array([stamp]), np.array([point])))
-        name = '/tracker/point#2' if channels and who else one[0]
-        messages.append((name, one[1], START + int(1000 * at), one[3]))
-    return write_mcap(tmp_path / 'run.mcap', messages)
-
-
 @pytest.mark.parametrize('apart', [-49 * S, 10 * S, 10**15])
 @pytest.mark.parametrize('gap', [0, 700])
-def test_one_of_two_clocks_is_taken_as_the_message_says(tmp_path, apart, gap, capsys):
-    file = bag_of(tmp_path, mixed(apart, gap))
-    with pytest.raises(InputError) as refused:
-        read_bag(file)
-    said = str(refused.value)
-    assert f'--publisher 1: {COUNT} samples' in said
-    assert f'--publisher 2: {COUNT - gap} samples' in said
-    first, second = (read_content([file], ReadingOptions(publisher=k)) for k in (1, 2))
-    assert first.samples.xyz.tobytes() == XYZ.tobytes()
-    assert second.samples.xyz.tobytes() == OTHER[gap:].tobytes()
-    assert first.remarks[0].startswith(
-        '2 publishers on /tracker/point, distinguished by their clocks'
-    )
-    run('check', file)
-    assert '--publisher 2' in ''.join(capsys.readouterr())
-    run('check', file, '--publisher', '1')
-    assert f'using 1: {COUNT} samples' in ''.join(capsys.readouterr())
-
-
-def test_a_pause_of_one_clock_is_no_further_publisher(tmp_path):
-    rows = [row for row in mixed(-49 * S) if row[1] or not 400 < row[0] < 900]
-    file = bag_of(tmp_path, rows)
-    content = read_content([file], ReadingOptions(publisher=1))
-    keep = np.r_[0:401, 900:COUNT]
-    assert content.samples.xyz.tobytes() == XYZ[keep].tobytes()
-
-
-def test_channels_tell_publishers_apart_on_one_clock(tmp_path):
-    file = bag_of(tmp_path, mixed(STEP // 2), channels=True)
-    content = read_content([file], ReadingOptions(publisher=2))
-    assert content.samples.xyz.tobytes() == OTHER.tobytes()
-    assert 'distinguished by their channels' in content.remarks[0]
-
-
-def test_places_tell_publishers_apart_on_one_clock(tmp_path):
-    file = bag_of(tmp_path, mixed(STEP // 2))
-    content = read_content([file], ReadingOptions(publisher=2))
-    assert content.samples.xyz.tobytes() == OTHER.tobytes()
-    assert 'the places of their targets' in content.remarks[0]
-
-
-def test_a_publisher_that_there_is_not_is_refused_with_those_there_are(tmp_path):
-    file = bag_of(tmp_path, mixed(10 * S))
-    with pytest.raises(
-        ConfigError, match=r'--publisher 3: .* --publisher 1: 2000 .* --publisher 2'
-    ):
-        read_content([file], ReadingOptions(publisher=3))
-    alone = bag_of(tmp_path, mixed(0, COUNT))
-    with pytest.raises(ConfigError, match='has one publisher'):
-        read_content([alone], ReadingOptions(publisher=1))
-
-
-def test_one_of_two_clocks_in_a_text(tmp_path):
-    rows = mixed(-49 * S)
-    lines = [f'{t},{p[0]!r},{p[1]!r},{p[2]!r}' for _, _, t, p in
-             ((a, b, c, d.tolist()) for a, b, c, d in rows)]  # fmt: skip
-    (tmp_path / 'run.csv').write_text('\n'.join(['time_ns,x_m,y_m,z_m', *lines, '']))
-    (tmp_path / 'path.csv').write_text(
-        'x,y,z\n' + '\n'.join(','.join(map(str, p)) for p in CORNERS)
-    )
-    given = ReadingOptions(path=tmp_path / 'path.csv', publisher=1)
-    content = read_content([tmp_path / 'run.csv'], given)
-    assert content.samples.xyz.tobytes() == XYZ.tobytes()
+def test_two_publishers_on_one_topic_are_refused(tmp_path, apart, gap):
+    other = track(seed=2, place=(-1.0, 3.0, 0.2))
+    messages = [PATH_MESSAGE]
+    for k in range(COUNT):
+        messages += point_messages(Samples(STAMPS[k : k + 1], XYZ[k : k + 1]))
+        if k >= gap:
+            messages += point_messages(Samples(STAMPS[k : k + 1] + apart, other[k : k + 1]))
+    rows = [(a, b, START + i, d) for i, (a, b, _, d) in enumerate(messages)]
+    with pytest.raises(InputError, match='runs or trackers are mixed; record each in its own bag'):
+        read_bag(write_mcap(tmp_path / 'run.mcap', rows))

@@ -16,7 +16,6 @@ from otf_core.calibration.calibration_result import (
     motion_sizes,
     volume_errors,
 )
-from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.machine_verdict import (
     FAIL,
     NOT_STATED,
@@ -185,19 +184,6 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
     )
     message.message = summary(result)
     return message
-
-
-def sight_to_message(sight: FirstSight, stamp: Time) -> ResultMessage:
-    """Return the summary of a first look: place of the tracker and distance from the path."""
-    return ResultMessage(
-        header=header(stamp),
-        status=ResultMessage.OK,
-        message=sight.words,
-        alignment=transform_to_message(sight.T_machine_tracker),
-        samples=sight.samples,
-        coverage=sight.share,
-        path_mae_before=sight.distance,
-    )
 
 
 def volume_to_message(volume: VolumeErrors, run_id: str, stamp: Time) -> VolumeMessage:

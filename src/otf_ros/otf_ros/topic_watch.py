@@ -49,6 +49,7 @@ class TopicWatch:
     def __init__(self, node: Node, read: Mapping[str, QoSProfile], single: str) -> None:
         self._node, self._read, self._single = node, read, single
         self._at = 0.0
+        self._first = ''
         self.publishers = 0
         self.troubles: list[str] = []
 
@@ -75,3 +76,11 @@ class TopicWatch:
                         f'{len(publishers)} publishers on {topic} ({names}): only samples of the '
                         f'first belong to the run; end the others'
                     )
+                elif publishers:
+                    self._first = name_of(publishers[0])
+
+    def second(self) -> str:
+        """Name who publishes on ``single`` besides the node that was there first."""
+        topic = self._node.resolve_topic_name(self._single)
+        names = set(map(name_of, self._node.get_publishers_info_by_topic(topic)))
+        return ' or '.join(sorted(names - {self._first} or names)) or UNKNOWN

@@ -17,7 +17,6 @@ from otf_ros.convert import NS, header, time_from_ns
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.clock.device_clock import ClockState
-from otf_tracker_driver.handover import NOTHING_LEFT, DriverRemains, Handover, place
 from otf_tracker_driver.health import ORDINARY, Flow, Gap, Health, Hindrance
 
 NAMES = {
@@ -54,7 +53,6 @@ class Status:
         self.message = TrackerStatus()
         self._backend: Backend | None = None
         self._told_ns = 0
-        self._handover = Handover(place(node.get_fully_qualified_name()))
         self._lasting: tuple[int, Flow] | None = None
         self._log_again = AGAIN_AFTER
         self.latency: float | None = None
@@ -146,13 +144,8 @@ class Status:
         self.latency = None
         self.source(backend)
 
-    def end(self) -> None:
-        """End the stream in order: nothing is left for a driver to come."""
-        self._handover.clear()
-
     def take(self, batch: Samples) -> None:
         """Take samples that are about to be published, and publish the gaps that they end."""
-        self._tell_of_a_driver_before(batch)
         if len(batch) and not self.message.samples_published:
             self.message.first = time_from_ns(int(batch.stamp_ns[0]))
         self.message.samples_published += len(batch)
@@ -167,30 +160,13 @@ class Status:
             self._told_ns = gap.first_ns
             self._publish_gap(gap)
 
-    def note(self, samples: int, last_ns: int) -> None:
-        """Note that so many samples are published, and the stamp of the last one, ns."""
-        self._handover.note(self.message.stream_id, samples, last_ns)
-
-    def _tell_of_a_driver_before(self, batch: Samples) -> None:
-        """Publish the gap since a driver that was killed, if samples go on on the same clock."""
-        health = self.health
-        if not len(batch) or not (health.clock or health.by_host):
-            return
-        first_ns = int(batch.stamp_ns[0])
-        handed_over = self._handover.take(first_ns)
-        if handed_over:
-            gap = Gap(handed_over.last_ns, first_ns, 'the driver ended and was started again')
-            self._publish_gap(gap, handed_over)
-
-    def _publish_gap(self, gap: Gap, handed_over: DriverRemains = NOTHING_LEFT) -> None:
+    def _publish_gap(self, gap: Gap) -> None:
         message = TrackerGap(
             header=self._header(),
             stream_id=self.message.stream_id,
             last=time_from_ns(gap.last_ns),
             first=time_from_ns(gap.first_ns),
             reason=gap.reason,
-            stream_before=handed_over.stream_id,
-            published_before=handed_over.samples,
         )
         self._gaps.publish(message)
         lasted = (gap.first_ns - gap.last_ns) / NS

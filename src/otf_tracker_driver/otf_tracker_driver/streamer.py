@@ -122,7 +122,6 @@ class Streamer:
         self._streaming = False
         self._timer.cancel()
         self._status.repeat(False)
-        self._status.end()
         self._backend.stop()
         self._plan_wanted = False
 
@@ -167,11 +166,8 @@ class Streamer:
             text = f'internal error of the backend: {error!r}; the driver ends'
             self._status.report(TrackerStatus.FAULT, text)
             raise
-        published = self._status.message.samples_published - len(batch)
-        stamps = batch.stamp_ns.tolist()
-        for at, message in enumerate(convert.points_to_messages(batch)):
+        for message in convert.points_to_messages(batch):
             self._points.publish(message)
-            self._status.note(published + at + 1, stamps[at])
         if self._backend.finished and not len(self._pending):
             self.stop()
             text = f'all samples published{self._backend.pace_words}; '

@@ -7,7 +7,7 @@ import time
 from functools import partial
 from pathlib import Path as FilePath
 
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, TransformStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
 
@@ -42,13 +42,12 @@ class LiveRunListener:
         self.run = LiveRun()
         self.news = 0
         self.folder: FilePath | None = None
-        self._solved_ns = -1
         self._points: LatestMessage | None = None
         subscribe = node.create_subscription
         for topic in ('planner/path', 'calibrator/track'):  # the latter of several parts
             subscribe(Path, topic, partial(self._on_path, topic), qos.PATH)
         subscribe(CalibratorState, 'calibrator/state', self._on_state, qos.STATUS)
-        subscribe(CalibrationResult, 'calibrator/provisional', self._on_provisional, qos.RESULT)
+        subscribe(TransformStamped, 'calibrator/alignment', self._on_alignment, qos.RESULT)
         subscribe(CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT)
         subscribe(VolumeErrors, 'calibrator/volume', self._on_volume, qos.RESULT)
         create_timer(node, LOOK, self._look)
@@ -84,22 +83,15 @@ class LiveRunListener:
         }
         self.run.set_progress(RunProgress(**fields), time.monotonic())
 
-    def _on_provisional(self, message: CalibrationResult) -> None:
-        self._on_solved(message, provisional=True)
+    def _on_alignment(self, message: TransformStamped) -> None:
+        self.run.set_pose(convert.transform_from_message(message.transform))
+        self.news += 1
 
     def _on_result(self, message: CalibrationResult) -> None:
         self.folder = FilePath(message.output_directory) if message.output_directory else None
-        self._on_solved(message, provisional=False)
-
-    def _on_solved(self, message: CalibrationResult, provisional: bool) -> None:
-        stamp_ns = convert.ns_from_time(message.header.stamp)
-        if stamp_ns < self._solved_ns:
-            return  # latched topics come in any order
-        self._solved_ns = stamp_ns
         sizes = zip(message.motion_largest, message.motion_u, strict=True)
         location = zip(message.location_value, message.location_u, strict=True)
         solved = LiveSolution(
-            provisional=provisional,
             ok=message.status == CalibrationResult.OK,
             message=message.message,
             mae_before=message.path_mae_before,
@@ -113,9 +105,7 @@ class LiveRunListener:
             location=dict(zip(message.location, location, strict=True)),
             warnings=tuple(message.warnings),
         )
-        placed = message.run_id or message.coverage  # a first look has no run id yet
-        known = convert.transform_from_message(message.alignment) if placed else None
-        self.run.set_solved(solved, known)
+        self.run.solved = solved
         self.news += 1
 
     def _on_volume(self, message: VolumeErrors) -> None:

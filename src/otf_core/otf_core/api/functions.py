@@ -54,7 +54,6 @@ def read_bag(
     path_topic: str | None = None,
     columns: str | None = None,
     rate: float | None = None,
-    publisher: int | None = None,
 ) -> Recording:
     """Read a recorded run.
 
@@ -74,8 +73,6 @@ def read_bag(
         not given.
     rate : float, optional
         Hz; of samples in a text without times.
-    publisher : int, optional
-        Whose samples, from 1, where several trackers published on one topic.
 
     Raises
     ------
@@ -95,7 +92,7 @@ def read_bag(
     return read_recording(
         [source],
         machine,
-        ReadingOptions(path, topic, path_topic, columns, rate, publisher=publisher),
+        ReadingOptions(path, topic, path_topic, columns, rate),
     )
 
 

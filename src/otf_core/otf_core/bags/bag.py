@@ -16,7 +16,7 @@ from types import MappingProxyType
 import numpy as np
 import yaml
 
-from otf_core.bags.bag_reading import BagReading, Reading, advice_of, choose_publisher, path_of
+from otf_core.bags.bag_reading import BagReading, Reading, path_of
 from otf_core.bags.bag_signals import signal_messages
 from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
 from otf_core.bags.rosbag2_metadata import (
@@ -30,7 +30,7 @@ from otf_core.bags.rosbag2_metadata import (
     channel_metadata,
     metadata_text,
 )
-from otf_core.bags.sample_order import MixedSamples, Screening, sort_by_time, usable_path
+from otf_core.bags.sample_order import Screening, sort_by_time, usable_path
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import SkippedLines
 from otf_core.files.writing import unwritable
@@ -318,18 +318,14 @@ def _join_parts(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str
 
 def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
     """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
-    received = [choose_publisher(part, where, remarks) for part in parts]
-    raw = sorted(received, key=lambda r: r.stamp_ns[:1].tolist())
+    raw = sorted((part.received() for part in parts), key=lambda r: r.stamp_ns[:1].tolist())
     stamp_ns, xyz = (
         raw[0].stamp_ns if len(raw) == 1 else np.concatenate([r.stamp_ns for r in raw]),
         raw[0].xyz if len(raw) == 1 else np.concatenate([r.xyz for r in raw]),
     )
     screening = Screening()
     screening.foreign(sum((part.foreign for part in parts), Counter()))
-    try:
-        return sort_by_time(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
-    except MixedSamples as error:
-        raise MixedSamples(f'{error}{advice_of(received)}') from None
+    return sort_by_time(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:

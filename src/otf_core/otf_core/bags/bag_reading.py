@@ -16,13 +16,12 @@ from otf_core.bags.bag_source import locate
 from otf_core.bags.cdr import FORMS, POINT_FORM, decode_axes, decode_path, decode_points, form_of
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.rosbag2_metadata import AXES, PATH, POINT, Topic
-from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, MAX_OFF_NS, usable_path
-from otf_core.errors import ConfigError, InputError
+from otf_core.bags.sample_order import usable_path
+from otf_core.errors import InputError
 from otf_core.files.text_table import SkippedLines
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import TOOL
 from otf_core.model.path import NominalPath
-from otf_core.model.provenance import moment
 
 # Numbers that come in many small parts and become one array, without a second copy of it all.
 
@@ -80,14 +79,11 @@ class ReceivedPoints:
     xyz : ndarray, shape (n, 3), m
     log_time : ndarray of int64, shape (n,), ns
         When they were recorded; ascending.
-    channel : ndarray of int64, shape (n,), optional
-        Channels of an MCAP file, which publishers may have of their own.
     """
 
     stamp_ns: NDArray[np.int64]
     xyz: NDArray[np.float64]
     log_time: NDArray[np.int64]
-    channel: NDArray[np.int64] | None = None
 
 
 class Reading(Protocol):
@@ -101,7 +97,6 @@ class Reading(Protocol):
     remarks: list[str]
     left_out: list[SkippedLines]
     said: list[str]
-    publisher: int | None
 
     def require(self, *wanted: Topic) -> None:
         """Refuse a recording without these topics."""
@@ -134,8 +129,6 @@ class BagReading:
         Empty: what a bag leaves out stands in its remarks.
     said : list of str
         How it was read, where that is not as usual.
-    publisher : int or None
-        Whose samples are wanted, see ``publishers``.
     """
 
     def __init__(
@@ -150,7 +143,6 @@ class BagReading:
         self._stamp_ns = Column(np.empty(0, np.int64))
         self._xyz = Column(np.empty((0, 3)))
         self._log_time = Column(np.empty(0, np.int64))
-        self._channel: Column[np.int64] | None = Column(np.empty(0, np.int64))
         self._last_path: bytes | None = None
         self._cleared = 0
         self._points = 0
@@ -161,13 +153,10 @@ class BagReading:
         self.remarks: list[str] = []
         self.left_out: list[SkippedLines] = []
         self.said: list[str] = []
-        self.publisher: int | None = None
         self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,), AXES.name: (AXES.type,)}
-        location = locate(source)
-        self._files = len(location.files)
-        for block in location.messages(types, self.topics, self.remarks, recover=recover):
+        for block in locate(source).messages(types, self.topics, self.remarks, recover=recover):
             try:
                 self._add(block)
             except InputError as error:
@@ -237,24 +226,17 @@ class BagReading:
         self._xyz.add(points.xyz)
         rows = slice(None) if points.kept is None else points.kept
         self._log_time.add(block.log_time[rows])
-        if block.channel is None or self._files > 1:
-            self._channel = None
-        elif self._channel is not None:
-            self._channel.add(block.channel[rows])
         self.foreign.update(points.foreign)
         self._points += block.start.size
 
     def received(self) -> ReceivedPoints:
         """Return the points in the order of reception; they are not kept."""
         log_time = self._log_time.joined()
-        as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
         stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
-        channel = None if self._channel is None else self._channel.joined()
-        if as_received:
-            return ReceivedPoints(stamp_ns, xyz, log_time, channel)
+        if np.all(log_time[1:] >= log_time[:-1]):
+            return ReceivedPoints(stamp_ns, xyz, log_time)
         order = np.argsort(log_time, kind='stable')
-        channel = None if channel is None else channel[order]
-        return ReceivedPoints(stamp_ns[order], xyz[order], log_time[order], channel)
+        return ReceivedPoints(stamp_ns[order], xyz[order], log_time[order])
 
 
 def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
@@ -281,180 +263,3 @@ def drop_repetitions(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float6
         if not any(np.array_equal(path, known, equal_nan=True) for known in distinct):
             distinct.append(path)
     return distinct
-
-
-# Samples of several publishers on one topic, and those of one of them.
-#
-# They are distinguished by what the recording keeps of them: channels of an MCAP file, else the
-# clocks of their stamps where these lie more than 1 s apart, else the places of two targets.
-
-Labels = NDArray[np.int64]
-
-MAX_CLOCKS = 20
-"""Clocks; more are wrong stamps, not publishers."""
-TARGET_STEPS_APART = 20.0
-"""Two targets are at least so many steps of each of them apart."""
-
-
-@dataclass(frozen=True)
-class Publishers:
-    """Who published which sample.
-
-    Attributes
-    ----------
-    label : ndarray of int64, shape (n,)
-        Number of the publisher, from 1; 0: of none, its stamp is off.
-    by : str
-        What tells them apart.
-    words : tuple of str
-        What each of them published.
-    """
-
-    label: Labels
-    by: str
-    words: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """List them with the option that takes each."""
-        return '; '.join(f'--publisher {k}: {text}' for k, text in enumerate(self.words, start=1))
-
-
-def publishers_of(received: ReceivedPoints) -> Publishers | None:
-    """Tell publishers apart; None if there is one only, or no telling."""
-    for by, labels in (
-        ('their channels', _by_channel(received)),
-        ('their clocks', _by_clock(received.stamp_ns)),
-        ('the places of their targets', _by_place(received.xyz)),
-    ):
-        if labels is not None and labels.max() > 1:
-            count = range(1, int(labels.max()) + 1)
-            return Publishers(labels, by, tuple(_words(received, labels == k) for k in count))
-    return None
-
-
-def choose_publisher(part: Reading, where: str, remarks: list[str]) -> ReceivedPoints:
-    """Return the samples of the publisher that was asked for, of all if none was.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such publisher; lists those there are.
-    """
-    received = part.received()
-    if part.publisher is None:
-        return received
-    publishers = publishers_of(received)
-    if publishers is None:
-        raise ConfigError(
-            f'--publisher: {where}: {part.point.name} has one publisher, or several that neither '
-            f'channels nor clocks nor places distinguish; omit the option'
-        )
-    if not 1 <= part.publisher <= len(publishers.words):
-        raise ConfigError(f'--publisher {part.publisher}: {where}: there are {publishers}')
-    mine = publishers.label == part.publisher
-    remarks.append(
-        f'{len(publishers.words)} publishers on {part.point.name}, distinguished by '
-        f'{publishers.by}; using '
-        f'{part.publisher}: {publishers.words[part.publisher - 1]}'
-    )
-    channel = None if received.channel is None else received.channel[mine]
-    return ReceivedPoints(
-        received.stamp_ns[mine], received.xyz[mine], received.log_time[mine], channel
-    )
-
-
-def advice_of(parts: Sequence[ReceivedPoints]) -> str:
-    """Return what to type where publishers are mixed; empty where none are distinguished."""
-    publishers = publishers_of(parts[0]) if len(parts) == 1 else None
-    return f'; distinguished by {publishers.by}, {publishers}' if publishers else ''
-
-
-def _words(received: ReceivedPoints, mine: NDArray[np.bool_]) -> str:
-    stamps = received.stamp_ns[mine]
-    low, high = int(stamps.min()), int(stamps.max())
-    first, last = moment(low), moment(high)
-    span = f'{first} to {last}' if first else f'stamps {1e-9 * low:.3f} s to {1e-9 * high:.3f} s'
-    return f'{len(stamps)} samples, {span}'
-
-
-def _by_channel(received: ReceivedPoints) -> Labels | None:
-    if received.channel is None:
-        return None
-    different, labels = np.unique(received.channel, return_inverse=True)
-    count = np.bincount(labels)
-    if len(different) < 2 or count.min() < CLOCK_CHANGE_SAMPLES:
-        return None
-    return np.asarray(labels + 1, np.int64)
-
-
-def _by_clock(stamp_ns: Labels) -> Labels | None:
-    """Give every sample to the clock that it goes on with, in the order of reception."""
-    if not np.any(np.maximum.accumulate(stamp_ns) - stamp_ns > MAX_OFF_NS):
-        return None
-    newest: list[int] = []
-    bounds: list[tuple[int, int, int]] = []
-    labels = np.empty(len(stamp_ns), np.int64)
-    for i, stamp in enumerate(stamp_ns.tolist()):
-        off = [abs(stamp - known) for known in newest]
-        k = int(np.argmin(off)) if off else 0
-        if not off or off[k] > MAX_OFF_NS:
-            k = len(newest)
-            newest.append(stamp)
-            bounds.append((i, i, stamp))
-            if k > MAX_CLOCKS * CLOCK_CHANGE_SAMPLES:
-                return None
-        newest[k] = max(newest[k], stamp)
-        bounds[k] = (bounds[k][0], i, bounds[k][2])
-        labels[i] = k
-    count = np.bincount(labels)
-    often = [k for k in range(len(newest)) if count[k] >= CLOCK_CHANGE_SAMPLES]
-    group = _joined([(k, *bounds[k], newest[k]) for k in often])
-    number = np.zeros(len(newest), np.int64)
-    for k, one in group.items():
-        number[k] = one + 1
-    return number[labels] if 0 < number.max() <= MAX_CLOCKS else None
-
-
-def _joined(clocks: Sequence[tuple[int, int, int, int, int]]) -> dict[int, int]:
-    """Publisher of every clock: one that begins ahead of where another ended goes on with it.
-
-    A clock is its number, first and last sample, first and newest stamp.
-    """
-    ends: list[tuple[int, int]] = []
-    groups: dict[int, int] = {}
-    for k, first, last, begin, newest in sorted(clocks, key=lambda clock: clock[1]):
-        before = [
-            (begin - end, g) for g, (at, end) in enumerate(ends) if at < first and end <= begin
-        ]
-        g = min(before)[1] if before else len(ends)
-        if not before:
-            ends.append((last, newest))
-        ends[g] = (last, newest)
-        groups[k] = g
-    return groups
-
-
-def _by_place(xyz: NDArray[np.float64]) -> Labels | None:
-    """Give every sample to the target that it lies nearer to, where two are followed."""
-    step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    if not step.size:
-        return None
-    large = float(np.percentile(step, 95))
-    start = int(np.argmax(step > 0.5 * large))
-    if np.mean(step > 0.5 * large) < 0.1 or large <= 0.0:
-        return None
-    labels = np.ones(len(xyz), np.int64)
-    tips = [xyz[start], xyz[start + 1]]
-    labels[start + 1] = 2
-    moved: list[list[float]] = [[], []]
-    for i in range(start + 2, len(xyz)):
-        far = [float(np.linalg.norm(xyz[i] - tip)) for tip in tips]
-        near = int(far[1] < far[0])
-        moved[near].append(far[near])
-        tips[near] = xyz[i]
-        labels[i] = near + 1
-    fewest = 0.1 * len(xyz)
-    if min(map(len, moved)) < fewest:
-        return None
-    short = max(float(np.percentile(steps, 99)) for steps in moved)
-    return labels if TARGET_STEPS_APART * short < large else None

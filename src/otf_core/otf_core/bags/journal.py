@@ -48,7 +48,6 @@ from otf_core.bags.rosbag2_metadata import (
     AXES,
     CREATOR,
     GAP,
-    OTHER_POINT,
     PATH,
     POINT,
     STATUS,
@@ -59,6 +58,7 @@ from otf_core.bags.rosbag2_metadata import (
     metadata_text,
 )
 from otf_core.errors import ConfigError, InputError
+from otf_core.files.output_folder import file_digest
 from otf_core.files.strict_yaml import read_yaml
 
 # One MCAP file that grows chunk by chunk and is a whole file after every one of them.
@@ -303,11 +303,9 @@ def _sync_folder(folder: Path) -> None:
 
 TOPICS = (PATH, AXES, STATUS, POINT)
 """Of which a run consists, and what it is taken up from."""
-ASIDE = (GAP, OTHER_POINT)
-"""Kept beside it."""
 RECORDING = 'recording'
 """State of a run to which samples may be added."""
-STATE = 'otf_state'
+STATE, MACHINE = 'otf_state', 'otf_machine_sha256'
 METADATA = 'metadata.yaml'
 METADATA_PERIOD = 1.0
 """s; metadata.yaml is written anew at most so often while the run is recorded."""
@@ -326,7 +324,7 @@ class Definitions:
     @property
     def all(self) -> tuple[Topic, ...]:
         """Topics of a journal."""
-        return (*TOPICS, *ASIDE, *self.beside)
+        return (*TOPICS, GAP, *self.beside)
 
     @cached_property
     def both(self) -> tuple[dict[Topic, str], dict[Topic, str]]:
@@ -348,12 +346,16 @@ class JournalRun:
     ----------
     folder : Path
         Made with the first rows.
+    machine : str
+        SHA-256 of the machine description that it is recorded with; empty: not known.
     parts : sequence of Part
         Parts that are there already.
     """
 
-    def __init__(self, folder: Path, definitions: Definitions, parts: Sequence[Part] = ()) -> None:
-        self.folder = folder
+    def __init__(
+        self, folder: Path, definitions: Definitions, machine: str, parts: Sequence[Part] = ()
+    ) -> None:
+        self.folder, self._machine = folder, machine
         self._definitions, self._parts = definitions, list(parts)
         self._file: JournalFile | None = None
         self._updated = 0.0
@@ -384,7 +386,8 @@ class JournalRun:
     def _update(self, state: str) -> None:
         present = [self._file.part] if self._file else []
         hashes = self._definitions.both[1]
-        data = bag_metadata([*self._parts, *present], hashes, {STATE: state})
+        about = {STATE: state} | ({MACHINE: self._machine} if self._machine else {})
+        data = bag_metadata([*self._parts, *present], hashes, about)
         _replace_text(self.folder / METADATA, metadata_text(data))
         self._updated = time.monotonic()
 
@@ -398,13 +401,17 @@ def _replace_text(path: Path, text: str) -> None:
     os.replace(partial, path)
 
 
+def _about(folder: Path) -> dict[str, str]:
+    """What metadata.yaml says of a run of a journal; empty if the folder is none."""
+    try:
+        return dict(read_yaml(folder / METADATA)['rosbag2_bagfile_information']['custom_data'])
+    except (ConfigError, TypeError, KeyError, ValueError):
+        return {}
+
+
 def state_of(folder: Path) -> str:
     """Return the state of a run; empty if the folder is no run of a journal."""
-    try:
-        data = read_yaml(folder / METADATA)
-        return str(data['rosbag2_bagfile_information']['custom_data'][STATE])
-    except (ConfigError, TypeError, KeyError):
-        return ''
+    return str(_about(folder).get(STATE, ''))
 
 
 def set_state(folder: Path, state: str) -> None:
@@ -412,7 +419,7 @@ def set_state(folder: Path, state: str) -> None:
     path = folder / METADATA
     try:
         data = read_yaml(path)
-        data['rosbag2_bagfile_information']['custom_data'] = {STATE: state}
+        data['rosbag2_bagfile_information']['custom_data'] = {**_about(folder), STATE: state}
     except (ConfigError, TypeError, KeyError) as error:
         raise OSError(f'{path}: {error}') from None
     _replace_text(path, metadata_text(data['rosbag2_bagfile_information']))
@@ -470,7 +477,8 @@ def resume_run(folder: Path, definitions: Definitions) -> JournalContent:
         else:
             parts.append(Part(file.name, 0, 0, {}))
     end = max((part.end for part in parts), default=0)
-    return JournalContent(JournalRun(folder, definitions, parts), end, tuple(arrived))
+    machine = _about(folder).get(MACHINE, '')
+    return JournalContent(JournalRun(folder, definitions, machine, parts), end, tuple(arrived))
 
 
 def _topic(block: MessageBlock, topics: Sequence[Topic] = (*TOPICS, GAP)) -> Topic:
@@ -547,6 +555,8 @@ class Journal:
         Message definitions of types that are not part of ROS 2 itself.
     beside : sequence of Topic
         Further topics.
+    machine_file : Path, optional
+        A run that was recorded with another one is not taken up.
 
     Attributes
     ----------
@@ -560,9 +570,13 @@ class Journal:
     """
 
     def __init__(
-        self, directory: Path, texts: Mapping[str, str], beside: Sequence[Topic] = ()
+        self,
+        directory: Path,
+        texts: Mapping[str, str],
+        beside: Sequence[Topic] = (),
+        machine_file: Path | None = None,
     ) -> None:
-        self.directory = directory
+        self.directory, self._machine_file = directory, machine_file
         self._lock = _locked(directory)
         self._definitions = Definitions(texts, tuple(beside))
         self._run: JournalRun | None = None
@@ -580,13 +594,7 @@ class Journal:
         """Folder of the present run; None before its first sample."""
         return self._run.folder if self._run else None
 
-    def points(
-        self,
-        stamp_ns: NDArray[np.int64],
-        xyz: NDArray[np.float64],
-        frame: str,
-        topic: Topic = POINT,
-    ) -> None:
+    def points(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], frame: str) -> None:
         """Take points of one frame as they arrived; the first begin a run.
 
         Parameters
@@ -595,7 +603,7 @@ class Journal:
         xyz : ndarray of float64, shape (n, 3), m
         """
         run = self._run or self._begin()
-        self._put(run, Rows(topic, encode_points(stamp_ns, xyz, frame), self._now()))
+        self._put(run, Rows(POINT, encode_points(stamp_ns, xyz, frame), self._now()))
 
     def message(self, topic: Topic, *data: bytes) -> None:
         """Take serialized messages that stay valid: they are part of every run from now on.
@@ -650,7 +658,7 @@ class Journal:
         Raises
         ------
         InputError
-            If it cannot be read.
+            If it cannot be read, or was recorded with another machine description, which ends it.
         """
         folders = unfinished_runs(self.directory)
         if not folders:
@@ -658,6 +666,15 @@ class Journal:
         newest = max(p.stat().st_mtime for p in folders[-1].iterdir())
         if time.time() - newest > within:
             return None, folders
+        before, machine = _about(folders[-1]).get(MACHINE, ''), self._machine()
+        if before and machine and before != machine:
+            self._append(_End(folders[-1], None, f'set aside: {self._machine_file} has changed'))
+            raise InputError(
+                f'{folders[-1]}: {self._machine_file} has changed since this run was recorded '
+                f'(SHA-256 {before[:8]}..., now {machine[:8]}...); the run stays there: calibrate '
+                f'it with the file of that time, ./otf calibrate {folders[-1]} --machine '
+                f'MACHINE.yaml --out DIR'
+            )
         recorded = resume_run(folders[-1], self._definitions)
         self._run = recorded.run
         self._clock = max(self._clock, recorded.end_ns + 1 - time.monotonic_ns())
@@ -675,11 +692,18 @@ class Journal:
 
     def _begin(self) -> JournalRun:
         name = f'{datetime.now(timezone.utc):%Y%m%dT%H%M%S.%fZ}'
-        self._run = run = JournalRun(self.directory / name, self._definitions)
+        self._run = run = JournalRun(self.directory / name, self._definitions, self._machine())
         for topic, messages in self._latched.items():
             for data in messages:
                 self._put(run, one_message(topic, data, self._now()))
         return run
+
+    def _machine(self) -> str:
+        """SHA-256 of the machine description; empty where there is none."""
+        try:
+            return file_digest(self._machine_file) if self._machine_file else ''
+        except OSError:  # whoever calibrates says so
+            return ''
 
     def _now(self) -> int:
         """Time of arrival, ns: the clock of the system, but never back."""

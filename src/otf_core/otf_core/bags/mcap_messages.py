@@ -160,8 +160,6 @@ class MessageBlock:
         Where each serialized message begins in the buffer, and its bytes.
     log_time : ndarray of int64, shape (n,), ns
         When it was received.
-    channel : ndarray of int64, shape (n,), optional
-        Of an MCAP file.
     """
 
     topic: str
@@ -169,7 +167,6 @@ class MessageBlock:
     start: Index
     size: Index
     log_time: Index
-    channel: Index | None = None
 
 
 class _Damaged(InputError):
@@ -417,8 +414,7 @@ class McapMessages:
                 pick = slice(None) if alone else np.isin(head['channel'], ids)
                 log_time = head['log_time'][pick].astype(np.int64)
                 start = at[pick] + MESSAGE_HEAD.itemsize
-                channel = head['channel'][pick].astype(np.int64)
-                yield MessageBlock(topic, buffer, start, size[pick], log_time, channel)
+                yield MessageBlock(topic, buffer, start, size[pick], log_time)
 
 
 def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted) -> None:

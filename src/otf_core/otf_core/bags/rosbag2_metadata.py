@@ -43,8 +43,6 @@ STATUS = Topic('/tracker/status', 'otf_msgs/msg/TrackerStatus', 'tracker', 1, 't
 """Only in journals; nothing depends on it offline."""
 GAP = Topic('/tracker/gap', 'otf_msgs/msg/TrackerGap', 'tracker', 1000, 'transient_local')
 """The same: breaks of the stream as the driver states them."""
-OTHER_POINT = Topic('/tracker/point_other', POINT.type, POINT.frame, POINT.depth, POINT.durability)
-"""Only in journals: samples of a second publisher, which are not part of the run."""
 
 
 def rename_topic(topic: Topic, name: str | None) -> Topic:

@@ -63,20 +63,12 @@ class Clock(Generic[T]):
         """Whether what is held is no accident."""
         return len(self.held) >= CLOCK_CHANGE_SAMPLES
 
-    def take(self, stamp_ns: int, item: T, back_ns: int = MAX_OFF_NS) -> bool:
-        """Return whether a stamp goes on with the clock; it is held if it does not.
-
-        Parameters
-        ----------
-        item : T
-            What it belongs to.
-        back_ns : int
-            ns; it may go back by so much.
-        """
+    def take(self, stamp_ns: int, item: T) -> bool:
+        """Return whether a stamp of an item goes on with the clock; it is held if it does not."""
         if self.held and not self._follows_held(stamp_ns):
             self.drop()
         newest = self.newest_ns
-        if not self.held and (newest is None or -back_ns <= stamp_ns - newest <= MAX_OFF_NS):
+        if not self.held and (newest is None or abs(stamp_ns - newest) <= MAX_OFF_NS):
             self.newest_ns = stamp_ns if newest is None else max(newest, stamp_ns)
             return True
         self.held.append((stamp_ns, item))
@@ -336,10 +328,6 @@ WORDS = {
 }
 
 
-class MixedSamples(InputError):
-    """Stamps of several clocks: of publishers, runs, or one that was set back."""
-
-
 def screen_points(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Determine what is wrong with points; 0: nothing.
 
@@ -439,7 +427,7 @@ class Screening:
             text = frame_text(f'{count[FOREIGN]} of {total} points', self._most(), POINT.frame)
             raise InputError(f'{where}: {text}')
         if count[OFF] > MAX_FAR * total:
-            raise MixedSamples(
+            raise InputError(
                 f'{where}: header.stamp of {count[OFF]} of {total} points is off by more than '
                 f'{1e-9 * MAX_OFF_NS:g} s, the first is {self._first[OFF]}; the clock was set '
                 f'back or several runs or trackers are mixed; record each in its own bag'
@@ -576,7 +564,7 @@ def _check_steps(where: str, stamp_ns: NDArray[np.int64]) -> None:
     back = np.maximum.accumulate(stamp_ns) - stamp_ns
     if back.max() > MAX_OFF_NS:
         i = int(np.argmax(back > MAX_OFF_NS))
-        raise MixedSamples(
+        raise InputError(
             f'{where}: header.stamp goes back by {back[i] * 1e-9:.3f} s at sample {i}; the clock '
             f'was set back or several runs or trackers are mixed; record each in its own bag'
         )

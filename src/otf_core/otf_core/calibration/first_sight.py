@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First look at a run in progress: tracker pose, and which of two published paths it follows."""
+"""First look at a run in progress: where the tracker stands, long before anything is solved."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.live.layers import PathDistance, driven_part
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.rotary.curve_matching import match
 from otf_core.tracking.alignment import align
 
 MAX_SAMPLES = 500
@@ -29,24 +33,22 @@ class FirstSight:
 
     Attributes
     ----------
-    share : float
-        Of the length of the path, driven so far.
     distance : float
         Mean distance of the aligned samples from the path, m.
+    places : mapping of target to ndarray, shape (3,), m
+        Of a machine with rotary axes: where the reflectors sit.
     """
 
     T_machine_tracker: RigidTransform
-    samples: int
-    share: float
     distance: float
+    places: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
         """One sentence."""
         return (
-            f'the tracker is found and the target follows the path; provisional, of the first '
-            f'{100 * self.share:.0f} % of the path: {1e6 * self.distance:.3g} um from it on '
-            f'average, nothing compensated yet; errors come after the first lap'
+            f'the tracker is found and the target follows the path: {1e6 * self.distance:.3g} um '
+            f'from it on average, nothing compensated'
         )
 
 
@@ -85,61 +87,13 @@ def first_sight(
         )
     few = np.unique(np.linspace(0, len(samples) - 1, MAX_SAMPLES).astype(int))
     points = alignment.T_machine_tracker.apply(samples.xyz[few])
-    away = np.linalg.norm(PathDistance(path).deviation(points), axis=1)
-    share = min(1.0, travelled / path.length)
-    return FirstSight(alignment.T_machine_tracker, len(samples), share, float(away.mean()))
+    distance = float(np.linalg.norm(PathDistance(path).deviation(points), axis=1).mean())
+    if distance > config.match_tolerance:
+        raise InputError(f'the target is {1e3 * distance:.3g} mm from the path on average')
+    return FirstSight(alignment.T_machine_tracker, distance)
 
 
-MAX_DISTANCE = 5e-3
-"""m; a target that is nearer to a path than this follows it: far above the errors of a machine,
-and about what the rounding of corners takes off."""
-
-
-@dataclass(frozen=True)
-class TwoPaths:
-    """A run along one path, and another path that was published meanwhile.
-
-    Attributes
-    ----------
-    samples : Samples
-        Of the run, in the order of their arrival.
-    since : int
-        Samples that had come when the other path was published.
-    travelled, travelled_since : float
-        Length that the target has travelled in the run, and since the other path came, m.
-    """
-
-    samples: Samples
-    since: int
-    present: NominalPath
-    other: NominalPath
-    travelled: float
-    travelled_since: float
-
-
-def follows_the_other(run: TwoPaths, config: CalibrationConfig) -> bool:
-    """Return whether the target has left the present path and follows the other one.
-
-    False as long as too little is driven to determine that; the present path is kept then.
-    """
-    newer = run.samples.part(run.since, len(run.samples))
-    try:
-        first_sight(newer, run.other, run.travelled_since, config)
-    except InputError:
-        return False
-    return not _on_the_present(run, newer, config)
-
-
-def _on_the_present(run: TwoPaths, newer: Samples, config: CalibrationConfig) -> bool:
-    """Return whether what came since lies on the present path, the tracker standing still."""
-    beginning = NominalPath(driven_part(run.present, run.travelled))
-    try:
-        alignment = align(run.samples.in_order(), beginning, config)
-    except InputError:
-        return False
-    if alignment.coverage < MIN_FOLLOWED_SHARE:
-        return False
-    few = np.unique(np.linspace(0, len(newer) - 1, MAX_SAMPLES).astype(int))
-    points = alignment.T_machine_tracker.apply(newer.xyz[few])
-    away = np.linalg.norm(PathDistance(run.present).deviation(points), axis=1)
-    return float(np.mean(away < MAX_DISTANCE)) >= MIN_FOLLOWED_SHARE
+def first_sight_of_parts(samples: Samples, track: PartsTrack) -> FirstSight:
+    """Compare the parts that were driven first with their path; otherwise as ``first_sight``."""
+    matched = match(samples.in_order(), track.machine, track.parts, quick=True)
+    return FirstSight(matched.pose, float(np.mean(matched.distance)), matched.places)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.bags.bag_reading import ReceivedPoints, advice_of, choose_publisher, path_of
+from otf_core.bags.bag_reading import ReceivedPoints, path_of
 from otf_core.bags.rosbag2_metadata import AXES
-from otf_core.bags.sample_order import MixedSamples, Screening, sort_by_time
+from otf_core.bags.sample_order import Screening, sort_by_time
 from otf_core.calibration.axis_calibration import AxisCalibration, calibrate_axes
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
@@ -157,17 +157,13 @@ def _read(
                 seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
             reading.require(reading.point)
-            received = choose_publisher(reading, source, remarks)
+            received = reading.received()
             seen = replace(seen, received=received, left_out=tuple(reading.left_out))
             seen = replace(seen, parts=tuple(reading.axis_paths))
             screening = Screening()
             screening.foreign(reading.foreign)
             raw = received.stamp_ns, received.xyz
-            try:
-                where = f'{source}: {reading.point.name}'
-                samples = sort_by_time(where, *raw, remarks, screening)
-            except MixedSamples as error:
-                raise MixedSamples(f'{error}{advice_of([received])}') from None
+            samples = sort_by_time(f'{source}: {reading.point.name}', *raw, remarks, screening)
             seen = replace(seen, samples=samples)
     return replace(seen, remarks=tuple(remarks))
 

@@ -87,11 +87,6 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
         'Odometry, in any frame',
     )  # fmt: skip
     group.add_argument(
-        '--publisher', type=int, metavar='N',
-        help='which samples to use if several trackers published on one topic; the message '
-        'that refuses such a recording lists the choices',
-    )  # fmt: skip
-    group.add_argument(
         '--columns', metavar='LIST',
         help='content of the columns of a text table, e.g. time_s,-,x_mm,y_mm,z_mm (default: '
         'as in its header)',
@@ -114,7 +109,6 @@ def reading_options(arguments: argparse.Namespace, path: str | None = None) -> R
         rate=arguments.rate,
         recover=arguments.recover,
         signals=tuple(getattr(arguments, 'signal', ())),
-        publisher=arguments.publisher,
     )
 
 

@@ -169,7 +169,7 @@ def two_streams(samples: Samples) -> str:
         apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))
         return (
             f'the samples jump between two tracks {_length(apart)} apart: two trackers publish '
-            f'on one topic; record one of them, or take one: --publisher 1, --publisher 2'
+            f'on one topic; record one of them'
         )
     return ''
 

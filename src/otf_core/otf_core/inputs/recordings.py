@@ -33,8 +33,6 @@ class ReadingOptions:
         place of a path in the recording.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
-    publisher : int, optional
-        Whose samples to take where several published them, from 1, see ``bags.bag_reading``.
     columns : str, optional
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional
@@ -52,7 +50,6 @@ class ReadingOptions:
     rate: float | None = None
     recover: bool = False
     signals: tuple[str, ...] = ()
-    publisher: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rate that is none."""
@@ -84,7 +81,6 @@ def open_reading(source: str | Path, given: ReadingOptions = AS_IT_IS) -> AnyRea
                 raise ConfigError(f'{option}: {source} is a bag; this option is for text tables')
         path = None if given.path is not None else rename_topic(PATH, given.path_topic)
         reading = BagReading(source, rename_topic(POINT, given.topic), path, recover=given.recover)
-    reading.publisher = given.publisher
     if given.path is not None and holds_axis_positions(given.path):
         reading.paths, reading.axis_paths = [], read_axis_paths(given.path)
     elif given.path is not None:

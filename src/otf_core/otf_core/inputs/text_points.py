@@ -304,8 +304,6 @@ class TextReading:
         How the file was read.
     foreign : Counter of str
         Empty.
-    publisher : int or None
-        Whose samples are wanted, see ``bags.bag_reading``.
 
     Raises
     ------
@@ -325,7 +323,6 @@ class TextReading:
         self.axis_paths: list[AxisPath] = []
         self.remarks: list[str] = []
         self.foreign: Counter[str] = Counter()
-        self.publisher: int | None = None
         self._where = str(source)
         table = read_table(source, named=columns is None)
         columns_found = find_columns(table, columns)

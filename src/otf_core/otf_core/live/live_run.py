@@ -56,8 +56,6 @@ class LiveSolution:
 
     Attributes
     ----------
-    provisional : bool
-        From a part of the run.
     ok : bool
         Solved, and no quality gate failed.
     mae_before, mae_after, residual_rms : float
@@ -69,7 +67,6 @@ class LiveSolution:
         Of rotary axes.
     """
 
-    provisional: bool
     ok: bool
     message: str
     mae_before: float = 0.0
@@ -129,12 +126,10 @@ class LiveRun:
         if now > began:
             self.rate = (progress.samples - count) / (now - began)
 
-    def set_solved(self, solved: LiveSolution, pose: RigidTransform | None) -> None:
-        """Take what was solved, and the place of the tracker unless that failed."""
-        self.solved = solved
-        if pose is not None:
-            self.pose = pose
-            self.track.set_pose(pose)
+    def set_pose(self, pose: RigidTransform) -> None:
+        """Take the place of the tracker."""
+        self.pose = pose
+        self.track.set_pose(pose)
 
     def _begin(self) -> None:
         self.track.clear()
@@ -208,7 +203,6 @@ def _solved(solved: LiveSolution) -> dict[str, Any]:
         for name, (value, u) in names.items()
     }
     return {
-        'provisional': solved.provisional,
         'ok': solved.ok,
         'message': solved.message,
         'mae_before_um': UM * solved.mae_before,

@@ -75,13 +75,14 @@ function figure(name, value) {
 
 function showSolved() {
   const solved = scene.solved;
-  text('solved_title', !solved ? 'Result' : solved.provisional ? 'Result so far' : 'Result');
+  const soFar = Boolean(solved && scene.volume && scene.volume.provisional);
+  text('solved_title', soFar ? 'Result so far' : 'Result');
   byId('motions').hidden = !solved || !Object.keys(solved.motions).length;
   byId('warnings').replaceChildren();
   byId('figures').replaceChildren();
   if (!solved) {
     byId('alert').hidden = true;
-    text('solved', 'The first errors come after the first lap.');
+    text('solved', 'Errors come at the end of the run.');
     return;
   }
   text('solved', solved.message);
@@ -98,7 +99,7 @@ function showSolved() {
     figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)]);
   }
   byId('figures').replaceChildren(...figures.map(([name, value]) => figure(name, value)));
-  badge('which', solved.provisional ? 'work' : 'good', solved.provisional ? 'so far' : 'final');
+  badge('which', soFar ? 'work' : 'good', soFar ? 'so far' : 'final');
   showMotions(solved);
 }
 
