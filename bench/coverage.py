@@ -13,7 +13,7 @@ removed of both sides.
 ratio of the standard deviation of the results to the mean standard uncertainty stated.
 
 Usage: PYTHONPATH=src/otf_core python bench/coverage.py [--machines N] [--seed S] [--smooth]
-           [--same-machine] [--workers N | --scheduler ADDRESS] [--out DIR]
+           [--same-machine] [--workers N]
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def many_machines(machines: int, seed: int, smooth: bool, given: argparse.Namesp
     start = time.perf_counter()
     kind = 'smooth' if smooth else 'linear'
     cells = {f'{kind}-{k}': {'seed': k, 'smooth': smooth} for k in range(seed, seed + machines)}
-    found = spread('coverage:judged', cells, given)
+    found = spread(judged, cells, given.workers)
     print(f'{len(found)} machines from seed {seed}, {kind} between nodes, '
           f'{time.perf_counter() - start:.0f} s')  # fmt: skip
     print('            within U   +/-   |error|/u: median   rms   within 2u')

@@ -51,6 +51,19 @@ def smoothed(tables):
     return replace(tables, motions=motions)
 
 
+def error_of(tables, q):
+    """First order, all axes on the side of the target: error of tables at positions (n, 3), m."""
+    square = {name: entry.value for name, entry in tables.squareness.items()}
+    total = np.stack([square['B0Z'] * q[:, 2] - square['C0Y'] * q[:, 1],
+                      -square['A0Z'] * q[:, 2], 0.0 * q[:, 0]], axis=1)  # fmt: skip
+    for k, axis in enumerate('XYZ'):
+        six = [np.interp(q[:, k], t.position, t.value)
+               for t in (tables.motions[f'E{d}{axis}'] for d in 'XYZABC')]  # fmt: skip
+        arm = tables.machine.target_offset + q * (np.arange(3) > k)
+        total += np.stack(six[:3], axis=1) + np.cross(np.stack(six[3:], axis=1), arm)
+    return total
+
+
 def points_of(path):
     """Points every 8 mm on the lines of a path (n, 3), and their directions (n, 3)."""
     points, directions = [], []
@@ -86,7 +99,7 @@ def one_cell(machine, seed, smooth):
     grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
     fields = []
     for points in (q, grid):
-        true = otf_core.predict(run.truth, points).error
+        true = error_of(run.truth, points)
         fields.append((true, true - otf_core.predict(result, points).error))
     on_grid = (otf_core.without_rigid_motion(field, grid) for field in fields[1])
     return (

@@ -13,7 +13,7 @@ are marked with *.
 
 Usage: PYTHONPATH=src/otf_core python bench/uncertainty_cells.py [--seeds N] [--first-seed S]
            [--forms A,B] [--only WORD,WORD] [--chains C,D] [--path NAME]
-           [--workers N | --scheduler ADDRESS] [--out DIR]
+           [--workers N]
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def main(given):
         }
         for form, k, _ in rows for seed in seeds
     }  # fmt: skip
-    found = spread('uncertainty_cells:judged', cells, given)
+    found = spread(judged, cells, given.workers)
     for form, k, condition in rows:
         own = (found.get(f'{form}-{k}-{seed}') for seed in seeds)
         columns = cells_of([None if v is None else Judgement(**v) for v in own])

@@ -19,7 +19,7 @@ from otf_bringup.processes import NodeProcess, module_of
 from otf_msgs.msg import CalibrationResult, CalibratorState, TrackerStatus
 from otf_ros import qos
 
-PATIENCE = 60.0
+PATIENCE = 240.0
 """s; far more than anything here takes on a busy computer."""
 LOST = 'failed to send response'
 """What rclpy says when it answers a client that the node's side has not discovered yet."""
@@ -43,7 +43,6 @@ class Graph:
     def __init__(self, domain, folder):
         self.folder = folder
         self.nodes = []
-        # what a killed driver leaves is for the next one in this graph only
         self.environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_HOME': str(folder / 'ros')}
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)

@@ -25,7 +25,7 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
         finish_at_standstill=False,  # take the bag to its end, as the offline command does
     )
     replay = {'backend': 'replay', 'replay.bag': bag}
-    graph.start('tracker_driver', **replay, time_scale=50.0, max_rate=5000.0)
+    graph.start('tracker_driver', **replay, time_scale=50.0)
     result, _ = graph.wait_for_result()
     assert result.status == result.OK
     assert (result.samples_lost, result.samples) == (0, len(read_bag(bag).samples))

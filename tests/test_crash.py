@@ -107,7 +107,7 @@ def test_killed_calibrator_goes_on_with_its_run_and_the_next_run_needs_no_reset(
     )
     thermometer.publish(rest[1:])
     graph.wait(lambda: signal_in(folder, machine_file) == thermometer.said, 'the other ones')
-    tracker.publish(samples.part(part, count), count, readers=2)
+    tracker.publish(samples.part(part, count), count)
     result, state = graph.wait_for_result(2)
     assert (result.status, state.name) == (result.OK, 'DONE'), state.message
     tables = json.loads((Path(result.output_directory) / 'error_tables.json').read_text())

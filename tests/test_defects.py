@@ -95,3 +95,5 @@ def test_result_that_cannot_be_published_is_a_failure_that_is_said(session, monk
     outcomes.finish(done)
     assert 'Traceback' in dict(heard)['error'][0]
     assert dict(heard)['failed'][0].startswith('internal error: IndexError')
+    outcomes.complete(done.result())
+    assert 'done' not in dict(heard)

@@ -16,8 +16,6 @@ from otf_ros import qos
 
 LOGGED = 6
 """Times that ten seconds of silence are logged, at the most."""
-STEP = 2_000_000
-"""ns; from sample to sample."""
 
 
 @pytest.fixture

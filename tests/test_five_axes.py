@@ -56,15 +56,23 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
         axes.publish(convert.axes_to_message(part, ear.get_clock().now().to_msg()))
     points = ear.create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
 
-    def publish(these, readers):
-        graph.wait(lambda: points.get_subscription_count() >= readers, 'the calibrator')
+    def readers():
+        found = ear.get_subscriptions_info_by_topic('/tracker/point')
+        return {tuple(one.endpoint_gid) for one in found}
+
+    def publish(these, dead):
+        graph.wait(
+            lambda: readers() - dead and points.get_subscription_count() >= len(readers()),
+            'the calibrator',
+        )
         for message in convert.points_to_messages(these):
             points.publish(message)
 
     given = {'machine_file': CELL / 'machine.yaml', 'output_directory': tmp_path / 'out'}
     node = graph.start('calibrator', **given)
     graph.wait(lambda: graph.state() and graph.state().parts == 5, 'the parts')
-    publish(samples.part(0, half), 1)
+    publish(samples.part(0, half), set())
+    dead = readers()
     graph.wait(lambda: graph.state().samples == half, 'its samples')
     assert (graph.state().part, graph.state().target) == (1, 'tool')
     place = tmp_path / 'out' / 'journal'
@@ -79,7 +87,7 @@ def test_killed_calibrator_goes_on_and_the_run_ends_at_standstill_after_the_last
     tables = graph.listen(ErrorTables, 'calibrator/error_tables', qos.RESULT)
     graph.start('calibrator', **given)
     graph.wait(lambda: graph.state() and graph.state().samples == half, 'the run before')
-    publish(samples.part(half, len(samples)), 2)
+    publish(samples.part(half, len(samples)), dead)
     result, state = graph.wait_for_result()
     assert (result.status, state.name) == (result.OK, 'DONE'), state.message
     assert (state.parts, result.not_identifiable) == (5, ['ECX', 'ECZ'])

@@ -78,7 +78,7 @@ def has(graph, wanted):
         present = dict(node.get_topic_names_and_types())
         return all(present.get(t) == [kind] and node.count_publishers(t) for t, kind in wanted)
 
-    graph.wait(found, f'the topics {sorted(wanted)}', 20.0)
+    graph.wait(found, f'the topics {sorted(wanted)}')
 
 
 def rviz_topics(layouts):

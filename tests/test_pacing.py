@@ -53,13 +53,6 @@ def test_long_pause_of_the_process_makes_no_flood():
     assert len(backend.poll()) <= 11
 
 
-def test_max_rate_limits_the_time_scale_and_says_so():
-    backend = Known(time_scale=50.0, max_rate=1000.0)
-    backend.connect()
-    assert backend.time_scale == pytest.approx(10.0)
-    assert 'max_rate' in backend.remark
-
-
 @pytest.mark.parametrize(('time_scale', 'behind'), [(0.5, 0.0), (1.0, 0.0), (20.0, 9.99 * 0.95)])
 def test_stamps_of_now_keep_their_intervals_and_are_never_of_the_future(time_scale, behind):
     backend = Known(time_scale=time_scale)

@@ -11,7 +11,13 @@ import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.children import CalibrationTask, ChildError, Solver, internal_error
+from otf_calibrator.children import (
+    CalibrationTask,
+    ChildError,
+    Diagnosis,
+    Solver,
+    internal_error,
+)
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled, InputError, OtfError
@@ -97,6 +103,14 @@ def test_defect_in_the_process_is_told_with_its_traceback_and_the_process_goes_o
     assert internal_error(told.value) == "internal error: KeyError: 'unheard of'"
     process = solver._process
     assert solver.solve(task(recording), ignored).run_id and solver._process is process
+
+
+def test_defect_in_a_diagnosis_is_told_with_its_traceback(tmp_path):
+    diagnosis = Diagnosis(None, CONFIG, tmp_path)  # which nobody can diagnose
+    while not (answer := diagnosis.finished()):
+        time.sleep(0.05)
+    assert answer.exit_code == 1 and answer.text.startswith('internal error: ')
+    assert 'Traceback' in answer.traceback and not list(tmp_path.iterdir())
 
 
 def test_process_ends_with_its_owner(solver):

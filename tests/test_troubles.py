@@ -73,7 +73,7 @@ def test_stream_of_which_nothing_has_arrived_is_said(graph, machine_file):
     path = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
     corners = NominalPath([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.3, 0.1, 0.0]])
     path.publish(convert.path_to_message(corners, graph.ear().get_clock().now().to_msg()))
-    graph.wait(lambda: 'activate the tracker driver' in graph.state().message, 'its path')
+    assert 'activate the tracker driver' in graph.wait_for_state('BUFFERING').message
     status = graph.ear().create_publisher(TrackerStatus, 'tracker/status', qos.STATUS)
     announced = {'stream_id': 'one', 'samples_published': 36670}
     status.publish(TrackerStatus(state=TrackerStatus.FINISHED, **announced))

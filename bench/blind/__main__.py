@@ -91,21 +91,18 @@ def answers_of(given: argparse.Namespace) -> Path:
     return given.out / ('answers' if own else f'answers-{given.tree.resolve().name}')
 
 
-def ask(given: argparse.Namespace, by_config: bool, entry: draw.Entry) -> None:
+def ask(given: argparse.Namespace, entry: draw.Entry) -> None:
     """Diagnose one cell in a process of its own; cost.json says what it took."""
     cell, out = f'cells/{entry["cell"]}', answers_of(given).absolute() / entry['cell']
     if (out / 'cost.json').exists():
         return
     bags = sorted(p.name for p in (given.out / cell).glob('bag*'))
     words = [sys.executable, '-m', 'otf_core.cli', 'diagnose', *(f'{cell}/{b}' for b in bags),
-             '--machine', f'{cell}/machine.yaml', '--out', str(out), '--overwrite',
-             '--quiet']  # fmt: skip
-    if entry['without'] and by_config:
+             '--machine', f'{cell}/machine.yaml', '--out', str(out), '--overwrite']  # fmt: skip
+    if entry['without']:
         config = out.parent / f'{entry["cell"]}.yaml'
         config.write_text(f'exclude: {json.dumps(entry["without"])}\n')
         words += ['--config', str(config)]
-    else:
-        words += [w for name in entry['without'] for w in ('--exclude', name)]
     error = out.parent / f'{entry["cell"]}.err'
     env = {**os.environ, 'PYTHONPATH': str(given.tree.resolve() / 'src/otf_core')}
     with error.open('w') as stream:
@@ -123,12 +120,8 @@ def ask(given: argparse.Namespace, by_config: bool, entry: draw.Entry) -> None:
 def ask_all(given: argparse.Namespace) -> None:
     """Diagnose all cells that have no answer yet."""
     answers_of(given).mkdir(exist_ok=True)
-    env = {**os.environ, 'PYTHONPATH': str(given.tree.resolve() / 'src/otf_core')}
-    described = subprocess.run([sys.executable, '-m', 'otf_core.cli', 'diagnose', '--help'],
-                               env=env, capture_output=True, text=True, check=True)  # fmt: skip
-    by_config = '--exclude' not in described.stdout
     with ThreadPoolExecutor(given.workers) as pool:
-        list(pool.map(partial(ask, given, by_config), draw.open_key(given.out)['cells']))
+        list(pool.map(partial(ask, given), draw.open_key(given.out)['cells']))
 
 
 def score_all(given: argparse.Namespace) -> str:

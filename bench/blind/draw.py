@@ -231,11 +231,12 @@ def draw_fault(cell: Cell, form: Form, rng: Rng) -> Hidden | None:
     wanted = float(np.exp(rng.uniform(*np.log(SEEN))))
     for _ in range(DRAWS):
         found = cell.weigh(form, form.draw(cell.drawing(rng)))
-        if found.snr > 0.0:
-            scaled = form.scaled(found.parameters, wanted / found.snr)
-            moved = cell.displaced([(form, scaled)])
-            if max(float(np.abs(m).max()) for m in moved) < MOST:
-                return cell.weigh(form, scaled)
+        if found.snr <= 0.0:  # as a reflector that is never placed again
+            return None
+        scaled = form.scaled(found.parameters, wanted / found.snr)
+        moved = cell.displaced([(form, scaled)])
+        if max(float(np.abs(m).max()) for m in moved) < MOST:
+            return cell.weigh(form, scaled)
     return None
 
 

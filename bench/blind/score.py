@@ -124,7 +124,7 @@ def judge(entry: Entry, answer: Answer, achieved: float | None = None) -> Outcom
         kind,
         words,
         f'{answer["verdict"]}: {listed}',
-        _result(entry, answer, names, said),
+        _result(entry, answer, causes),
         found=tuple(bool(n & named) for n in names),
         visible=tuple(is_visible(p, kind) for p in hidden),
         stated=tuple((c['effect'], float(c['confidence']), bool(s & every))
@@ -138,17 +138,15 @@ def judge(entry: Entry, answer: Answer, achieved: float | None = None) -> Outcom
     )  # fmt: skip
 
 
-def _result(
-    entry: Entry, answer: Answer, names: Sequence[set[str]], said: Sequence[set[str]]
-) -> str:
-    """How the causes that are named, with their lists, answer the names that are right."""
+def _result(entry: Entry, answer: Answer, causes: Sequence[Answer]) -> str:
+    """How the causes that are named, with their lists, answer what is hidden."""
     kind, unknown = entry['kind'], answer['verdict'] == 'unknown'
+    names, said = [set(p['names']) for p in entry['hidden']], [known_names(c) for c in causes]
     if kind in ('unknown', LEFT_OUT):
         return 'forced' if said else 'unknown' if unknown else 'unseen'
     if kind == 'small':
         every = set().union(*names)
-        sure = [c['confidence'] >= SURE for c in answer['causes']
-                if not known_names(c) & every]  # fmt: skip
+        sure = [c['confidence'] >= SURE for c in causes if not known_names(c) & every]
         return 'false alarm' if any(sure) else 'quiet'
     if not names:
         return 'false alarm' if said or unknown else 'quiet'
@@ -159,7 +157,7 @@ def _result(
             'right' if hits == len(visible) else 'half' if hits else 'wrong' if said else 'unseen'
         )
     if said:
-        first = answer['causes'][0]['effect'] in names[0]
+        first = causes[0]['effect'] in names[0]
         return 'right' if first else 'listed' if names[0] & said[0] else 'wrong'
     if unknown:
         return 'called unknown'
@@ -249,7 +247,7 @@ def _count(name: str, flags: Iterable[bool]) -> Row:
 FAMILIES = (
     ('nothing: no cause reported', ('none',)),
     ('small causes alone: no other claimed', ('small',)),
-    ('one effect', ('one',)),
+    ('one effect: named, or said to be not visible', ('one',)),
     ('a faint or a very large one', ('faint', 'large')),
     ('a known cause in another form', ('other form',)),
     ('a table that tilts', ('tilt',)),

@@ -265,7 +265,7 @@ def mean_length(error: Array, q: Array) -> float:
 def export(tables: Path, out: Path) -> tuple[dict[str, str], float]:
     """Export tables for LinuxCNC: files by name, and the error that they leave, m."""
     command = [sys.executable, '-m', 'otf_core.cli', 'export', str(tables), '--format', 'linuxcnc',
-               '--out', str(out / 'compensation.ini'), '--json', '--quiet']  # fmt: skip
+               '--out', str(out / 'compensation.ini'), '--json']  # fmt: skip
     told = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     files = {Path(name).name: Path(name).read_text() for name in told['files']}
     return files, 1e-6 * told['remaining']['after_mean_um']

@@ -166,7 +166,7 @@ def _start(
         simulation['effects'] = options.effects.absolute()
     simulated = {f'simulated.{name}': value for name, value in simulation.items()}
     results = {'output_directory': out / 'calibrations', 'diagnose': options.diagnose}
-    speed = {'time_scale': ROTARY_SPEED if rotary else SPEED, 'max_rate': 6000.0}
+    speed = {'time_scale': ROTARY_SPEED if rotary else SPEED}
     short = {'levels': 2} if rotary else {}
     shown = {'page': {'port': 0}, 'viewer': {}} if options.view else {}
     given: dict[str, dict[str, Any]] = {

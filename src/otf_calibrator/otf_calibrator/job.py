@@ -127,7 +127,7 @@ class Worker:
 
     def __init__(self, warn: Callable[[str], None], wake: Wake = lambda: None) -> None:
         self._warn, self._wake = warn, wake
-        self._pool = ThreadPoolExecutor(1, 'calibration')
+        self._pool = ThreadPoolExecutor(2, 'calibration')  # no end of a run waits for a first look
         self._stop, self._cancelled = threading.Event(), threading.Event()
         self._solver = Solver()
         self._seen: Seen | None = None

@@ -10,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
 from otf_calibrator.children import Answer, Failure, internal_error
-from otf_calibrator.job import CalibrationOutput
+from otf_calibrator.job import CalibrationOutput, Request
 from otf_calibrator.losses import lost_words
 from otf_calibrator.messages import messages_of
 from otf_calibrator.session import Session
@@ -114,6 +114,7 @@ class OutcomePublisher:
     def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
         self._log, self._session, self._state = node.get_logger(), session, state
         self.results = ResultPublishers(node)
+        self._unpublished: Request | None = None
 
     def finish(self, job: Future[CalibrationOutput]) -> None:
         """Publish the result of a calibration, or why there is none."""
@@ -124,7 +125,7 @@ class OutcomePublisher:
                     self._log.warning(text)
                 return
             except Exception as defect:  # noqa: BLE001 - the files are there
-                error = defect
+                error, self._unpublished = defect, job.result().request
         if not isinstance(error, OtfError):
             self._log.error(''.join(traceback.format_exception(error)))
         text = self.results.publish_failure(error) + self._session.intake.journal_words()
@@ -135,6 +136,8 @@ class OutcomePublisher:
 
     def complete(self, outcome: CalibrationOutput) -> None:
         """State that all files of a calibration are there; diagnose it if that is wanted."""
+        if outcome.request is self._unpublished:
+            return  # the state says what failed
         self._state.done(outcome)
         if outcome.request.files.diagnose:
             started, text = self._session.diagnose()

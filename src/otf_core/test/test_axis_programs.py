@@ -67,7 +67,10 @@ def driven(name, text, axes):
 
 def planned(link='b'):
     machine = trunnion(link)
-    parts = [programs.on_axis_increment(machine, p) for p in paths.plan_parts(machine, FEED)]
+    parts = [
+        programs.on_axis_increment(machine, p)
+        for p in paths.parts_of(machine, paths.candidate_chains(machine, FEED))
+    ]
     return machine, parts
 
 

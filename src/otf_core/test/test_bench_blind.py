@@ -144,6 +144,7 @@ def answer(verdict, *causes, **more):
     return {'verdict': verdict, 'causes': named, 'gap': gap, 'not_visible': [], **more}
 
 
+NAMED = 'one effect: named, or said to be not visible'
 DRIFT, LAG, PLAY = 'thermal_structure_drift', 'servo_mismatch', 'backlash'
 
 
@@ -203,8 +204,15 @@ def test_parameters_inputs_and_shares_are_counted():
     other = judge(hidden, answer('unknown', unnamed=unnamed))
     assert other.inputs is True and other.left == 0.75
     table = {name: (hits, of) for name, hits, of in rows([one, other])}
-    assert table['one effect'] == table['no catalogue: called unknown'] == (1, 1)
+    assert (
+        table['one effect: named, or said to be not visible']
+        == table['no catalogue: called unknown']
+        == (1, 1)
+    )
     assert table['parameters within 2 u'] == (2, 2) and table['command failed'] == (0, 2)
     assert table['interval of the shrink holds the truth'] == (0, 1)
-    assert '| one effect | 1 of 1 (100 %) | 2 % to 100 % |' in as_markdown(rows([one]))
+    assert (
+        '| one effect: named, or said to be not visible | 1 of 1 (100 %) | 2 % to 100 % |'
+        in as_markdown(rows([one]))
+    )
     assert interval(0, 68) == pytest.approx((0.0, 0.053), abs=1e-3)

@@ -2,7 +2,6 @@
 """Pictures: places of marks, round numbers on axes, classes of colours, whole files."""
 
 import re
-import xml.etree.ElementTree as ET
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -20,7 +19,6 @@ from otf_core.reports.drawing.panel import (
     heat_classes,
     heat_step,
     scale_around,
-    write_sheet,
 )
 from otf_core.reports.drawing.scene import (
     ELEVATION,
@@ -182,24 +180,6 @@ def test_words_of_bars_have_room_at_their_ends():
     places = re.findall(r'<text x="([\d.]+)" y="[\d.]+">', bars(rows, 'errors', width=300.0))
     assert len(places) == 3
     assert all(float(x) + 5.5 * len(w) <= 300.0 for x, w in zip(places, said, strict=True))
-
-
-def test_a_sheet_is_a_whole_file(tmp_path):
-    panel = Panel(Scale(0.0, 1.0, 'x (m)'), Scale(0.0, 1.0, 'y < 1 (um)'))
-    picture = panel.draw([panel.dots([0.5], [0.5], 'after')], 'a & b', 'heading')
-    rows = [Bar('one', ((2.0, 'after'),), '2 um', mark=3.0), Bar('two', ((1.0, 'before'),), '1')]
-    pictures = [picture, bars(rows, 'bars'), picture]
-    file = write_sheet(tmp_path, 'sheet', pictures, 2, 'title', 'words', (('after', 'a'),))
-    root = ET.parse(file).getroot()
-    inner = [e for e in root.iter() if e.tag.endswith('}svg')][1:]
-    places = [tuple(float(e.get(k)) for k in ('x', 'y', 'width', 'height')) for e in inner]
-    wide, high = (float(v) for v in root.get('viewBox').split()[2:])
-    assert len(places) == 3
-    for x, y, width, height in places:
-        assert x >= 0 and y >= 0 and x + width <= wide and y + height <= high
-    assert places[0][0] + places[0][2] <= places[1][0]
-    assert places[2][1] >= places[0][1] + places[0][3]
-    assert 'http' not in file.read_text().replace('http://www.w3.org/2000/svg', '')
 
 
 def test_text_is_set_as_metrologists_write_it():

@@ -85,14 +85,6 @@ def test_a_leg_that_comes_again_is_another_part():
     assert leg_bounds(np.array([4, 4, 4, 0, 4])) == [(0, 3), (3, 4), (4, 5)]
 
 
-def test_first_lap_ends_with_the_last_new_leg_or_half_way():
-    lap = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]]
-    several = NominalPath(np.array([*lap, *lap[1:], *lap[1:]], dtype=float))
-    np.testing.assert_array_equal(several.first_lap.points, lap)
-    single = NominalPath(np.array(lap, dtype=float))
-    np.testing.assert_array_equal(single.first_lap.points, [*lap[:4]])
-
-
 def test_point_beyond_all_machines_is_refused_before_lengths_overflow():
     with pytest.raises(InputError, match='point 1 is more than'):
         NominalPath(np.array([[0.0, 0.0, 0.0], [0.0, 1e200, 0.0]]))

@@ -81,7 +81,7 @@ def test_quality_of_service_is_that_of_the_nodes():
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_named_commands_exist(page):
     verbs = next(a for a in _parser()._actions if a.dest == 'verb').choices
-    known = {*verbs, 'demo', 'test', 'env', 'emulate-tracker'}
+    known = {*verbs, 'demo', 'test', 'env', 'emulate-tracker', 'blind'}
     found = set(re.findall(r'\./otf ([a-z-]+)', page.read_text(encoding='utf-8')))
     assert found <= known
 

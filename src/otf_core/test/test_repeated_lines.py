@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines that laps repeat: taken once, the sums are those over the rows of all passes."""
+"""Lines that laps repeat are known as one; matrices that are made anew are those that are held."""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from core_cells import (
     pieces_of,
     small_plan,
@@ -18,7 +17,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import Misfit
 from otf_core.solving import whitener as whitener_module
 from otf_core.solving.model_choice import linear_bases
-from otf_core.solving.normal import line_equations, normal_equations, weigh_repeated_lines
+from otf_core.solving.normal import normal_equations
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
@@ -56,47 +55,18 @@ def laps(drop=(), backward=False):
     return replace(system, deviation=deviation), unknowns, whitener, legs
 
 
-@pytest.mark.parametrize('drop', [(), (5, 6)], ids=['whole', 'two pieces of a pass are missing'])
-def test_sums_over_lines_are_those_over_all_passes(drop):
-    system, unknowns, whitener, _ = laps(drop)
-    lines = line_equations(system, unknowns, whitener)
-    passes = normal_equations(system, unknowns, whitener)
-    scale = np.sqrt(np.diag(passes.matrix))
-    unit = np.outer(scale, scale)
-    np.testing.assert_allclose(lines.matrix / unit, passes.matrix / unit, rtol=0, atol=1e-10)
-    size = np.linalg.norm(passes.right / scale)
-    np.testing.assert_allclose(lines.right / scale, passes.right / scale, atol=1e-10 * size)
-    assert lines.square == pytest.approx(passes.square, rel=1e-10)
-    assert lines.rows == passes.rows == system.deviation.size
-
-
 def ways(system, whitener):
     """From where to where every leg is driven, which way, and from which side its axes came."""
     rows = np.hstack([system.q, system.rows.travel, system.rows.side]).round(9) + 0.0
     return [(*rows[low], *rows[high - 1]) for low, high in whitener.bounds]
 
 
-def test_only_passes_over_the_same_pieces_in_the_same_direction_are_one():
+def test_only_passes_over_the_same_pieces_in_the_same_direction_are_one_line():
     system, _, whitener, legs = laps()
-    lines = len(whitener.once.bounds)
+    lines = whitener.line.max() + 1
     assert lines == len(set(ways(system, whitener))) <= legs
-    assert len(laps(drop=(5,))[2].once.bounds) == lines + 1
-    assert len(laps(backward=True)[2].once.bounds) == lines + 1
-
-
-def test_whitener_of_lines_has_the_weight_of_all_passes():
-    system, _, whitener, _ = laps()
-    once = weigh_repeated_lines(system, whitener)
-    known = dict(zip(ways(once.system, once.whitener), once.whitener.bounds, strict=True))
-    place = np.concatenate([np.arange(*known[way]) for way in ways(system, whitener)])
-    value = np.random.default_rng(5).standard_normal(once.system.deviation.shape)
-    passes = whitener.weighted(value[:, place])
-    total = np.stack([np.bincount(place, own) for own in passes])
-    np.testing.assert_allclose(
-        once.whitener.weighted(value), total, rtol=0, atol=1e-10 * np.abs(total).max()
-    )
-    back = once.whitener.covaried(total)
-    np.testing.assert_allclose(back, value, rtol=0, atol=1e-9 * np.abs(value).max())
+    assert laps(drop=(5,))[2].line.max() == lines
+    assert laps(backward=True)[2].line.max() == lines
 
 
 def test_matrices_that_are_not_held_are_those_that_are(monkeypatch):
@@ -106,8 +76,6 @@ def test_matrices_that_are_not_held_are_those_that_are(monkeypatch):
     assert all(isinstance(a.held, np.ndarray) for a in held.alike)
     assert not any(isinstance(a.held, np.ndarray) for a in anew.alike)
     np.testing.assert_array_equal(anew.weighted(system.deviation), held.weighted(system.deviation))
-    np.testing.assert_array_equal(anew.covaried(system.deviation), held.covaried(system.deviation))
     np.testing.assert_array_equal(anew.expected, held.expected)
-    for sums in (normal_equations, line_equations):
-        a, b = sums(system, unknowns, anew), sums(system, unknowns, held)
-        np.testing.assert_array_equal(a.matrix, b.matrix)
+    a, b = normal_equations(system, unknowns, anew), normal_equations(system, unknowns, held)
+    np.testing.assert_array_equal(a.matrix, b.matrix)

@@ -90,7 +90,7 @@ def test_circles_alone_hide_angular_positioning_and_say_why(lines):
 @pytest.fixture(scope='module')
 def whole():
     machine = trunnion()
-    plan = paths.plan_parts(machine, FEED)
+    plan = paths.parts_of(machine, paths.candidate_chains(machine, FEED))
     return plan, judged(machine, plan)
 
 
@@ -106,13 +106,13 @@ def test_two_rotary_axes_together_leave_only_the_roll_of_the_spindle(whole):
 
 def test_one_reflector_place_on_the_table_is_too_few(whole):
     machine = trunnion(nests=1)
-    found = judged(machine, paths.plan_parts(machine, FEED))
+    found = judged(machine, paths.parts_of(machine, paths.candidate_chains(machine, FEED)))
     assert found.u['EAC'] > 3.0 * whole[1].u['EAC']
 
 
 def test_a_tracker_on_the_table_sees_all_by_creep():
     machine = trunnion('w')
-    plan = paths.plan_parts(machine, FEED)
+    plan = paths.parts_of(machine, paths.candidate_chains(machine, FEED))
     assert {p.path.target for p in plan if 'creep' in p.words} == {'tool'}
     found = judged(machine, plan)
     assert set(found.hidden) == {'ECX', 'ECZ'}
@@ -138,7 +138,7 @@ def test_linear_axes_that_do_not_follow_a_rotation_are_named():
 
 def test_stops_show_angular_positioning_of_a_single_rotary_axis():
     machine = trunnion(chain='w-C-b-Y-X-Z-t')
-    plan = paths.plan_parts(machine, FEED)
+    plan = paths.parts_of(machine, paths.candidate_chains(machine, FEED))
     assert any(p.dwell for p in plan)
     assert 'ECC' not in judged(machine, plan).hidden
     without = [p for p in plan if not p.dwell]
@@ -167,7 +167,7 @@ def test_creep_beyond_a_linear_axis_is_refused_by_its_name():
 @pytest.mark.parametrize('link', ['b', 'w'])
 def test_every_leg_of_several_axes_is_driven_in_both_senses(link):
     machine = trunnion(link)
-    for planned in paths.plan_parts(machine, FEED):
+    for planned in paths.parts_of(machine, paths.candidate_chains(machine, FEED)):
         q = planned.path.positions
         rotary = [machine.column(a) for a in machine.rotary_names]
         step = np.abs(np.diff(q, axis=0)) > 1e-9
@@ -179,7 +179,11 @@ def test_every_leg_of_several_axes_is_driven_in_both_senses(link):
 
 def test_lines_are_driven_in_both_senses_with_every_reflector():
     machine = trunnion()
-    for planned in (p for p in paths.plan_parts(machine, FEED) if p.words == paths.LINES):
+    for planned in (
+        p
+        for p in paths.parts_of(machine, paths.candidate_chains(machine, FEED))
+        if p.words == paths.LINES
+    ):
         np.testing.assert_array_equal(planned.path.positions, planned.path.positions[::-1])
 
 
@@ -352,7 +356,7 @@ def test_a_table_that_tilts_to_both_sides_is_planned_with_the_range_that_is_seen
 
 def test_parts_come_back_from_their_file(tmp_path):
     machine = trunnion()
-    plan = [p.path for p in paths.plan_parts(machine, FEED)]
+    plan = [p.path for p in paths.parts_of(machine, paths.candidate_chains(machine, FEED))]
     write_axis_paths(tmp_path / 'path.mcap', plan)
     found = BagReading(tmp_path / 'path.mcap', POINT, PATH).axis_paths
     assert [p.target for p in found] == [p.target for p in plan]
@@ -369,7 +373,7 @@ def test_the_page_on_five_axes_states_what_the_planner_says():
         float(cell) for cell in row.split('|')[2:11]
     )
     config = PlannerConfig()
-    plan = paths.plan_parts(machine, config)
+    plan = paths.parts_of(machine, paths.candidate_chains(machine, config))
     found = forecast.forecast_parts(
         machine, plan, sight.default_tracker_place(machine), config, ForecastConfig()
     )

@@ -67,7 +67,7 @@ def test_five_axes_replayed_give_the_golden_tables(graph):
     place = ROOT / 'bags' / 'trunnion'
     graph.start('calibrator', machine_file=place / 'machine.yaml', finish_at_standstill=False)
     replay = {'backend': 'replay', 'replay.bag': place / 'bag'}
-    graph.start('tracker_driver', **replay, time_scale=50.0, max_rate=5000.0)
+    graph.start('tracker_driver', **replay, time_scale=50.0)
     result, state = graph.wait_for_result()
     assert (result.status, state.name) == (result.OK, 'DONE'), state.message
     assert (result.samples_lost, result.samples) == (0, 17370)

@@ -26,15 +26,6 @@ from otf_core.config import (
 )
 from otf_core.planning.nc import DIALECTS
 
-LARGEST_SEED = 10_000_000
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if not 0 <= value <= LARGEST_SEED:
-        raise argparse.ArgumentTypeError(f'{value} is out of range [0, {LARGEST_SEED}]')
-    return value
-
 
 def add_checking_verbs(verb: AddVerb) -> None:
     """Verbs that answer in seconds."""
@@ -106,7 +97,7 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
-        'u includes rotations that the data do not determine, by their prior',
+        'u includes rotations that the data do not determine',
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from otf_core.files.output_folder import file_digest, written_files
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, unreadable, write_text
 from otf_core.live.stages import StepProgress
-from otf_core.threads import one_thread
 from otf_core.version import __version__
 
 # One run of a fleet in a process of its own: what it does, it does to itself alone.
@@ -61,8 +59,6 @@ class Job:
         Hash of all that the result depends on, see ``hash_of``.
     date : int
         s since 1970; ``written`` in what comes out, unless the environment names another.
-    places : tuple of str, optional
-        Folders that hold its modules, besides that of otf_core.
     """
 
     name: str
@@ -71,7 +67,6 @@ class Job:
     result: str
     inputs: str
     date: int
-    places: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,9 +104,8 @@ def hash_of(*given: Any) -> str:
 def run_job(job: Job) -> JobResult:
     """Run one job to its end, in a process."""
     environment = {DATE: str(job.date), **os.environ}
-    places = [str(Path(__file__).resolve().parents[2]), *job.places]
     environment['PYTHONPATH'] = os.pathsep.join(
-        filter(None, [*places, os.environ.get('PYTHONPATH', '')])
+        filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get('PYTHONPATH', '')])
     )
     start = time.monotonic()
     code, message = 0, ''
@@ -146,8 +140,8 @@ def _clear_half(out: Path) -> None:
 def _verdict(result: Path) -> str:
     """Verdict that is not good, of a calibration; empty of anything else."""
     verdicts = read_json(result).get('verdicts') or {}
-    failed = verdicts and not verdicts['measurement']['good']
-    return str(verdicts['measurement' if failed else 'machine']['sentence']) if verdicts else ''
+    good = verdicts.get('measurement', {}).get('good', True)
+    return str(verdicts.get('machine' if good else 'measurement', {}).get('sentence', ''))
 
 
 def _message(code: int, said: str) -> str:
@@ -161,58 +155,6 @@ def _message(code: int, said: str) -> str:
     if code in JUDGED:
         text = text.removeprefix('otf: ')
     return shortened(text, LONGEST_MESSAGE)
-
-
-# A function by its name as a run of a fleet: arguments and result are JSON.
-#
-# ``python -m otf_core.fleet.call MODULE:FUNCTION OUT ARGUMENTS`` calls it with the object
-# ARGUMENTS and writes what it returns to ``OUT/result.json``. What it raises is its last words.
-
-MODULE = 'otf_core.fleet.fleet'
-RESULT = 'result.json'
-
-
-def call_job(
-    name: str,
-    function: str,
-    arguments: Mapping[str, Any],
-    out: Path,
-    *,
-    depends: Sequence[str] = (),
-    places: Sequence[str] = (),
-) -> Job:
-    """Make the job that calls a function.
-
-    Parameters
-    ----------
-    function : str
-        'module:function'.
-    arguments : mapping
-        Plain data, by the names of the parameters.
-    out : Path
-        Folder for ``result.json``.
-    depends : sequence of str
-        Hashes of files that it reads.
-    places : sequence of str
-        Folders where its module is found, besides that of otf_core.
-    """
-    out = out.absolute()
-    words = (MODULE, function, str(out), json.dumps(arguments))
-    inputs = hash_of(function, dict(arguments), list(depends))
-    return Job(name, words, str(out), RESULT, inputs, 0, places=tuple(places))
-
-
-def call(words: Sequence[str]) -> None:
-    """Call a function and write its result."""
-    name, out, text = words
-    module, _, function = name.partition(':')
-    with one_thread():
-        result = getattr(import_module(module), function)(**json.loads(text))
-    write_text(ensure_folder(out) / RESULT, json.dumps(result) + '\n')
-
-
-if __name__ == '__main__':
-    call(sys.argv[1:])
 
 
 # The list of a fleet: CSV with the header ``name,bag,machine``, a line per run.

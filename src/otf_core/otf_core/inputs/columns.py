@@ -225,7 +225,9 @@ def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str]
     kinds = {'hz': 'h', 'az': 'h', 'v': 'v', 'zenith': 'v', 'el': 'v', 'd': 'd'}
     for place, heading in enumerate(headings):
         words = [w for w in words_of(split_heading(heading)[0]) if w not in MEASURED]
-        what = POLAR.get(''.join(words)) or (POLAR.get(words[-1]) if words else None)
+        what = POLAR.get(''.join(words))
+        if what is None and words and 'horizontal' not in words:  # nor a horizontal distance
+            what = POLAR.get(words[-1])
         if what is not None:
             groups[kinds[what]].append((what, _column(place, heading)))
     if any(len(groups[kind]) != 1 for kind in 'hvd'):

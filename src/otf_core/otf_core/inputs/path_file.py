@@ -203,20 +203,9 @@ def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath
     """
     if looks_like_json(name):
         return _parts_in(name, read_json(name))
-    lines = _lines_of(name)
-    head = [word.strip().lower() for word in lines[0].split(',')]
-    letters = tuple(axes) or tuple(a for a in LETTERS if a.lower() in head)
-    if 'target' not in head:
-        return [AxisPath(letters, read_positions(name, letters))]
-    column = head.index('target')
-    targets, rows = [], []
-    for line in lines:
-        cells = line.split(',')
-        if len(cells) > column:
-            targets.append(cells.pop(column).strip())
-        rows.append(','.join(cells))
-    positions = _positions_of(name, rows, letters)
-    targets = [t for t, line in zip(targets[1:], lines[1:], strict=False) if line.strip()]
+    letters, positions, targets = _axis_rows(name, axes, target=True)
+    if not targets:
+        return [AxisPath(letters, positions)]
     ends = [0, *(k for k in range(1, len(targets)) if targets[k] != targets[k - 1]), len(targets)]
     return [AxisPath(letters, positions[a:b], targets[a]) for a, b in pairwise(ends)]
 
@@ -272,14 +261,6 @@ def _parts_in(name: str | Path, data: Any) -> list[AxisPath]:
     return paths
 
 
-def _lines_of(name: str | Path) -> list[str]:
-    try:
-        lines = Path(name).read_text(encoding='utf-8-sig').splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f'{name}: cannot be read ({error})') from None
-    return lines or ['']
-
-
 def read_positions(name: str | Path, axes: Sequence[str]) -> Array:
     """Axis positions (n, k), m and rad, of a CSV with the letters of the axes as its header.
 
@@ -288,33 +269,45 @@ def read_positions(name: str | Path, axes: Sequence[str]) -> Array:
     ConfigError
         If the file cannot be read, has another header, or a line is no position.
     """
-    return _positions_of(name, _lines_of(name), axes)
+    return _axis_rows(name, axes)[1]
 
 
-def _positions_of(name: str | Path, lines: list[str], axes: Sequence[str]) -> Array:
-    header = ','.join(axes).lower()
-    head = lines[0].replace(' ', '').lower()
-    if sorted(head.split(',')) != sorted(header.split(',')):
+def _axis_rows(
+    name: str | Path, axes: Sequence[str], *, target: bool = False
+) -> tuple[tuple[str, ...], Array, list[str]]:
+    """Letters, positions (n, k) and, if there may be such a column, targets of a CSV."""
+    try:
+        lines = Path(name).read_text(encoding='utf-8-sig').splitlines() or ['']
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{name}: cannot be read ({error})') from None
+    head = [word.strip().lower() for word in lines[0].split(',')]
+    letters = tuple(axes) or tuple(a for a in LETTERS if a.lower() in head)
+    named = ['target'] if target and 'target' in head else []
+    if sorted(head) != sorted([*map(str.lower, letters), *named]):
         raise ConfigError(
-            f'{name}: has the header {shortened(head, 60)!r}; expected {header}, in m and rad'
+            f'{name}: has the header {shortened(",".join(head), 60)!r}; expected '
+            f'{",".join(letters).lower()}, in m and rad'
         )
-    order = [head.split(',').index(a.lower()) for a in axes]
-    rows = []
+    order = [head.index(a.lower()) for a in letters]
+    rows, targets = [], []
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
+        cells = line.split(',')
         try:
-            values = [float(v) for v in line.split(',')]
+            values = [float(cells[k]) for k in order] if len(cells) == len(head) else []
         except ValueError:
             values = []
-        if len(values) != len(axes) or not np.all(np.isfinite(values)):
+        if not values or not np.all(np.isfinite(values)):
             raise ConfigError(
-                f'{name}: line {number}: expected {len(axes)} numbers, got {shortened(line, 60)!r}'
+                f'{name}: line {number}: expected {len(order)} numbers, got '
+                f'{shortened(line, 60)!r}'
             )
-        rows.append([values[k] for k in order])
+        rows.append(values)
+        targets += [cells[head.index(word)].strip() for word in named]
     if not rows:
         raise ConfigError(f'{name}: holds no positions')
-    return np.array(rows)
+    return letters, np.array(rows), targets
 
 
 def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:

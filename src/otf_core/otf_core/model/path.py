@@ -18,8 +18,6 @@ FURTHEST = 1e6
 """m; nothing is measured there, and squares of lengths stay finite."""
 MIN_LEG = 1e-6
 """m; shorter legs are repeated corner points, not motion."""
-SINGLE = 0.75
-"""Share of the length from which on a first lap is taken for the whole path."""
 MOVING = 1e-6
 """Component of a unit direction below which an axis stands."""
 TRAVELS = 0.05
@@ -86,15 +84,6 @@ class NominalPath:
     def length(self) -> float:
         """Total length, m."""
         return float(self.leg_lengths.sum())
-
-    @cached_property
-    def first_lap(self) -> NominalPath:
-        """The part after which no new leg comes; of a path of one lap, half of its legs."""
-        legs = np.hstack([self.points[:-1], self.points[1:]]).round(6)
-        last = int(np.unique(legs, axis=0, return_index=True)[1].max())
-        if self.leg_lengths[: last + 1].sum() > SINGLE * self.length:
-            last = len(legs) // 2
-        return NominalPath(self.points[: last + 2])
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Merge repeated points and straight-through points.

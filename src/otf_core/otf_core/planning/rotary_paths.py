@@ -337,11 +337,6 @@ def linear_middle(machine: Machine) -> Array:
     return q
 
 
-def plan_parts(machine: Machine, config: PlannerConfig) -> list[PlannedPart]:
-    """Parts that show what the set-up can show, see ``candidate_chains``."""
-    return parts_of(machine, candidate_chains(machine, config))
-
-
 def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
     """Chains that show what the set-up can show.
 

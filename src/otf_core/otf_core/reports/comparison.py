@@ -15,7 +15,6 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder
-from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
@@ -23,16 +22,13 @@ from otf_core.model.provenance import provenance
 from otf_core.reports.drawing.panel import (
     LEVELS,
     Bar,
-    Key,
     Panel,
     Scale,
     bars,
     heat_classes,
     heat_key,
     heat_step,
-    heat_words,
     scale_around,
-    write_sheet,
 )
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
@@ -63,30 +59,18 @@ CONVENTION = (
 )
 
 
-def _colour_key(comparison: Comparison) -> Key:
-    a, b = comparison.names
-    return (('after', f'a: {a}'), ('before', f'b: {b}'))
-
-
-def motion_panel(
-    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None = None
-) -> str:
-    """One motion of both sides with bands, and readings of a direct instrument if given."""
+def motion_panel(comparison: Comparison, motion: ErrorMotion) -> str:
+    """One motion of both sides with bands."""
     unit = 'µm' if motion.is_translation else 'µrad'
     pair = comparison.motions.get(motion)
     if pair is None:
         return _empty_panel(motion, unit)
     x, k = 1e3 * pair.position, 1e6 * COVERAGE_FACTOR
     sides = ((1e6 * pair.a, k * pair.u_a, 'after'), (1e6 * pair.b, k * pair.u_b, 'before'))
-    rows = _reading_rows(comparison, motion, readings)
     reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
-    reach += [e for _, middle, spread, _ in rows for e in (middle - spread, middle + spread)]
     panel = Panel(_along(x, motion), scale_around(np.concatenate(reach), f'{motion} ({unit})'))
     marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides]
     marks += [panel.line(x, v, kind) for v, _, kind in sides]
-    for at, middle, spread, kind in rows:
-        marks += [panel.ranges(at, middle - spread, middle + spread, f'{kind} thin'),
-                  panel.dots(at, middle, f'{kind} node')]  # fmt: skip
     return panel.draw(marks, f'{motion} of both', motion)
 
 
@@ -115,65 +99,6 @@ def _empty_panel(motion: ErrorMotion, unit: str) -> str:
 def _along(x: Array, motion: ErrorMotion) -> Scale:
     low, high = float(x[0]), float(x[-1])
     return Scale(low, high if high > low else low + 1.0, f'{motion.axis} (mm)')
-
-
-def _reading_rows(
-    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None
-) -> list[tuple[Array, Array, Array, str]]:
-    """Position, mean and scatter of the runs, um or urad, forward and backward."""
-    folded = motion.is_translation and any(f.axis == motion.axis for f in comparison.common.folded)
-    if readings is None or folded:
-        return []
-    position, base = readings.position, readings.mean
-    offset = np.full(len(position), np.interp(max(0.0, position[0]), position, base))
-    if motion.is_straightness:
-        offset = np.interp(position, position[[0, -1]], base[[0, -1]])
-    return [
-        (1e3 * position, 1e6 * (rows.mean(axis=0) - offset), 1e6 * rows.std(axis=0, ddof=1), kind)
-        for rows, kind in ((readings.forward, 'z'), (readings.backward, 'ink'))
-    ]
-
-
-def draw_motion(
-    comparison: Comparison,
-    motion: str,
-    folder: str | Path,
-    name: str,
-    readings: MotionReadings | None = None,
-) -> Path:
-    """Write one motion of both sides with bands of k = 2, and readings if given."""
-    one, key, caption = ErrorMotion.of(motion), _colour_key(comparison), BANDS
-    if readings is not None:
-        key = (*key, ('z', 'readings forward'), ('ink', 'backward'))
-        caption += ' Readings of the direct instrument: mean and standard deviation of the runs.'
-    pictures = [motion_panel(comparison, one, readings), difference_panel(comparison, one)]
-    return write_sheet(folder, name, pictures, 2, f'{motion} of two sources', caption, key)
-
-
-def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume') -> Path:
-    """Write mean errors, histograms of the differences per direction, and their vectors."""
-    volume = comparison.volume
-    fields = (volume.a, volume.b, volume.difference)
-    names = zip(('a', 'b', 'b - a'), ('after', 'before', 'noise'), fields, strict=True)
-    sizes = [(n, kind, 1e6 * mean_length(field)) for n, kind, field in names]
-    rows = [Bar(n, ((size, kind),), f'{size:.2f} µm') for n, kind, size in sizes]
-    difference = 1e6 * volume.difference
-    reach = float(np.abs(difference).max()) or 1.0
-    pictures = [difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3)]
-    pictures.append(bars(rows, 'mean error on the grid', width=340.0))
-    length = np.linalg.norm(volume.difference, axis=1)
-    step = heat_step(1e6 * length)
-    pictures.append(vectors(volume.q, volume.difference, step))
-    key = (
-        *_colour_key(comparison),
-        *((f'heat h{k}', label) for k, label in heat_words(step, length)),
-    )
-    caption = (
-        f'Mean length of the error vectors of both sources and of their difference on '
-        f'{len(volume.q)} points; difference by direction; vectors of the difference, mean '
-        f'{1e6 * length.mean():.2f} um, longest {1e6 * length.max():.2f} um, colour by length.'
-    )
-    return write_sheet(folder, name, pictures, 3, 'Two sources in the volume', caption, key)
 
 
 def difference_histogram(values: Array, reach: float, axis: str) -> str:
@@ -351,7 +276,14 @@ def _volume_pictures(result: Comparison) -> Sequence[Picture]:
     difference = 1e6 * result.volume.difference
     reach = float(np.abs(difference).max()) or 1.0
     panels = tuple(difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3))
-    return [Picture(panels, 'Share of points by the difference along X, Y and Z.', 3)]
+    length = np.linalg.norm(result.volume.difference, axis=1)
+    step = heat_step(1e6 * length)
+    drawn = vectors(result.volume.q, result.volume.difference, step)
+    key = heat_key(step, 1e6 * float(length.max()), 'µm')
+    return [
+        Picture(panels, 'Share of points by the difference along X, Y and Z.', 3),
+        Picture((drawn,), 'Vectors of the difference, colour by length.', key=key),
+    ]
 
 
 def _worst_and_share(normalised: Array) -> tuple[str, str]:

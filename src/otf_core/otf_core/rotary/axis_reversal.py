@@ -31,7 +31,6 @@ from otf_core.solving.model_choice import (
     line_folds,
     too_few,
 )
-from otf_core.solving.normal import weigh_repeated_lines
 from otf_core.solving.reversal import AUTO, CONSTANT, NONE, TABLES, count_functions
 from otf_core.solving.solution import free_columns, solve
 from otf_core.solving.unknowns import Unknowns, is_reversal, reversal_block, reversal_order
@@ -155,14 +154,11 @@ class _Trial:
     def of(cls, joint: AxisSolution, unknowns: Unknowns) -> _Trial:
         """With coefficients of reversal for motions, and a lag for every axis."""
         tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
-        lines = [
-            weigh_repeated_lines(cast(Any, build_rows(s.run, unknowns, tables)), s.whitener)
-            for s in joint.runs
-        ]
+        rows: list[Any] = [(build_rows(s.run, unknowns, tables), s.whitener) for s in joint.runs]
         known = place_equations(joint.machine, unknowns, joint.runs[0].run.places)
-        nothing = [np.zeros((*one.system.deviation.shape, 0)) for one in lines]
+        nothing = [np.zeros((*system.deviation.shape, 0)) for system, _ in rows]
         folds = line_folds(cast(Any, joint))
-        folded = FoldedLines.of(lines, folds, nothing, unknowns, None, [known])
+        folded = FoldedLines.of(rows, folds, nothing, unknowns, None, [known])
         sizes = np.full(unknowns.free, MOST)
         for axis in joint.machine.axis_names:
             sizes[unknowns.free_blocks[lag_block(axis)]] = MOST_LAG

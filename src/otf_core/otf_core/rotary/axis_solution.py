@@ -153,10 +153,8 @@ def choose_functions(
             normal, unknowns, _accepted(unknowns), limit, joint.roughness.logs
         )
 
-    def solved(linear: LinearSolution) -> AxisSolution:
-        return _moved(joint, linear)
-
-    return most_likely(fit, solved)[0]
+    tried = {name: fit(name) for name in layouts}
+    return _moved(joint, tried[most_likely(tried)[0]])
 
 
 def _moved(joint: AxisSolution, linear: LinearSolution) -> AxisSolution:

@@ -54,7 +54,7 @@ from otf_core.noise.noise_model import (
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN, Pieces
 from otf_core.pieces.runs import AnyRun, Observed, errors_of
 from otf_core.solving.design import Design
-from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
@@ -337,7 +337,7 @@ def sum_normal_equations(
     Rows of two passes over a line are those of the first: good for what is compared or repeated.
     """
     pairs = zip(systems, whiteners, strict=True)
-    return reduce(add, (line_equations(s, unknowns, w, blocks) for s, w in pairs))
+    return reduce(add, (normal_equations(s, unknowns, w, blocks) for s, w in pairs))
 
 
 def solve_robustly(

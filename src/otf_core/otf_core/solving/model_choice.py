@@ -3,11 +3,11 @@
 
 Which functions the error motions are made of: smooth, finer, or straight between the nodes.
 
-Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
-between the nodes of machine.yaml: a machine that its control compensates with such tables has
-kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
-noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
-The functions with the largest restricted likelihood are taken, the size of the residuals free:
+Smooth functions over ``INTERVALS`` parts of every axis are compared with splines over twice as
+many parts, and with tables that are linear between the nodes of machine.yaml: a machine that its
+control compensates with such tables has kinks there. On legs that are enough to tell, the
+functions with the largest restricted likelihood are taken, finer ones only if clearly so, the size
+of the residuals free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 
@@ -31,8 +31,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from operator import add, attrgetter
-from typing import Generic, Protocol, TypeVar
+from operator import add
+from typing import Generic, Protocol
 
 import numpy as np
 from scipy import linalg
@@ -63,9 +63,7 @@ from otf_core.solving.joint import (
 )
 from otf_core.solving.normal import (
     NormalEquations,
-    RepeatedLineSums,
     sum_groups,
-    weigh_repeated_lines,
 )
 from otf_core.solving.residuals import FOLDS, fold_of
 from otf_core.solving.reversal import MODELS
@@ -90,18 +88,14 @@ SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
-MIN_SIGNIFICANCE = 4.0
-"""Standard deviations of the mean."""
-MIN_NOTABLE_SHARE = 0.05
-"""Share of the variance of a step between pieces."""
+MIN_GAIN_OF_FINER = 10.0
+"""Difference of log likelihoods from which on finer functions are taken."""
 MAX_FIRST_PIECES = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
 MIN_FIRST_LEGS = 20
 """Fewer legs, however long, are not enough for that."""
 MAX_FIRST_ITERATIONS = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
-CLEAR = 30.0
-"""Difference of log likelihoods of some of the legs that all of them cannot turn round."""
 
 
 @dataclass(frozen=True)
@@ -143,21 +137,6 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
     return {axis: linear(at) for axis, at in nodes.items()}
 
 
-def _steps_unexplained(solved: _SolvedRun) -> bool:
-    """Return whether neighbouring pieces of a line differ by more than the noise."""
-    pairs = []
-    for alike in solved.whitener.alike:
-        noise = alike.moments.step.ravel()
-        step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
-        pairs.append(np.stack([step - noise, noise]))
-    excess, noise = np.concatenate(pairs, axis=1)
-    if not excess.size:  # stops: no two pieces of one line to compare
-        return True
-    excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
-    mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
-    return mean > MIN_SIGNIFICANCE * scatter and mean > MIN_NOTABLE_SHARE * float(np.mean(noise))
-
-
 def choose_shapes(
     runs: Sequence[AnyRun],
     nodes: Mapping[str, Array],
@@ -177,7 +156,7 @@ def choose_shapes(
     seen = find_identifiable_blocks(runs, smooth, limit)
     start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
-    best, scores = _try_all(moved, nodes, start, limit)
+    best, scores = _chosen(moved, nodes, start, limit)
     improved = improve_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
@@ -210,17 +189,14 @@ def _started(
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
-def _try_all(
+def _chosen(
     runs: Sequence[AnyRun], nodes: Mapping[str, Array], start: Start, limit: float
 ) -> tuple[JointSolution, dict[str, float]]:
-    """Linear solutions with some functions, and with finer ones where the best leaves steps.
-
-    Functions that some of the legs rule out are not solved for with all of them.
+    """Linear solution with the functions that are the most likely on some of the legs.
 
     Returns
     -------
     solution : JointSolution
-        The most likely one.
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
@@ -236,72 +212,24 @@ def _try_all(
         normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
         return LinearSolution.of(normal, unknowns, start.accepted, limit, start.logs)
 
-    some = rows(_thinned(runs))
-    scores = _likelihoods({name: fit(name, *some) for name in (SMOOTH, STRAIGHT)})
-    every = rows(runs)
-
-    def solved(linear: LinearSolution) -> JointSolution:
-        return _solved(linear, *every, poses)
-
-    names = [name for name, score in scores.items() if score > -CLEAR]
-    solution, of_all = most_likely(lambda name: fit(name, *every), solved, names)
-    return solution, {name: s + of_all[names[0]] for name, s in scores.items()} | of_all
+    some, every = rows(_thinned(runs)), rows(runs)
+    best, scores = most_likely({name: fit(name, *some) for name in _CHOICES})
+    return _solved(fit(best, *every), *every, poses), scores
 
 
-class _SolvedRun(Protocol):
-    @property
-    def whitener(self) -> Whitener: ...
-
-    @property
-    def residual(self) -> Array: ...
-
-
-class _Solved(Protocol):
-    @property
-    def runs(self) -> Sequence[_SolvedRun]: ...
-
-
-AnySolution = TypeVar('AnySolution', bound=_Solved)
-
-
-def most_likely(
-    fit: Callable[[str], LinearSolution],
-    solved: Callable[[LinearSolution], AnySolution],
-    names: Sequence[str] = (SMOOTH, STRAIGHT),
-) -> tuple[AnySolution, dict[str, float]]:
-    """Choose the most likely functions, finer ones included where the best leave steps.
-
-    Parameters
-    ----------
-    fit : callable(name)
-        Linear solution with some functions, by their name.
-    solved : callable(solution)
-        The same with its runs.
-    names : sequence of str
-        Functions to choose from.
+def most_likely(tried: Mapping[str, LinearSolution]) -> tuple[str, dict[str, float]]:
+    """Name of the most likely functions, finer ones only if clearly so, and all log likelihoods.
 
     Returns
     -------
-    solution
-        The most likely one, as ``solved`` gives it.
+    best : str
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    tried = {name: fit(name) for name in names}
-    scores, best = _likelihoods(tried), max(tried.values(), key=attrgetter('likelihood'))
-    solution = solved(best)
-    if any(_steps_unexplained(run) for run in solution.runs):
-        finer = fit(FINER)
-        scores[FINER] = finer.likelihood - best.likelihood
-        if scores[FINER] > 0.0:
-            solution = solved(finer)
-    return solution, {name: score - max(scores.values()) for name, score in scores.items()}
-
-
-def _likelihoods(tried: Mapping[str, LinearSolution]) -> dict[str, float]:
-    """Log likelihoods, less the best."""
+    simpler = max((n for n in tried if n != FINER), key=lambda n: tried[n].likelihood)
+    finer = tried[FINER].likelihood > tried[simpler].likelihood + MIN_GAIN_OF_FINER
     most = max(one.likelihood for one in tried.values())
-    return {name: one.likelihood - most for name, one in tried.items()}
+    return FINER if finer else simpler, {n: o.likelihood - most for n, o in tried.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, legs: Index) -> AnyRun:
@@ -508,9 +436,19 @@ def too_few(lines: int) -> str:
     return f'too few lines: {lines}, {MIN_LINES} needed'
 
 
+class _SolvedRun(Protocol):
+    @property
+    def whitener(self) -> Whitener: ...
+
+
+class _Solved(Protocol):
+    @property
+    def runs(self) -> Sequence[_SolvedRun]: ...
+
+
 def line_folds(joint: _Solved) -> list[Index]:
     """Fold of every line of every run: passes over one line are held out together."""
-    count = [len(solved.whitener.once.bounds) for solved in joint.runs]
+    count = [int(solved.whitener.line.max()) + 1 for solved in joint.runs]
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
 
 
@@ -541,17 +479,17 @@ def choose_model(held_out: Mapping[str, Array], held: bool) -> Choice:
 def _held_out_squares(
     runs: Sequence[Observed], joint: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
-    """Squared whitened residual of every leg under every model fitted to the other folds."""
+    """Squared whitened residual of every line under every model fitted to the other folds."""
     unknowns = layout(joint.unknowns.bases, len(runs), max(MODELS.values()), held=held)
     tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
-    lines, rivals = [], []
+    rows, rivals = [], []
     for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
         system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
-        lines.append(weigh_repeated_lines(system, solved.whitener))
-        rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
+        rows.append((system, solved.whitener))
+        rivals.append(_rival_columns(run, system))
     seen = joint.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]
-    folded = FoldedLines.of(lines, fold, rivals, unknowns, blocks)
+    folded = FoldedLines.of(rows, fold, rivals, unknowns, blocks)
     visible = identifiable_blocks(folded.total, unknowns, limit)
     columns = {
         model: free_columns(
@@ -567,13 +505,16 @@ def _held_out_squares(
     return folded.squares(columns, prior)
 
 
+WhitenedRows = tuple[System, Whitener]
+
+
 @dataclass(frozen=True)
 class FoldedLines:
     """Lines of all runs, dealt to folds.
 
     Attributes
     ----------
-    lines : sequence of RepeatedLineSums
+    rows : sequence of (System, Whitener)
         Of every run.
     fold : sequence of ndarray of int64
         Fold of every line.
@@ -585,7 +526,7 @@ class FoldedLines:
         Of all of them, and what is known beside the rows.
     """
 
-    lines: Sequence[RepeatedLineSums]
+    rows: Sequence[WhitenedRows]
     fold: Sequence[Index]
     further: Sequence[Array]
     unknowns: Unknowns
@@ -595,7 +536,7 @@ class FoldedLines:
     @classmethod
     def of(
         cls,
-        lines: Sequence[RepeatedLineSums],
+        rows: Sequence[WhitenedRows],
         fold: Sequence[Index],
         further: Sequence[Array],
         unknowns: Unknowns,
@@ -604,11 +545,11 @@ class FoldedLines:
     ) -> FoldedLines:
         """Sum up the rows of every fold; see ``normal.sum_groups``."""
         sums = [
-            sum_groups(own.system, unknowns, own.whitener, group, more, FOLDS, blocks)
-            for own, group, more in zip(lines, fold, further, strict=True)
+            sum_groups(system, unknowns, whitener, group[whitener.line], more, FOLDS, blocks)
+            for (system, whitener), group, more in zip(rows, fold, further, strict=True)
         ]
         parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
-        return cls(lines, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
+        return cls(rows, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
 
     def squares(self, columns: Mapping[str, Index], prior: Array) -> dict[str, Array]:
         """Squares (lines,) that models of some columns leave of the lines that they do not know.
@@ -619,7 +560,7 @@ class FoldedLines:
             Places among free unknowns and further columns.
         prior : ndarray, shape (k, k), 1 / (m, rad)^2
         """
-        held_out = [_folds(*run) for run in zip(self.lines, self.fold, self.further, strict=True)]
+        held_out = [_folds(*run) for run in zip(self.rows, self.fold, self.further, strict=True)]
         for some in (part for folds in held_out for part in folds):
             some.rows.prepare()
         values = side_by_side(
@@ -628,9 +569,9 @@ class FoldedLines:
 
         def left(model: str) -> Array:
             own = [of_fold[model] for of_fold in values]
-            pairs = zip(self.lines, held_out, strict=True)
+            pairs = zip(self.rows, held_out, strict=True)
             return np.concatenate(
-                [_squares(line, folds, self.unknowns, own) for line, folds in pairs]
+                [_squares(rows, folds, self.unknowns, own) for rows, folds in pairs]
             )
 
         return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
@@ -683,28 +624,26 @@ class _Fold:
     rival: Array
 
 
-def _folds(own: RepeatedLineSums, fold: Index, rival: Array) -> list[_Fold]:
+def _folds(rows: WhitenedRows, fold: Index, rival: Array) -> list[_Fold]:
     """Folds of a run, by the fold of every line."""
-    of_piece = fold[_line_of_piece(own)]
+    system, whitener = rows
+    of_piece = fold[_line_of_piece(whitener)]
     places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
-    return [_Fold(p, own.system.rows.at(p), rival[:, p]) for p in places]
+    return [_Fold(p, system.rows.at(p), rival[:, p]) for p in places]
 
 
-def _line_of_piece(own: RepeatedLineSums) -> Index:
-    size = [high - low for low, high in own.whitener.bounds]
-    return np.repeat(np.arange(len(size)), size)
+def _line_of_piece(whitener: Whitener) -> Index:
+    return np.repeat(whitener.line, [high - low for low, high in whitener.bounds])
 
 
 def _squares(
-    own: RepeatedLineSums, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
+    rows: WhitenedRows, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
 ) -> Array:
-    """Sum of squares of each line of a run with the values (columns,) of its fold.
-
-    What passes over a line differ among themselves is left out: it is the same for every model.
-    """
-    rest = own.system.deviation.copy()
+    """Sum of squares of each line of a run with the values (columns,) of its fold."""
+    system, whitener = rows
+    rest = system.deviation.copy()
     for fold, value in zip(folds, values, strict=True):
         rest[:, fold.pieces] -= fold.rows.times(unknowns.gauge @ value[: unknowns.free])
         rest[:, fold.pieces] -= fold.rival @ value[unknowns.free :]
-    white, number, size = own.whitener.whiten(rest), _line_of_piece(own), own.whitener.bounds
-    return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)
+    square = (whitener.whiten(rest) ** 2).sum(axis=0)
+    return np.asarray(np.bincount(_line_of_piece(whitener), square), dtype=float)

@@ -4,22 +4,12 @@
 The rows of each leg are whitened and added to the normal equations: the cost grows linearly with
 the path, and only the normal matrix is kept. With independent samples this is the paper's
 weighting (Eq. 4-6).
-
-Rows of a line are the same in every lap, but for where in a piece its samples happen to lie (half
-a step between samples at most). If they were the same, nothing would be lost of l passes with
-deviations y_l and inverse covariances W_l in
-
-    W = sum_l W_l,    y = W^-1 sum_l W_l y_l,
-    sum_l (y_l - v)^T W_l (y_l - v) = (y - v)^T W (y - v) + sum_l y_l^T W_l y_l - y^T W y
-
-and sums over rows would grow with the path, not with the time that it is driven. Comparisons of
-models and iterations use these sums.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from typing import TypeVar
 
@@ -51,51 +41,6 @@ def transpose_times(lower: Array, values: Array) -> None:
     upper = np.swapaxes(lower, 1, 2)
     for strip in _strips(lower.shape[1]):
         values[:, strip] = upper[:, strip, strip.start :] @ values[:, strip.start :]
-
-
-@dataclass(frozen=True)
-class RepeatedLineSums:
-    """Rows of lines with the weight of all passes.
-
-    Attributes
-    ----------
-    system : System
-        Of the first pass over every line, with deviations y.
-    whitener : Whitener
-        For W.
-    pieces : ndarray of int64
-        Their places among all pieces.
-    square : float
-        What the passes differ, weighted sum of squares.
-    rows : int
-        Of all passes.
-    """
-
-    system: System
-    whitener: Whitener
-    pieces: Index
-    square: float
-    rows: int
-
-
-def weigh_repeated_lines(system: System, whitener: Whitener) -> RepeatedLineSums:
-    """Take every line once with the weight of all passes over it."""
-    rows, once = system.deviation.size, whitener.once
-    if once is whitener:
-        return RepeatedLineSums(system, whitener, np.arange(len(system.q)), 0.0, rows)
-    lines, line = np.unique(whitener.first, return_inverse=True)
-    several = np.bincount(line) > 1
-    pieces = np.concatenate([np.arange(*whitener.bounds[leg]) for leg in lines.tolist()])
-    # whatever is treated together with repeated lines costs less than to set these apart
-    pulled = whitener.beside(several[line]).weighted(system.deviation)
-    pulled[:, ~np.repeat(several[line], [high - low for low, high in whitener.bounds])] = 0.0
-    place = np.concatenate([np.arange(*once.bounds[k]) for k in line.tolist()])
-    pull = np.array([np.bincount(place, own) for own in pulled], dtype=float)
-    mean = system.deviation[:, pieces]
-    again = np.repeat(several, [high - low for low, high in once.bounds])
-    mean[:, again] = once.beside(several).covaried(pull)[:, again]
-    square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
-    return RepeatedLineSums(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)
 
 
 Batch = TypeVar('Batch')
@@ -151,18 +96,6 @@ def normal_equations(
     """Sum up the whitened rows of all legs for the free unknowns; see ``sum_groups``."""
     group = np.zeros(len(whitener.bounds), dtype=int)
     return sum_groups(system, unknowns, whitener, group, blocks=blocks)[0]
-
-
-def line_equations(
-    system: System,
-    unknowns: Unknowns,
-    whitener: Whitener,
-    blocks: Collection[str] | None = None,
-) -> NormalEquations:
-    """Sum up the rows of every line with the weight of all passes, see ``repeated_lines``."""
-    once = weigh_repeated_lines(system, whitener)
-    equations = normal_equations(once.system, unknowns, once.whitener, blocks)
-    return replace(equations, square=equations.square + once.square, rows=once.rows)
 
 
 def sum_groups(

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri, dtrtrs
+from scipy.linalg.lapack import dtrtri
 
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
@@ -69,27 +69,22 @@ class CovarianceMoments:
     ----------
     variance : ndarray, shape (c, n, m), m^2
         Of every piece.
-    step : ndarray, shape (c, n, m - 1), m^2
-        Of the difference of two neighbouring pieces.
     square : ndarray, shape (c, n), m^4
         tr S S.
     """
 
     variance: Array
-    step: Array
     square: Array
 
     @classmethod
     def of(cls, covariance: Array) -> CovarianceMoments:
         """Of covariances (c, n, m, m)."""
         own = np.diagonal(covariance, axis1=-2, axis2=-1)
-        beside = np.diagonal(covariance, 1, axis1=-2, axis2=-1)
-        step = own[..., 1:] + own[..., :-1] - 2.0 * beside
-        return cls(own.copy(), step, np.einsum('cnij,cnij->cn', covariance, covariance))
+        return cls(own.copy(), np.einsum('cnij,cnij->cn', covariance, covariance))
 
     def only(self, some: NDArray[np.bool_] | slice) -> CovarianceMoments:
         """Those of some of the lines."""
-        return CovarianceMoments(self.variance[:, some], self.step[:, some], self.square[:, some])
+        return CovarianceMoments(self.variance[:, some], self.square[:, some])
 
 
 @dataclass(frozen=True)
@@ -151,17 +146,6 @@ def inverse_of_lower(lower: Array) -> Array:
     return np.stack(inverses).reshape(lower.shape)
 
 
-def covariance_times(inverse: Array, values: Array) -> Array:
-    """Covariances (..., m, m) of inverse lower factors T, T^-1 T^-T, times values (..., m, k)."""
-    size, product = inverse.shape[-1], np.empty(values.shape)
-    flat = product.reshape(-1, *values.shape[-2:])
-    pairs = zip(inverse.reshape(-1, size, size), values.reshape(flat.shape), strict=True)
-    for k, (factor, own) in enumerate(pairs):
-        half = dtrtrs(factor.T, own)[0]
-        flat[k] = dtrtrs(factor.T, half, trans=1)[0]
-    return product
-
-
 NO_MISFIT = Misfit()
 SAME_PLACE = 5e-4
 """m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
@@ -183,13 +167,13 @@ class Whitener:
     ----------
     bounds : sequence of (int, int)
         First piece and one past the last of every leg.
-    first : ndarray of int64, shape (legs,)
-        First leg over the same pieces of a line, by its place in ``bounds``.
+    line : ndarray of int64, shape (legs,)
+        Line that each leg is a pass over, from 0: laps drive the same lines.
     """
 
     bounds: Sequence[tuple[int, int]]
     alike: tuple[EqualLegs, ...]
-    first: Index
+    line: Index
 
     @classmethod
     def of(
@@ -228,7 +212,7 @@ class Whitener:
             return EqualLegs(legs, own, inverse if held[k] else covariances, moments)
 
         groups_alike = map(alike, range(len(groups)))
-        return cls(bounds, tuple(groups_alike), _first_passes(pieces, system.q, bounds))
+        return cls(bounds, tuple(groups_alike), _lines_of(pieces, system.q, bounds))
 
     @classmethod
     def from_factors(
@@ -249,7 +233,7 @@ class Whitener:
             EqualLegs(one.legs, one.pieces, one.inverse / factor[:, one.pieces][:, :, None])
             for one in self.alike
         )
-        return Whitener(self.bounds, tuple(alike), self.first)
+        return Whitener(self.bounds, tuple(alike), self.line)
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
@@ -260,47 +244,6 @@ class Whitener:
     def inverses(self) -> Sequence[Array]:
         """Their inverses, shape (c, m, m), 1/m, leg by leg."""
         return _Legs(self.alike)
-
-    @cached_property
-    def once(self) -> Whitener:
-        """For every line once, with the weight of all legs over it; see ``repeated_lines``."""
-        lines, line = np.unique(self.first, return_inverse=True)
-        if len(lines) == len(self.bounds):
-            return self
-        size = np.array([high - low for low, high in self.bounds])[lines]
-        end, passes = np.cumsum(size), _places(line, len(lines))
-        several = np.bincount(line) > 1
-
-        def placed(some: Index, inverse: Array) -> EqualLegs:
-            return EqualLegs(some, (end - size)[some, None] + np.arange(size[some[0]]), inverse)
-
-        placed_groups = [placed(line[one.legs], one.inverse) for one in self._only(~several[line])]
-        for own in _alike(size[several]):
-            some = np.flatnonzero(several)[own]
-            inverse = [self._of_passes(passes[k]) for k in some.tolist()]
-            placed_groups.append(placed(some, np.stack(inverse, axis=1)))
-        bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
-        return Whitener(bounds, tuple(placed_groups), np.arange(len(lines)))
-
-    def _of_passes(self, legs: Sequence[int]) -> Array:
-        """Inverse factors (c, m, m) with the weight of legs over one line."""
-        inverses = [self.inverses[leg] for leg in legs]
-        return _root(reduce(np.add, (np.swapaxes(own, 1, 2) @ own for own in inverses)))
-
-    def _only(self, legs: NDArray[np.bool_]) -> Iterator[EqualLegs]:
-        """Some of the legs, by a mask (legs,)."""
-        for one in self.alike:
-            own = legs[one.legs]
-            if own.any():
-                yield one if own.all() else one.only(own)
-
-    def beside(self, legs: NDArray[np.bool_]) -> Whitener:
-        """Leave out legs that are not treated together with any of those of a mask (legs,).
-
-        Their rows become zero.
-        """
-        others = (one for one in self.alike if legs[one.legs].any())
-        return Whitener(self.bounds, tuple(others), self.first)
 
     @cached_property
     def expected(self) -> Array:
@@ -350,10 +293,6 @@ class Whitener:
 
         return self._applied(product, values, legs)
 
-    def covaried(self, values: Array) -> Array:
-        """Multiply values (c, p, ...) by the covariance of the noise."""
-        return self._applied(covariance_times, values)
-
 
 class _Legs(Sequence[Array]):
     """Inverses leg by leg."""
@@ -368,12 +307,6 @@ class _Legs(Sequence[Array]):
     def __getitem__(self, leg: int) -> Array:  # type: ignore[override]
         alike, k = self._places[leg]
         return alike.inverse_of(k)
-
-
-def _places(of: Index, count: int) -> list[list[int]]:
-    """Places in ``of`` (n,) of every number below ``count``."""
-    order = np.argsort(of, kind='stable')
-    return [p.tolist() for p in np.split(order, np.cumsum(np.bincount(of, minlength=count))[:-1])]
 
 
 def _alike(size: Index) -> Iterator[Index]:
@@ -394,8 +327,8 @@ def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
     )
 
 
-def _first_passes(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -> Index:
-    """Find the legs that repeat others: the same pieces, travel, and side of play.
+def _lines_of(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -> Index:
+    """Number the lines of legs: the same pieces, travel and side of play are one.
 
     Parameters
     ----------
@@ -407,7 +340,7 @@ def _first_passes(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -
     Returns
     -------
     ndarray of int64, shape (legs,)
-        First leg over the same pieces, by its place in ``bounds``.
+        Line of each leg, from 0.
     """
     lines = np.hstack([pieces.origin, pieces.direction, pieces.side]).round(6)
     known: dict[tuple[float, ...], list[int]] = {}
@@ -421,10 +354,4 @@ def _first_passes(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -
                 break
         else:
             others.append(leg)
-    return first
-
-
-def _root(weight: Array) -> Array:
-    """Lower triangular T of T^T T for positive definite matrices (..., m, m)."""
-    turned = np.linalg.cholesky(weight[..., ::-1, ::-1])
-    return np.ascontiguousarray(np.swapaxes(turned, -1, -2)[..., ::-1, ::-1])
+    return np.unique(first, return_inverse=True)[1]

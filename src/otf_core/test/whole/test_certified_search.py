@@ -52,16 +52,6 @@ def published_noise(run):
     }
 
 
-def published_roughness(result):
-    """Roughness of the motions as the block ``prior`` of error_tables.json holds it."""
-    span = dict(zip('XYZ', (n[-1] - n[0] for n in NODES), strict=True))
-    prior = {m: result.prior[m] for m in SEEN}
-    return {
-        m: np.array([p.sd**2, p.length / span[m[2]], p.intensity * span[m[2]] ** 3])
-        for m, p in prior.items()
-    }
-
-
 def log_density(step, noise, roughness):
     """Log density of the deviations of one step of the dense solution."""
     model, tracker = ErrorModel(RUN, NODES, 1), RUN['machine']['tracker']
@@ -78,7 +68,8 @@ def found():
     runs, nodes = prepare_runs([recording('samples.csv')], CONFIG)
     solved = solve_with_reversal(runs, nodes, CONFIG, silent)
     result = assemble(solved, CONFIG)
-    noise, roughness = published_noise(result.runs[0]), published_roughness(result)
+    noise = published_noise(result.runs[0])
+    roughness = {m: UNIT * np.exp(solved.joint.roughness.logs[m]) for m in SEEN}
     model, pose = ErrorModel(RUN, NODES, 1), solved.runs[0].pose
     start = pose.rotation, pose.translation
     first, last = dense.solve(RUN, model, noise, model.prior(roughness), start=start)
@@ -93,7 +84,7 @@ def found():
     )
 
 
-def test_published_numbers_suffice_to_compute_the_tables_anew(found):
+def test_noise_and_roughness_suffice_to_compute_the_tables_anew(found):
     result = calibrate_runs([recording('samples.csv')], CONFIG)
     assert list(result.not_identifiable) == RUN['not_identifiable']
     assert result.table_costs[1].grid < 1e-15  # straight between the nodes

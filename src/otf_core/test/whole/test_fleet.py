@@ -19,7 +19,7 @@ from cli_cells import run
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
-from otf_core.fleet.fleet import call_job, read_list
+from otf_core.fleet.fleet import listed_jobs, read_list
 from otf_core.model.tables import load_tables
 from otf_core.reports.fleet_report import fleet_rows
 
@@ -36,7 +36,7 @@ offset = [0.0, 0.0, -0.25 if 'longer' in name else -0.15]
 sizes = {'mean': 1e-5, 'max': 2e-5}
 data = {'headline': {'error': sizes, 'U_of_largest': 1e-6,
                      'expected_after_compensation': {'U': sizes}},
-        'verdicts': {'measurement': {'good': 'gate' not in name},
+        'verdicts': {'measurement': {'good': 'gate' not in name, 'sentence': 'NOT GOOD'},
                      'machine': {'state': 'fail' if 'limit' in name else 'not stated'}},
         'machine': {'name': 'm', 'target_offset': offset},
         'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag,
@@ -135,6 +135,22 @@ def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plan
     (plant / 'runs.csv').write_text('name,bag,machine\ng,gate.mcap,machine.yaml\n')
     assert fleet('out') == 4
     assert told(plant / 'out')['done'] == 1
+    assert told(plant / 'out')['runs']['g']['message'] == 'NOT GOOD'
+
+
+def test_every_run_gets_the_config_and_a_changed_one_is_another_input(plant, capsys):
+    (plant / 'runs.csv').write_text('name,bag,machine\na,a.mcap,machine.yaml\n')
+    given = ('fleet', 'calibrate', '--list', 'runs.csv', '--out', 'out', '--config', 'c.yaml')
+    for text in ('piece_length: 0.016', 'piece_length: 0.016', 'piece_length: 0.02'):
+        (plant / 'c.yaml').write_text(text)
+        assert run(*given) == 0
+    assert (plant / 'calls').read_text() == 'a\na\n'
+    (plant / 'c.yaml').write_text('passes: 2')
+    capsys.readouterr()
+    assert run(*given) == 2
+    assert 'passes: a key of otf plan, simulate only' in capsys.readouterr().err
+    jobs = listed_jobs('calibrate', read_list('runs.csv'), plant / 'out', 'c.yaml')
+    assert jobs[0].words[-3:] == ('--config', str(plant / 'c.yaml'), '--overwrite')
 
 
 def test_a_machine_out_of_its_limits_is_no_measurement_that_failed(plant, capsys):
@@ -285,17 +301,6 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',
     ]  # fmt: skip
-
-
-def test_a_function_by_its_name_is_a_run(tmp_path):
-    wrong = call_job('w', 'math:sqrt', {}, tmp_path / 'w')
-    assert fleet_module.run_job(wrong).message.startswith('TypeError')
-    done = call_job(
-        'd', 'otf_core.files.output_folder:file_digest', {'path': __file__}, tmp_path / 'd'
-    )
-    assert fleet_module.run_job(done).message == ''
-    text = (tmp_path / 'd/result.json').read_text()
-    assert json.loads(text) == hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def test_real_bags_give_what_calibrating_gives(cell, calibrated, tmp_path, monkeypatch):

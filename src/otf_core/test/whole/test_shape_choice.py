@@ -10,7 +10,13 @@ from standstill_points import edge_points, spread_points
 from otf_core.config import CalibrationConfig
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import prepare_runs
-from otf_core.solving.model_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
+from otf_core.solving.model_choice import (
+    INTERVALS,
+    MIN_GAIN_OF_FINER,
+    choose_shapes,
+    linear_bases,
+    smooth_bases,
+)
 from otf_core.solving.unknowns import CUBIC, LINEAR
 
 CONFIG = CalibrationConfig(piece_length=0.015)
@@ -42,8 +48,8 @@ def same(bases, others):
 
 def test_smooth_motions_need_nothing_else():
     nodes, found = chosen(small())
-    assert found.evidence['smooth'] == 0.0
-    assert set(found.evidence) == {'smooth', 'straight between nodes'}
+    assert found.evidence['smooth'] > -MIN_GAIN_OF_FINER
+    assert found.evidence['straight between nodes'] < -100.0
     assert same(found.bases, smooth_bases(nodes))
     assert {len(found.bases[a].knots) for a in 'XYZ'} == {INTERVALS + 1}
     assert {found.bases[a].degree for a in 'XYZ'} == {CUBIC}
@@ -71,11 +77,10 @@ def test_twelve_waves_over_an_axis_call_for_finer_splines():
     assert found.evidence['smooth'] < -100.0
 
 
-def test_stops_choose_among_all_functions_and_find_smooth_motions_smooth():
+def test_stops_find_smooth_motions_smooth():
     machine = some_machine()
     points = np.concatenate([edge_points(machine, 40), spread_points(machine, 60)])
     found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)[1]
-    assert set(found.evidence) == {'smooth', 'smooth, twice as fine', 'straight between nodes'}
     assert max(found.evidence.values()) == 0.0
     assert found.evidence['straight between nodes'] < 0.0
     assert {b.degree for b in found.bases.values()} == {CUBIC}

@@ -48,12 +48,8 @@ class CommonConfig(Parameters):
         '', 'machine description (machine.yaml); backends that simulate the cell require it'
     )
     time_scale: float = parameter(
-        1.0, 'factor by which simulated or recorded samples are published faster than measured',
-        '', 0.1, 50.0,
-    )  # fmt: skip
-    max_rate: float = parameter(
-        5000.0, 'largest number of samples published per second; limits time_scale so that '
-        'subscribers keep up', 'Hz', 10.0, 50000.0,
+        1.0, 'factor by which simulated or recorded samples are published faster than measured, '
+        'at most: no faster than calibrators take them', '', 0.1, 50.0,
     )  # fmt: skip
 
 

@@ -31,9 +31,6 @@ class PacedBackend(Backend):
 
     Parameters
     ----------
-    common : CommonConfig
-        Its ``time_scale`` is lowered so that not more than ``max_rate`` samples per second are
-        handed out.
     clock : callable, optional
         Monotonic seconds.
 
@@ -60,6 +57,7 @@ class PacedBackend(Backend):
         self._samples, self._due = NO_SAMPLES, np.empty(0)
         self._next, self._elapsed, self._last = 0, 0.0, 0.0
         self.time_scale = common.time_scale
+        self.remark = f'at most {self.time_scale:.3g} times as fast as measured'
         self._breaks = np.empty(0, np.int64)
         self._begun = 0.0
         self._looks = deque([(0.0, 0.0)], _LOOKS)
@@ -70,12 +68,6 @@ class PacedBackend(Backend):
         self._due = samples.time
         span = float(self._due[-1]) if len(samples) > 1 else 0.0
         self.rate = (len(samples) - 1) / span if span > 0 else 0.0
-        wanted, most = self.common.time_scale, self.common.max_rate
-        limit = most / self.rate if self.rate else np.inf
-        self.time_scale = min(wanted, limit)
-        self.remark = f'at most {self.time_scale:.3g} times as fast as measured'
-        if limit < wanted:
-            self.remark += f', limited by max_rate = {most:g} samples per second'
         self._next = 0
         self._breaks = np.flatnonzero(np.diff(self._due) >= BROKEN) + 1
 

@@ -49,9 +49,8 @@ def volume_section(facts: CalibrationFacts) -> Section:
     ]
     words = (
         f'Length of the error vector on {first.points} points of a regular grid over the '
-        f'driven volume. After compensation with these tables their uncertainty remains, and '
-        f'outside the driven range that of extrapolation; a validation run after loading them '
-        f'would measure it.',
+        f'driven volume. After compensation with these tables their uncertainty remains; a '
+        f'validation run after loading them would measure it.',
         f'The largest error, {micro_figure(first.error["max"], first.of_largest)}, has U = '
         f'{micro_significant(first.of_largest)}.',
     )
