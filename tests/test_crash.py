@@ -62,7 +62,7 @@ class Thermometer:
 
 def signal_in(bag, machine_file):
     """What a bag says of the temperature, by stamps."""
-    found = read_signals(bag, (), load_machine(machine_file).signals).values()
+    found = read_signals(bag, load_machine(machine_file).signals).values()
     pairs = (zip(f.stamp_ns.tolist(), f.value.tolist(), strict=True) for f in found)
     return dict(next(pairs, ()))
 

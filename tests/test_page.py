@@ -60,7 +60,6 @@ def a_run():
     run.set_solved(
         LiveSolution(
             True,
-            True,
             'so far, 5 um',
             5e-5,
             1e-6,

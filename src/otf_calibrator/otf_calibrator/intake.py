@@ -329,7 +329,7 @@ class Intake:
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
         """Signals of a resumed run."""
-        signals = read_signals(folder, (), self.signals.specs)
+        signals = read_signals(folder, self.signals.specs)
         return {s: signals[s.name] for s in self.signals.specs if s.name in signals}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:

@@ -16,7 +16,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
 from otf_core.live.layers import TRACK_POINTS, PathDistance, Track, enlargement
-from otf_core.live.live_run import NUMBERS, LiveRun, LiveSolution, RunProgress, numbers
+from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress
 from otf_core.live.stages import StepProgress, TimeLeft, approximate_time
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
@@ -170,21 +170,18 @@ def test_moving_layers_show_the_tracker_where_it_stands_once_that_is_known():
     assert np.allclose(fixed[1] - fixed[0], [0, 2e-3, 0])
 
 
-def test_numbers_of_a_run_and_a_new_run_forgets_the_old_one():
+def test_a_new_run_forgets_the_old_one():
     run = LiveRun()
-    assert set(numbers(run)) == set(NUMBERS)
     run.set_path(PATH)
     run.set_progress(DRIVEN, 10.0)
     run.set_progress(RunProgress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
     run.set_pose(TURNED)
     run.solved = LiveSolution(True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)})
     run.track.add(*in_tracker([[0.2, 0, 1e-5]])[0])
-    now = numbers(run)
-    assert now['distance_from_path'] == pytest.approx(1e-5)
-    assert (now['sample_rate'], now['samples_lost'], now['residual']) == (1000.0, 2.0, 2e-6)
+    assert run.track.distance == pytest.approx(1e-5)
     run.set_progress(RunProgress('BUFFERING', 'driving', 0.0, math.nan, 3, 0, 0.0), 60.0)
     assert run.pose is None and run.solved is None
-    assert math.isnan(numbers(run)['distance_from_path']) and math.isnan(numbers(run)['residual'])
+    assert math.isnan(run.track.distance)
 
 
 def test_volume_errors_and_motion_sizes_are_those_of_the_tables(calibrated):

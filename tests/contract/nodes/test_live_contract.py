@@ -40,7 +40,7 @@ def test_three_axes_live_are_what_the_command_makes_of_the_same_samples(graph, t
     machine_file.write_text(json.dumps({**MACHINE, 'axes': axes}))
     tables = graph.listen(ErrorTables, 'calibrator/error_tables', qos.RESULT)
     graph.start('path_planner', machine_file=machine_file, passes=2, levels=2)
-    graph.start('calibrator', machine_file=machine_file)
+    graph.start('calibrator', machine_file=machine_file, finish_at_standstill=False)
     fast = {'simulated.rate': 50.0, 'time_scale': 30.0}
     graph.start('tracker_driver', machine_file=machine_file, **fast)
     result, state = graph.wait_for_result()
