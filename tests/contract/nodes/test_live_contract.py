@@ -23,7 +23,7 @@ SMALL = {'X': (0.0, 0.15), 'Y': (0.0, 0.12), 'Z': (-0.1, 0.0)}
 
 def without_date(file):
     """Content of a result but for the moment of writing and the name of the recording."""
-    text = re.sub(r'"written": "[^"]*"', '', Path(file).read_text(encoding='utf-8'))
+    text = re.sub(r'"written": "[^"]*"', '"written": ""', Path(file).read_text(encoding='utf-8'))
     return json.loads(re.sub(r'"name": "(?:bag|samples)"', '"name": ""', text))
 
 
