@@ -47,7 +47,7 @@ class Thermometer:
 
     def __init__(self, graph):
         self._graph, self.said = graph, {}
-        self._publisher = graph.ear().create_publisher(Temperature, TOPIC, qos.COMMAND)
+        self._publisher = graph.ear().create_publisher(Temperature, TOPIC, qos.EVENTS)
 
     def publish(self, stamps, readers=1):
         """Publish one value at each stamp, ns."""

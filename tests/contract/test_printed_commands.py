@@ -13,7 +13,7 @@ from command import COMMAND, ROOT, made_once, otf, read, shared, with_variables
 README = (ROOT / 'README.md').read_text(encoding='utf-8')
 PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').rglob('*.md'))]
 TUTORIALS = ('tutorial', 'tutorial-five-axes')
-OF_THE_REPOSITORY = {'demo', 'soak', 'test', 'env', 'blind', 'emulate-tracker'}
+OF_THE_REPOSITORY = {'demo', 'test', 'env', 'blind', 'emulate-tracker'}
 
 
 def blocks(text):

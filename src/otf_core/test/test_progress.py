@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is shown of a job under way: on a terminal, in a log, on request nothing."""
 
-import argparse
 import io
 import sys
 import time
@@ -24,15 +23,14 @@ def at_once(monkeypatch):
     monkeypatch.setattr(output, 'TICK', 0.01)
 
 
-def shown(monkeypatch, stream, quiet=False):
+def shown(monkeypatch, stream):
     """What a job of three stages writes to a stream."""
     monkeypatch.setattr(sys, 'stderr', stream)
-    arguments = argparse.Namespace(quiet=quiet)
-    with output.progress_of(arguments, 'reading', CALIBRATE) as tell:
+    with output.progress_of('reading', CALIBRATE) as tell:
         for stage in ('aligning', 'solving', 'aligning'):
             tell(stage, 0.0)
             until = time.monotonic() + 5.0
-            while f'{stage} ' not in stream.getvalue() and time.monotonic() < until and not quiet:
+            while f'{stage} ' not in stream.getvalue() and time.monotonic() < until:
                 time.sleep(0.01)
         note('a warning')
     return stream.getvalue()
@@ -55,10 +53,6 @@ def test_a_log_has_a_line_a_stage(monkeypatch):
     assert stages == [
         'otf: aligning ...', 'otf: solving ...', 'otf: aligning ...', 'a warning',
     ]  # fmt: skip
-
-
-def test_nothing_is_shown_on_request(monkeypatch):
-    assert shown(monkeypatch, Terminal(), quiet=True) == 'a warning\n'
 
 
 @pytest.mark.parametrize('spans', [CALIBRATE, DIAGNOSE, PLAN])

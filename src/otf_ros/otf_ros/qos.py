@@ -56,9 +56,6 @@ PICTURE = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 SCALAR = _profile(10, DurabilityPolicy.VOLATILE)
 """A number for plots, a few per second: ten hold what a busy plotter has not taken yet."""
 
-COMMAND = _profile(1000, DurabilityPolicy.VOLATILE)
-"""Positions that are asked about and the answers: as many as come in a second, no news later."""
-
 SIGNAL = _profile(1000, DurabilityPolicy.VOLATILE, ReliabilityPolicy.BEST_EFFORT)
 """For subscriptions only: temperatures and states of the machine, which sensors publish reliably
 or not; a value that is missed is bridged by its neighbours."""

@@ -305,8 +305,7 @@ TOPICS = (PATH, AXES, STATUS, POINT)
 """Of which a run consists, and what it is taken up from."""
 RECORDING = 'recording'
 """State of a run to which samples may be added."""
-STATE, MACHINE = 'otf_state', 'otf_machine_sha256'
-METADATA = 'metadata.yaml'
+STATE, MACHINE, METADATA = 'otf_state', 'otf_machine_sha256', 'metadata.yaml'
 METADATA_PERIOD = 1.0
 """s; metadata.yaml is written anew at most so often while the run is recorded."""
 
@@ -386,7 +385,7 @@ class JournalRun:
     def _update(self, state: str) -> None:
         present = [self._file.part] if self._file else []
         hashes = self._definitions.both[1]
-        about = {STATE: state} | ({MACHINE: self._machine} if self._machine else {})
+        about = {STATE: state, MACHINE: self._machine}
         data = bag_metadata([*self._parts, *present], hashes, about)
         _replace_text(self.folder / METADATA, metadata_text(data))
         self._updated = time.monotonic()

@@ -221,7 +221,7 @@ def _suits(form: str, text: str) -> bool:
         _reader(form)(text)
     except (ConfigError, ValueError):
         return False
-    return re.search(r'\d', form) is None
+    return '%' in form and re.search(r'\d', form) is None
 
 
 HINTS = (
