@@ -232,6 +232,35 @@ def test_limits_of_the_machine_are_a_verdict_of_their_own(tmp_path, limit, code)
     assert verdicts['machine']['state'] == {0: 'pass', 5: 'fail'}[code]
 
 
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('{levls: 2}', ['config.yaml', 'levls', 'levels']),
+        ('{piece_length: 0.004}', ['config.yaml', 'piece_length']),
+        ('{levels: two}', ['config.yaml', 'levels', 'two']),
+        ('{levels: 20}', ['config.yaml', 'levels', '20']),
+        ('levels 2', ['config.yaml']),
+    ],
+    ids=['unknown', 'of another verb', 'text', 'range', 'no mapping'],
+)
+def test_config_is_refused_with_file_and_key(machine_file, tmp_path, text, words):
+    (tmp_path / 'config.yaml').write_text(text)
+    given = ('--machine', machine_file, '--config', tmp_path / 'config.yaml')
+    done = otf('plan', *given, '--out', tmp_path / 'plan')
+    refused(done, 2, *words, written=[tmp_path / 'plan'])
+
+
+def test_config_sets_what_no_option_does(machine_file, tmp_path):
+    (tmp_path / 'config.yaml').write_text('{levels: 2, passes: 1, end_dwell: 1.5}')
+    given = ('--machine', machine_file, '--config', tmp_path / 'config.yaml')
+    assert otf('plan', *given, '--out', tmp_path / 'short').code == 0
+    assert otf('plan', *given[:2], '--out', tmp_path / 'long').code == 0
+    short, long = (
+        len((tmp_path / n / 'path.csv').read_text().splitlines()) for n in ('short', 'long')
+    )
+    assert short < long / 2
+
+
 PLANES = HERE / 'recordings' / 'planes'
 HIDDEN = {'one-plane': ('Z', ('B0Z', 'A0Z')), 'undriven': ('Y', ('C0Y', 'A0Z'))}
 """Recording: the axis that stands still, and what is not determined for that reason."""

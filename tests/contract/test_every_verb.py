@@ -219,6 +219,7 @@ EXPORTS = {
     'sinumerik-enc': ((), 'c.ini', r'\[0,2,X1\]=0\.010'),
     'sinumerik-cec': (('--sign', 'error'), 'c.ini', r'\[2,2\]=-0\.004'),
     'isg': (('--sign', 'error'), 'c.ini', r'^300\.0+\s+0\.010'),
+    'etalon': ((), 'c.ini', r'^300\.0+ +0\.010'),
     'lattice-csv': ((), 'c.ini', r'^0\.3,0\.0,0\.0,1e-05,'),
 }
 """Format: options, a file, and what EXX of 10 um at 0.3 m, or C0Y of 20 urad, is in it."""

@@ -94,6 +94,13 @@ def test_recording_gives_the_tables_of_a_clean_export_or_the_mend(tmp_path, name
     assert not (tmp_path / 'out').exists()
 
 
+def test_stated_form_of_the_times_reads_what_was_refused(tmp_path):
+    words = laid_out('dates-two-digit-year-first', tmp_path)
+    done = otf(*words, '--time-format', '%y-%m-%d %H:%M:%S.%f', folder=tmp_path)
+    assert done.code in (0, 4, 5) and worst(tmp_path) < 1.0, done.said
+    assert '2026-01-31' in (tmp_path / 'out/error_tables.json').read_text()
+
+
 @pytest.mark.parametrize('name', POINTS)
 def test_every_point_is_answered_or_its_line_is_named(tmp_path, name):
     words, points = POINTS[name]

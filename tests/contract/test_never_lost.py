@@ -122,6 +122,13 @@ def test_move_of_the_tracker_is_found_with_its_time_and_size(result_of):
     assert '113.' in said and '49.' in said  # s after the start, um
 
 
+def test_wrong_order_of_axes_is_named_with_the_one_that_fits(tmp_path):
+    machine = tmp_path / 'other.yaml'
+    machine.write_text(Path(MACHINE).read_text().replace('w-Y-b-X-Z-t', 'w-b-X-Y-Z-t'))
+    done = otf('calibrate', FIRST, '--machine', machine, '--out', tmp_path / 'out')
+    assert done.code == 4 and 'w-Y-b-X-Z-t' in done.said, done.said
+
+
 def test_unknown_is_an_answer_that_says_where(result_of):
     document = result_of('unknown').document
     assert document['verdict'] == 'unknown' and document['causes'] == []
