@@ -3,9 +3,8 @@
 
 Six numbers before and after a moment explain what tables, reversal and a drift of third order in
 time leave. A step at moment t is the sum of the columns of all time blocks after t, so sums over
-blocks give the normal matrix, its product with the model and the score of every candidate. The
-best moment is a step if it explains a notable share; what changes all the time has steps without
-end, or leaves much after them, and is none.
+blocks give the normal matrix, its product with the model and the score of every candidate. A step
+shows as a peak over time; other misfit explains little, or at no moment more than at others.
 
 A smooth change of the machine is a rigid motion, a strain of the volume and a reversal of the
 axes, each a polynomial of time. A step in time is a kink that no polynomial of low order follows;
@@ -150,11 +149,18 @@ MOMENTS = 200
 """Moments that are tried at first."""
 MIN_EXPLAINED_SHARE = 0.06
 """Share of the sum of squares that a step must explain; other misfit gave up to 0.03."""
+MIN_GAIN, MIN_GAIN_OF_SEVERAL = 45.0, 100.0
+"""Drop of the sum of squares for each of the six numbers, in residual variances: at least; where
+there may be several steps."""
 MIN_SIZE = 2.0
 """Standard deviations of a sample that a step must exceed; drifting noise stays below."""
-NEAR, MAX_SHARE_NEAR = (0.03, 0.06), 0.8
-"""Distances from the moment of a step, as shares of the run, and what a step there explains of it
-at most: noise that wanders gives broad peaks."""
+NEAR_PEAK, AWAY_FROM_PEAK = (0.03, 0.06), 0.1
+"""Distances from a peak, as shares of the run."""
+MAX_SHARE_AWAY = 0.5
+"""What a step away from the peak explains of it where one step is all there is."""
+MAX_SHARE_NEAR, MIN_SIZE_OF_SEVERAL = 0.8, 5.0
+"""What a step near the peak explains of it at most, and how many standard deviations of a sample
+it measures, where there may be several; noise that wanders gives small and broad peaks."""
 MIN_SHARP_SHARE = 0.03
 """Share of what a step explains that a smooth change must not explain as well; axes that warm up
 gave up to 0.011, steps 0.07 and more."""
@@ -220,9 +226,8 @@ def find_step(model: Model, run: int) -> Step | None:
     profile = step_profile(rows, fit, columns, order, np.unique(starts))
     best = int(np.argmax(profile.gain))
     share = float(profile.gain[best]) / fit.square
-    away = np.abs(profile.start - profile.start[best]) / len(order)
-    near = profile.gain[(away > NEAR[0]) & (away < NEAR[1])].max(initial=0.0)
-    if share < MIN_EXPLAINED_SHARE or near > MAX_SHARE_NEAR * profile.gain[best]:
+    drop = float(profile.gain[best]) / 6.0 / fit.ratio**2
+    if share < MIN_EXPLAINED_SHARE or drop < MIN_GAIN:
         return None
     low, high = (profile.start[np.clip(best + k, 0, len(profile.start) - 1)] for k in (-1, 1))
     fine = step_profile(rows, fit, columns, order, np.unique(np.arange(low, high + 1)))
@@ -237,7 +242,11 @@ def find_step(model: Model, run: int) -> Step | None:
         float(np.linalg.norm(value[3:])),
         float(fine.gain[top]) / fit.square,
     )
-    if step.shift < MIN_SIZE * _level(model.runs[run]):
+    level = _level(model.runs[run])
+    if step.shift < MIN_SIZE * level:
+        return None
+    clear = drop > MIN_GAIN_OF_SEVERAL and step.shift > MIN_SIZE_OF_SEVERAL * level
+    if not _is_peak(profile, best, len(order), clear=clear):
         return None
     return step if sharp_share(rows, fit, run, step.time) > MIN_SHARP_SHARE else None
 
@@ -248,6 +257,14 @@ def _level(run: Run) -> float:
     distance = float(np.median(np.linalg.norm(run.pieces.xyz, axis=1)))
     u_angle = max(spec.u_angle, *measured[1:])
     return float(np.hypot(max(spec.u_range, measured[0]), u_angle * distance))
+
+
+def _is_peak(profile: Profile, best: int, pieces: int, *, clear: bool) -> bool:
+    away = np.abs(profile.start - profile.start[best]) / pieces
+    share = profile.gain / profile.gain[best]
+    near = (away > NEAR_PEAK[0]) & (away < NEAR_PEAK[1])
+    lonely = bool(share[away > AWAY_FROM_PEAK].max(initial=0.0) < MAX_SHARE_AWAY)
+    return lonely or (clear and bool(share[near].max(initial=0.0) < MAX_SHARE_NEAR))
 
 
 def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: CalibrationConfig

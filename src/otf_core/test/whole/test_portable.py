@@ -78,7 +78,7 @@ def test_all_but_the_journal_is_imported_without_posix():
     assert len(modules) > 200
     machine = ROOT.parents[2] / 'bags/y-carries-the-table/machine.yaml'
     command = [sys.executable, '-c', ELSEWHERE, ' '.join(POSIX_ONLY), ' '.join(modules)]
-    command += ['info', str(machine), '--quiet']
+    command += ['info', str(machine)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and not done.stderr
 
