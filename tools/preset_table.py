@@ -15,13 +15,30 @@ BEGIN = '<!-- presets: made by python3 tools/preset_table.py -->'
 END = '<!-- end of presets -->'
 
 
-def with_table(text: str) -> str:
-    """Return a text with the table between the marks."""
+def preset_table() -> str:
+    """Presets as tables in Markdown."""
     folder = str(ROOT / 'src' / 'otf_core')
     if folder not in sys.path:
         sys.path.append(folder)
-    from otf_core.model.presets import preset_table
+    from otf_core.files.message_text import with_micro_sign
+    from otf_core.model.presets import TRACKERS, WORKSHOPS
 
+    parts = []
+    for section, presets in (('tracker', TRACKERS), ('uncertainty', WORKSHOPS)):
+        listed = list(presets.values())
+        rows = [
+            [f'`{section}: preset:`', *(f'`{name}`' for name in presets)],
+            ['---'] * (1 + len(presets)),
+            ['what', *(p.what for p in listed)],
+            *([f'`{k}`', *(f'{p.values[k]:.3g}' for p in listed)] for k in listed[0].values),
+            ['from', *('; '.join(p.sources) for p in listed)],
+        ]
+        parts.append('\n'.join(f'| {" | ".join(row)} |' for row in rows))
+    return with_micro_sign('\n\n'.join(parts))
+
+
+def with_table(text: str) -> str:
+    """Return a text with the table between the marks."""
     head, _, rest = text.partition(BEGIN)
     _, found, tail = rest.partition(END)
     if not found:

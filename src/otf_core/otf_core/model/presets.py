@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.errors import ConfigError
-from otf_core.files.message_text import with_micro_sign
 
 AT500 = (
     'limits of a recent absolute tracker, Leica AT500 user manual, section 2.8.2 (ISO 10360-10): '
@@ -163,19 +162,3 @@ def typical_values() -> dict[str, float]:
     """Typical standard uncertainty of every systematic contribution, by key."""
     tracker, workshop = TYPICAL
     return {**systematic_of(tracker), **WORKSHOPS[workshop].values}
-
-
-def preset_table() -> str:
-    """Presets as tables in Markdown, for the documentation."""
-    parts = []
-    for section, presets in (('tracker', TRACKERS), ('uncertainty', WORKSHOPS)):
-        listed = list(presets.values())
-        rows = [
-            [f'`{section}: preset:`', *(f'`{name}`' for name in presets)],
-            ['---'] * (1 + len(presets)),
-            ['what', *(p.what for p in listed)],
-            *([f'`{k}`', *(f'{p.values[k]:.3g}' for p in listed)] for k in listed[0].values),
-            ['from', *('; '.join(p.sources) for p in listed)],
-        ]
-        parts.append('\n'.join(f'| {" | ".join(row)} |' for row in rows))
-    return with_micro_sign('\n\n'.join(parts))
