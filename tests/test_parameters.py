@@ -13,7 +13,7 @@ from otf_core.config import PlannerConfig
 
 WRONG = [
     ('path_planner', {'feed': -1.0}, 'feed: -1 is out of range'),
-    ('path_planner', {'passes': 'two'}, 'passes: expected int'),
+    ('path_planner', {'passes': 'two'}, 'passes: expected a whole number'),
     ('path_planner', {'machine_file': ''}, 'machine_file: missing'),
     ('path_planner', {'machine_file': '/no/such/machine.yaml'}, '/no/such/machine.yaml'),
     ('path_planner', {'path_file': '/no/such/path.csv'}, '/no/such/path.csv'),

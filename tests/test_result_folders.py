@@ -12,9 +12,8 @@ import yaml
 from cells import MACHINE
 
 from otf_calibrator.children import Diagnosis
-from otf_calibrator.job import CalibrationOutput, Worker, free_folder
+from otf_calibrator.job import CalibrationOutput, Request, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.request import Request
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.files.writing import DiskFull
 from otf_core.history.store import read_store
