@@ -31,8 +31,8 @@ from spread import add_options, spread
 from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable

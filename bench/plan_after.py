@@ -22,7 +22,7 @@ from typing import Any
 import yaml
 
 from otf_core.cli import main as otf
-from otf_core.sim.truth import TABLES_FILE
+from otf_core.sim.bag_files import TABLES_FILE
 
 MACHINE = {
     'name': 'bench',

@@ -24,8 +24,8 @@ from emulated import DRIFT, emulator
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
+from otf_core.model.chain import displacement, exact_position
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.observation import Samples
 from otf_core.planning.path_creation import plan_path

@@ -6,14 +6,12 @@ import json
 import numpy as np
 import yaml
 
+from otf_core.model.chain import Sight, displacement, exact_position
 from otf_core.model.evaluation import evenly_spread, lattice, mean_length, without_rigid_motion
-from otf_core.model.joints import Sight
-from otf_core.model.joints import exact_position as exact_of_parts
-from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.tables import load_tables, tables_to_dict
-from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.cell import random_tables
+from otf_core.solving.tabulate import remove_rigid_motions
 
 ERROR_SIZE = 5e-5
 MACHINE = {
@@ -70,7 +68,7 @@ def _share_left_over_axes(found, truth):
     machine = truth.machine
     q = evenly_spread(machine.lower, machine.upper, 400)
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
-    before = exact_of_parts(truth, sight, q) - sight.nominal(q)
+    before = exact_position(truth, q, sight) - sight.nominal(q)
     fields = (before - displacement(found, q), before)
     free = (remove_rigid_motions(machine, q, field.reshape(-1, 1)) for field in fields)
     left, all_of_it = (float(np.linalg.norm(field)) for field in free)

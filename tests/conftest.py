@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every test has a ROS domain and node processes of its own."""
 
+from importlib import import_module
+
 import pytest
 
 
@@ -25,6 +27,29 @@ def graph(tmp_path):
             yield graph
         finally:
             graph.close()
+
+
+@pytest.fixture
+def run_here(monkeypatch, capfd):
+    """Run a node that will refuse its parameters in this process, heard by nobody.
+
+    Returns
+    -------
+    callable
+        Takes the name of the node and its parameters; returns exit code and all that it says.
+    """
+    from otf_bringup.processes import as_yaml
+
+    def run(name, **parameters):
+        words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={as_yaml(v)}')]
+        main = import_module(f'otf_{name}.node').main
+        capfd.readouterr()
+        with monkeypatch.context() as patch:
+            patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF')
+            code = main(['--ros-args', *words])
+        return code, ''.join(capfd.readouterr())
+
+    return run
 
 
 @pytest.fixture

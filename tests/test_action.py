@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action beside the service refuses, tells how far it is, and can be cancelled."""
+"""Action and service refuse with a reason; the action can be cancelled."""
 
 from types import SimpleNamespace
 
@@ -23,12 +23,17 @@ def caller(graph, machine_file):
     caller.close()
 
 
-def test_action_refuses_with_a_reason_and_can_be_cancelled(graph, machine_file, caller):
+def test_both_refuse_with_a_reason_and_the_action_can_be_cancelled(graph, machine_file, caller):
     status, result = caller.outcome(caller.send())
     assert status == GoalStatus.STATUS_ABORTED and not result.success and result.code == 2
     assert 'no path yet' in result.message
-
+    answer = graph.trigger('calibrator/calibrate')
+    assert not answer.success and 'no path yet' in answer.message
     graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.wait_for_state('BUFFERING')
+    answer = graph.trigger('calibrator/calibrate')
+    assert not answer.success and 'no samples yet' in answer.message
+
     graph.start('tracker_driver', machine_file=machine_file, **FAST)
     count = graph.wait_for_status('FINISHED').samples_published
     graph.wait(lambda: graph.state() and graph.state().samples == count, 'all samples')

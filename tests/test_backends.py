@@ -171,45 +171,12 @@ def test_parameters_are_described_bounded_and_frozen(name):
 
 
 @in_the_node
-def test_node_streams_until_deactivated_and_again_from_the_beginning(graph, name, source):
+def test_node_is_configured_once_the_source_is_right_and_streams_from_the_beginning_when_active(
+    graph, name, source
+):
+    usable, unusable = source
     points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
     graph.ear().create_publisher(CalibratorState, 'calibrator/state', qos.STATUS)  # waited for
-    graph.start('tracker_driver', backend=name, **source[0])
-    if BACKENDS[name].needs_plan:
-        graph.start('path_planner', machine_file=source[0]['machine_file'], **SHORT)
-    streams = []
-    for _ in range(2):
-        status = graph.wait_for_status('STREAMING')
-        streams.append(status.stream_id)
-        assert status.backend == name
-        graph.wait(lambda: len(points) >= ENOUGH, 'samples')
-        assert graph.transition('deactivate')
-        published = graph.wait_for_status('IDLE', 'stopped').samples_published
-        graph.wait(lambda n=published: len(points) >= n, 'the last samples')
-        assert len(points) == published
-        stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in points]
-        assert all(np.diff(stamps) > 0)
-        assert {p.header.frame_id for p in points} == {'tracker'}
-        points.clear()
-        assert graph.transition('activate')
-    assert streams[0] != streams[1]
-    assert graph.transition('deactivate') and graph.transition('cleanup')
-
-
-@in_the_node
-def test_node_says_what_is_wrong_in_one_error_and_ends_with_its_code(graph, name, source):
-    usable, unusable = source
-    node = graph.start('tracker_driver', backend=name, **{**usable, **unusable})
-    graph.nodes.remove(node)
-    assert node.wait(timeout=PATIENCE) in (2, 3)
-    said = [line for line in node.last_lines(100).splitlines() if line.startswith('error: ')]
-    assert len(said) == 1 and all(str(value) in said[0] for value in unusable.values())
-    assert 'Traceback' not in node.last_lines(100)
-
-
-@in_the_node
-def test_node_can_be_configured_once_the_source_is_right(graph, name, source):
-    usable, unusable = source
     given = {'backend': name, 'auto_start': False, **usable, **unusable}
     graph.start('tracker_driver', **given)
     assert not graph.transition('configure')
@@ -222,10 +189,39 @@ def test_node_can_be_configured_once_the_source_is_right(graph, name, source):
         assert graph.set_parameter('tracker_driver', changed, value).successful
     assert graph.transition('configure')
     assert graph.lifecycle_state() == 'inactive'
+    if BACKENDS[name].needs_plan:
+        graph.start('path_planner', machine_file=usable['machine_file'], **SHORT)
+    streams = []
+    for _ in range(2):
+        assert graph.transition('activate')
+        status = graph.wait_for_status('STREAMING')
+        streams.append(status.stream_id)
+        assert status.backend == name
+        graph.wait(lambda: len(points) >= ENOUGH, 'samples')
+        assert graph.transition('deactivate')
+        published = graph.wait_for_status('IDLE', 'stopped').samples_published
+        graph.wait(lambda n=published: len(points) >= n, 'the last samples')
+        assert len(points) == published
+        stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in points]
+        assert all(np.diff(stamps) > 0)
+        assert {p.header.frame_id for p in points} == {'tracker'}
+        points.clear()
+    assert streams[0] != streams[1]
+    assert graph.transition('cleanup')
+
+
+@in_the_node
+def test_node_says_what_is_wrong_in_one_error_and_ends_with_its_code(run_here, name, source):
+    usable, unusable = source
+    code, said = run_here('tracker_driver', backend=name, **{**usable, **unusable})
+    errors = [line for line in said.splitlines() if line.startswith('error: ')]
+    assert code in (2, 3) and len(errors) == 1, said
+    assert all(str(value) in errors[0] for value in unusable.values())
+    assert 'Traceback' not in said
 
 
 def test_node_describes_and_checks_the_parameters_of_all_backends(graph):
-    graph.start('tracker_driver', auto_start=False)
+    node = graph.start('tracker_driver', ['-p', 'bag:=x'], auto_start=False)
     infos = {
         f'{name}.{info.name}': info
         for name, backend in BACKENDS.items()
@@ -243,3 +239,6 @@ def test_node_describes_and_checks_the_parameters_of_all_backends(graph):
             refused = graph.set_parameter('tracker_driver', described.name, beyond)
             assert not refused.successful and described.name in refused.reason
     assert len(answer.descriptors) == len(infos)
+    refused = graph.set_parameter('tracker_driver', 'auto_start', True)
+    assert not refused.successful and 'read-only' in refused.reason
+    assert "'bag' is unknown here; did you mean 'replay.bag'?" in node.last_lines(100)

@@ -10,11 +10,11 @@ from graph import offline, without_date
 from otf_core.bags.bag import read_bag
 
 BAGS = sorted(file.parent for file in Path(__file__).parents[1].glob('bags/*/machine.yaml'))
-MOST_LEFT = {'trunnion': 0.1}
-"""Share of the errors left where it is not the usual one: 40 samples per second."""
+PLAYED = [folder for folder in BAGS if folder.name not in ('trunnion', 'y-carries-the-table')]
+"""Those that no other test plays: see the contract, and ``test_crash``."""
 
 
-@pytest.mark.parametrize('folder', BAGS, ids=lambda folder: folder.name)
+@pytest.mark.parametrize('folder', PLAYED, ids=lambda folder: folder.name)
 def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, tmp_path, folder):
     bag, machine_file = folder / 'bag', folder / 'machine.yaml'
     out = tmp_path / 'out'
@@ -30,7 +30,7 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
     assert result.status == result.OK
     assert (result.samples_lost, result.samples) == (0, len(read_bag(bag).samples))
     live = Path(result.output_directory) / 'error_tables.json'
-    assert share_left(live, folder / 'truth.json') < MOST_LEFT.get(folder.name, 0.02)
+    assert share_left(live, folder / 'truth.json') < 0.02
     again = offline(bag, machine_file, tmp_path / 'offline')
     assert without_date(live.read_bytes()) == again.replace(b'"name": "bag"', b'"name": "samples"')
 

@@ -11,7 +11,7 @@ from cells import ERROR_SIZE
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 
-from otf_core.model.kinematics import exact_position
+from otf_core.model.chain import exact_position
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import ErrorTables, MotionTable, tables_to_dict
 from otf_core.sim.cell import random_tables

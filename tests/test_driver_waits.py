@@ -112,8 +112,9 @@ def test_silence_is_told_with_its_duration_and_restarts_and_is_a_fault_in_the_en
 
 
 def test_simulated_tracker_waits_for_its_plan_and_then_for_calibrators(graph, machine_file):
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
     graph.start('tracker_driver', machine_file=machine_file)
+    graph.wait_for_status('IDLE', 'waiting for planner/plan')
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
     graph.wait_for_status('IDLE', 'waiting for calibrators')
     graph.start('calibrator', machine_file=machine_file)
     graph.wait_for_status('STREAMING')

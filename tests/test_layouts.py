@@ -12,9 +12,9 @@ from std_msgs.msg import Float64
 
 from otf_calibrator.state import NAMES
 from otf_core.live.layers import Track, moving, scene
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
-from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult, CalibratorState
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'

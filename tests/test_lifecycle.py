@@ -48,25 +48,6 @@ def test_every_transition_does_what_its_name_says(graph, machine_file):
     assert graph.lifecycle_state() == 'finalized'
 
 
-def test_configure_fails_on_a_wrong_file_and_works_when_it_is_right(graph, machine_file):
-    missing = str(graph.folder / 'missing.yaml')
-    graph.start('tracker_driver', machine_file=missing, auto_start=False, **SLOW)
-    assert not graph.transition('configure')
-    assert graph.lifecycle_state() == 'unconfigured'
-    graph.wait_for_status('FAULT', missing)
-    assert graph.set_parameter('tracker_driver', 'machine_file', str(machine_file)).successful
-    assert graph.transition('configure')
-    assert graph.lifecycle_state() == 'inactive'
-
-
-def test_waits_for_the_plan_and_says_so(graph, machine_file):
-    driver = {'machine_file': machine_file, **SLOW}
-    graph.start('tracker_driver', **driver)
-    graph.wait_for_status('IDLE', 'waiting for planner/plan')
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    graph.wait_for_status('STREAMING')
-
-
 def test_stop_and_start_are_answered_and_told_as_they_are(graph, machine_file):
     graph.start('path_planner', machine_file=machine_file, **SHORT)
     graph.start('calibrator', machine_file=machine_file)

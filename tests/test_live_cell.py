@@ -23,8 +23,10 @@ def start_all(graph, machine_file, truth, **driver):
     return graph.start('tracker_driver', **given)
 
 
-def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_file, tmp_path):
-    truth = write_truth(tmp_path, machine_file)
+def test_finds_the_true_errors_of_one_run_after_another_and_every_reader_gets_the_tables(
+    graph, machine_file, tmp_path
+):
+    truth, other = (write_truth(tmp_path, machine_file, seed) for seed in (3, 4))
     start_all(graph, machine_file, truth)
     result, state = graph.wait_for_result()
     assert (result.status, state.name) == (result.OK, 'DONE'), state.message
@@ -62,46 +64,28 @@ def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_f
     again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
     assert again == without_date((folder / 'error_tables.json').read_bytes())
 
-
-def test_calibrator_that_starts_late_gets_path_and_all_samples_without_any_clock(
-    graph, machine_file, tmp_path
-):
-    given = {'machine_file': machine_file, 'use_sim_time': True}
-    graph.start('path_planner', **given, **SHORT)
-    graph.start('tracker_driver', **given, **FAST)
-    graph.wait_for_status('IDLE', 'waiting for calibrators')
-    graph.start('calibrator', **given, output_directory=tmp_path / 'out')
-    result, _ = graph.wait_for_result()
-    assert (result.status, result.samples_lost) == (result.OK, 0)
-
-
-def test_calibrates_again_without_restart(graph, machine_file, tmp_path):
-    truths = [write_truth(tmp_path, machine_file, seed) for seed in (3, 4)]
-    start_all(graph, machine_file, truths[0])
-    first, _ = graph.wait_for_result()
-    graph.wait_for_status('FINISHED')
     assert graph.transition('deactivate')
     assert graph.transition('cleanup')
-    other = ('simulated.truth_tables', str(truths[1]))
-    assert graph.set_parameter('tracker_driver', *other).successful
+    changed = ('simulated.truth_tables', str(other))
+    assert graph.set_parameter('tracker_driver', *changed).successful
     assert graph.transition('configure')
     assert graph.transition('activate')
     second, _ = graph.wait_for_result(2)
-    assert second.run_id != first.run_id
-    for result, truth in zip((first, second), truths, strict=True):
-        assert result.samples_lost == 0
-        assert share_left(FilePath(result.output_directory) / 'error_tables.json', truth) < 0.03
+    assert second.run_id != result.run_id and second.samples_lost == 0
+    assert share_left(FilePath(second.output_directory) / 'error_tables.json', other) < 0.03
 
 
-def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(
+def test_calibrator_that_starts_late_without_any_clock_ends_the_run_at_standstill_with_all_samples(
     graph, machine_file, tmp_path
 ):
-    graph.start('path_planner', machine_file=machine_file, end_dwell=20.0, **SHORT)
-    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
-    graph.start('calibrator', **given, finish_at_stream_end=False, idle_timeout=0.0)
-    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    given = {'machine_file': machine_file, 'use_sim_time': True}
+    graph.start('path_planner', **given, end_dwell=20.0, **SHORT)
+    graph.start('tracker_driver', **given, **FAST)
+    graph.wait_for_status('IDLE', 'waiting for calibrators')
+    ends = {'finish_at_stream_end': False, 'idle_timeout': 0.0}
+    graph.start('calibrator', **given, **ends, output_directory=tmp_path / 'out')
     result, state = graph.wait_for_result()
-    assert result.status == result.OK, state.message
+    assert (result.status, result.samples_lost) == (result.OK, 0), state.message
     folder = FilePath(result.output_directory)
     graph.wait((folder / 'samples').exists, 'the bag of the samples')
     again = offline(folder / 'samples', machine_file, tmp_path / 'offline')

@@ -8,7 +8,7 @@ from otf_core.config import Parameters
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.window import AHEAD, UNTAKEN, Window
+from otf_tracker_driver.window import AHEAD, UNHEARD, UNTAKEN, Window
 
 
 class Known(PacedBackend):
@@ -101,7 +101,7 @@ def test_source_waits_for_who_takes_its_samples_and_says_how_fast_it_is():
 
 def test_window_is_open_without_a_calibrator_and_follows_the_slowest():
     window = Window(['a', 'b'])
-    assert window.allowed is None
+    assert window.allowed == AHEAD  # before it hears of them: they may have told all they had to
     window.hear('a', 0, 0)
     window.hear('b', 0, 0)
     assert window.allowed == AHEAD
@@ -110,10 +110,25 @@ def test_window_is_open_without_a_calibrator_and_follows_the_slowest():
     window.hear('b', 2000, 3500)
     assert window.allowed == 2000 + AHEAD
     window.hear('c', 0, 5000)  # it came later: what was published before is not for it
-    window.keep(['a', 'c'])
+    window.see(['a', 'c'], 5000)
     assert window.allowed == 3000 + AHEAD
-    window.keep([])
+    window.see([], 5000)
     assert window.allowed is None
+    window.see(['d'], 6000)
+    assert window.allowed == 6000 + AHEAD
+
+
+def test_calibrator_that_states_nothing_is_not_waited_for_for_ever():
+    window = Window(['a'])
+    for _ in range(UNHEARD - 1):
+        window.see(['a'], AHEAD)
+    assert window.allowed == AHEAD
+    window.see(['a'], AHEAD)
+    assert window.allowed is None
+    window.hear('a', 5000, 6000)
+    for _ in range(2 * UNHEARD):  # it states where it is once there is news
+        window.see(['a'], 9000)
+    assert window.allowed == 5000 + AHEAD
 
 
 def test_calibrator_that_was_started_again_takes_what_is_published_from_then_on():

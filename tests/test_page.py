@@ -14,9 +14,9 @@ import pytest
 
 from otf_core.errors import ConfigError
 from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress, now, scene
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
-from otf_core.model.volume import VolumeErrors
 from otf_view.page import page
 from otf_view.server import MOST_READERS, PageServer
 

@@ -32,14 +32,12 @@ WRONG = [
 
 @pytest.mark.parametrize(('name', 'wrong', 'message'), WRONG)
 def test_wrong_value_at_start_gives_one_message_and_exit_code_2(
-    graph, machine_file, name, wrong, message
+    run_here, machine_file, name, wrong, message
 ):
-    node = graph.start(name, **{'machine_file': machine_file, **wrong})
-    graph.nodes.remove(node)
-    assert node.wait(timeout=60.0) == 2
-    said = [line for line in node.last_lines(100).splitlines() if line.startswith('error: ')]
-    assert len(said) == 1 and message in said[0], node.last_lines(100)
-    assert 'Traceback' not in node.last_lines(100)
+    code, said = run_here(name, **{'machine_file': machine_file, **wrong})
+    errors = [line for line in said.splitlines() if line.startswith('error: ')]
+    assert code == 2 and len(errors) == 1 and message in errors[0], said
+    assert 'Traceback' not in said
 
 
 @pytest.mark.parametrize('argument', ['feed:=:', 'feed'])
@@ -70,12 +68,6 @@ def test_parameters_are_described_checked_and_converted(graph, machine_file):
     assert "'feeed' is unknown here; did you mean 'feed'?" in node.last_lines(100)
 
 
-def test_parameter_that_acts_only_at_start_is_read_only(graph, machine_file):
-    graph.start('tracker_driver', machine_file=machine_file, auto_start=False)
-    refused = graph.set_parameter('tracker_driver', 'auto_start', True)
-    assert not refused.successful and 'read-only' in refused.reason
-
-
 WRONG_FILES = {
     'machine_file': '/no/such/machine.yaml',
     'effects': '/no/such/effects.yaml',
@@ -85,21 +77,15 @@ WRONG_FILES = {
 
 
 def test_file_that_is_refused_at_start_is_refused_while_running_with_the_same_words(
-    graph, machine_file
+    run_here, graph, machine_file
 ):
     graph.start('calibrator', machine_file=machine_file, journal_directory='none')
-    nodes = {
-        name: graph.start('calibrator', **{'machine_file': machine_file, name: value})
-        for name, value in WRONG_FILES.items()
-    }
-    for node in nodes.values():
-        graph.nodes.remove(node)
     for name, value in WRONG_FILES.items():
-        node = nodes[name]
-        assert node.wait(timeout=60.0) == 2
+        code, said = run_here('calibrator', **{'machine_file': machine_file, name: value})
         refused = graph.set_parameter('calibrator', name, value)
-        said = re.sub(r'\d{8}T\d{6}Z', '', f'error: {refused.reason}')
-        assert not refused.successful and said in re.sub(r'\d{8}T\d{6}Z', '', node.last_lines())
+        reason = re.sub(r'\d{8}T\d{6}Z', '', f'error: {refused.reason}')
+        assert code == 2 and not refused.successful
+        assert reason in re.sub(r'\d{8}T\d{6}Z', '', said)
     folder = graph.set_parameter('calibrator', 'machine_file', str(graph.folder))
     assert 'it is a folder' in folder.reason and '--' not in folder.reason
     assert not graph.set_parameter('calibrator', 'machine_file', '').successful
@@ -124,12 +110,6 @@ def test_parameter_file_holds_the_defaults_in_their_types():
                 type(info.default),
                 info.default,
             )
-
-
-def test_parameter_of_a_backend_without_its_name_gets_a_hint(graph, machine_file):
-    node = graph.start('tracker_driver', ['-p', 'bag:=x'], machine_file=machine_file)
-    graph.wait_for_status('IDLE')
-    assert "'bag' is unknown here; did you mean 'replay.bag'?" in node.last_lines(100)
 
 
 def test_nodes_read_the_parameter_file(graph, machine_file):

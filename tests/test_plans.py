@@ -5,7 +5,7 @@ import math
 
 import pytest
 from cells import SHORT
-from geometry_msgs.msg import Point
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from otf_msgs.msg import Plan
 from otf_ros import qos
@@ -18,16 +18,22 @@ MALFORMED = [
     ({'feed': [math.nan]}, 'feed: leg 0: must be finite'),
     ({'dwell': [1.0]}, 'dwell: a plan of 2 points needs shape (2,), got (1,)'),
     ({'dwell': [0.0, -1.0]}, 'dwell: point 1: must not be negative'),
-    ({'points': []}, 'path: 0 points without any motion'),
-    ({'points': [(0.0, 0.0, 0.0), (0.1, math.inf, 0.0)]}, 'path: point 1 is not finite'),
-    ({'points': [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)]}, 'path: point 1 leaves the range of axis X'),
+    ({'points': []}, 'axis positions: 0 corners without any motion'),
+    (
+        {'points': [(0.0, 0.0, 0.0), (0.1, math.inf, 0.0)]},
+        'axis positions: corner 1 is not finite',
+    ),
+    (
+        {'points': [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)]},
+        'axis positions: corner 1 leaves the range of axis X',
+    ),
 ]
 
 
 def message(**change):
     content = {**PLAN, **change}
-    points = [Point(x=x, y=y, z=z) for x, y, z in content.pop('points')]
-    return Plan(points=points, **content)
+    corners = [JointTrajectoryPoint(positions=p) for p in content.pop('points')]
+    return Plan(parts=[JointTrajectory(joint_names=list('XYZ'), points=corners)], **content)
 
 
 @pytest.fixture

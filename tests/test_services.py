@@ -14,7 +14,9 @@ from otf_msgs.msg import Plan
 from otf_ros import convert, qos
 
 
-def test_replan_publishes_a_new_path_with_new_parameters_and_machine(graph, machine_file):
+def test_replan_publishes_a_new_path_with_new_parameters_machine_and_path_file(
+    graph, machine_file
+):
     graph.start('path_planner', machine_file=machine_file, **SHORT)
     paths = graph.listen(Path, 'planner/path', qos.PATH)
     plans = graph.listen(Plan, 'planner/plan', qos.PATH)
@@ -26,32 +28,21 @@ def test_replan_publishes_a_new_path_with_new_parameters_and_machine(graph, mach
     graph.wait(lambda: len(paths) == 2 and len(plans) == 2, 'new path and plan')
     assert plans[1].machine == 'another'
     assert set(plans[1].feed) == {1.0} != set(plans[0].feed)
-    assert len(plans[1].points) == len(paths[1].poses)
+    assert len(plans[1].parts[0].points) == len(paths[1].poses)
+
+    points = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (0.0, 0.15, -0.1)]
+    text = 'x,y,z\n' + '\n'.join(','.join(map(str, p)) for p in points)
+    file = graph.folder / 'path.csv'
+    file.write_text(text)
+    assert graph.set_parameter('path_planner', 'path_file', str(file)).successful
+    assert graph.trigger('planner/replan').success
+    graph.wait(lambda: len(paths) == 3, 'path of the file')
+    assert convert.path_from_message(paths[2]).points.tolist() == [list(p) for p in points]
 
     machine_file.write_text('name: broken\n')
     answer = graph.trigger('planner/replan')
     assert not answer.success and 'machine.yaml' in answer.message
     assert graph.trigger('planner/replan').message == answer.message
-
-
-def test_planner_takes_a_path_file(graph, machine_file):
-    points = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (0.0, 0.15, -0.1)]
-    text = 'x,y,z\n' + '\n'.join(','.join(map(str, p)) for p in points)
-    (graph.folder / 'path.csv').write_text(text)
-    graph.start('path_planner', machine_file=machine_file, path_file=graph.folder / 'path.csv')
-    paths = graph.listen(Path, 'planner/path', qos.PATH)
-    graph.wait(lambda: paths, 'path')
-    assert convert.path_from_message(paths[0]).points.tolist() == [list(p) for p in points]
-
-
-def test_calibrate_tells_what_is_missing(graph, machine_file):
-    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
-    answer = graph.trigger('calibrator/calibrate')
-    assert not answer.success and 'no path yet' in answer.message
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    graph.wait_for_state('BUFFERING')
-    answer = graph.trigger('calibrator/calibrate')
-    assert not answer.success and 'no samples yet' in answer.message
 
 
 def publish_samples(graph, samples):
@@ -63,10 +54,20 @@ def publish_samples(graph, samples):
     graph.wait(lambda: graph.state().samples == len(samples), 'all samples')
 
 
-def test_failed_calibration_leaves_the_node_alive(graph, machine_file):
+def test_broken_path_and_failed_calibration_leave_the_node_alive(graph, machine_file):
     given = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
-    graph.start('calibrator', **given, save_bag=False, idle_timeout=0.0)
+    node = graph.start('calibrator', **given, save_bag=False, idle_timeout=0.0)
     publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    graph.wait_for_state('WAITING_FOR_PATH')
+
+    def sender_named():  # from when its node is discovered, which may come after the publisher
+        publisher.publish(Path())
+        return 'planner/path of test_ear ignored' in node.log.read_text()
+
+    graph.wait(sender_named, 'the complaint')
+    senders = set(re.findall('planner/path of (.*) ignored', node.log.read_text()))
+    assert senders <= {'test_ear', 'an unknown node'}
+    assert graph.state().name == 'WAITING_FOR_PATH'
     now = graph.ear().get_clock().now().to_msg()
     square = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
     publisher.publish(convert.path_to_message(square, now))
@@ -86,18 +87,3 @@ def test_failed_calibration_leaves_the_node_alive(graph, machine_file):
     graph.start('tracker_driver', machine_file=machine_file, **FAST)
     result, _ = graph.wait_for_result(2)
     assert result.status == result.OK, result.message
-
-
-def test_broken_path_is_refused_and_the_node_lives_on(graph, machine_file):
-    node = graph.start('calibrator', machine_file=machine_file)
-    publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
-    graph.wait_for_state('WAITING_FOR_PATH')
-
-    def sender_named():  # from when its node is discovered, which may come after the publisher
-        publisher.publish(Path())
-        return 'planner/path of test_ear ignored' in node.log.read_text()
-
-    graph.wait(sender_named, 'the complaint')
-    senders = set(re.findall('planner/path of (.*) ignored', node.log.read_text()))
-    assert senders <= {'test_ear', 'an unknown node'}
-    assert graph.state().name == 'WAITING_FOR_PATH'

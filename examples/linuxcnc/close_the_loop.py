@@ -285,9 +285,9 @@ def close_the_loop(machine: otf_core.Machine, out: Path, seed: int) -> tuple[flo
     files['tool.tbl'] = ''
     for name, report in plans.items():
         otf_core.write_plan(report, out / name, dialect='linuxcnc')
-        files[f'{name}.ngc'] = (out / name / 'otf_path.ngc').read_text()
+        files[f'{name}.ngc'] = (out / name / 'otf_path_1.ngc').read_text()
     path = plans['measured'].plan.path
-    seconds = 60.0 + 3.0 * sum(report.plan.duration for report in plans.values())
+    seconds = 60.0 + 3.0 * sum(report.forecast.duration for report in plans.values())
     grid = np.stack(np.meshgrid(*np.linspace(machine.lower, machine.upper, 7).T), -1).reshape(
         -1, 3
     )

@@ -23,7 +23,7 @@ from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import load_machine
-from otf_core.planning.rotary_paths import PlannedPart
+from otf_core.model.plan import plan_along
 from otf_tracker_driver.emscon.codes import Command
 from otf_tracker_driver.emulator import cell as cell_module
 from otf_tracker_driver.emulator import measuring
@@ -179,11 +179,12 @@ def test_reflector_that_is_moved_by_hand_is_found_again_at_the_next_target(monke
     machine = load_machine(TRUNNION / 'machine.yaml')
     q = np.zeros((2, 2, 5))
     q[0, 1, 0], q[1, 1, 3] = 0.02, 0.02
-    parts = [
-        PlannedPart(AxisPath(machine.axis_names, own, name), 0.0, '')
+    paths = [
+        AxisPath(machine.axis_names, own, name)
         for own, name in zip(q, ('tool', 'nest-1'), strict=True)
     ]
-    simulated = cell_module.Cell(machine, PlannerConfig(), 1, DRIFT, None, parts)
+    plan = plan_along(machine, paths, PlannerConfig())
+    simulated = cell_module.Cell(machine, PlannerConfig(), 1, DRIFT, None, plan)
     with emulator(simulated=simulated) as running:
         client = Client(running.port)
         started(client)

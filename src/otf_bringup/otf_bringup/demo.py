@@ -29,16 +29,14 @@ from otf_bringup.processes import NodeProcess, end_together, module_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.chain import Sight, displacement, exact_position
 from otf_core.model.evaluation import evenly_spread, lattice, without_rigid_motion
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_figure, micro_significant
-from otf_core.model.joints import Sight
-from otf_core.model.joints import exact_position as exact_position_of
-from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
-from otf_core.rotary.tabulation import remove_rigid_motions
 from otf_core.sim.cell import random_tables
+from otf_core.solving.tabulate import remove_rigid_motions
 from otf_msgs.msg import CalibrationResult, GapReport
 
 ERROR_SIZE = 1e-4
@@ -217,7 +215,7 @@ def _report_axes(truth: ErrorTables, result: CalibrationResult) -> None:
     tables = load_tables(folder / 'error_tables.json').tables
     q = evenly_spread(machine.lower, machine.upper, PLACES)
     sight = Sight(machine, TABLE, SPINDLE, np.array(machine.target_offset))
-    before = exact_position_of(truth, sight, q) - sight.nominal(q)
+    before = exact_position(truth, q, sight) - sight.nominal(q)
     print(result.message)
     print(f'\nAgainst the true errors of this simulation, at {len(q)} positions of all axes:')
     for when, field in (

@@ -56,7 +56,7 @@ class NodeProcess:
         arguments: list[str] | None = None,
     ) -> None:
         self.name, self.log = name, log_folder / f'{name}.log'
-        given = [w for k, v in parameters.items() for w in ('-p', f'{k}:={_as_yaml(v)}')]
+        given = [w for k, v in parameters.items() for w in ('-p', f'{k}:={as_yaml(v)}')]
         with open(self.log, 'wb') as log:
             self.process = subprocess.Popen(
                 [sys.executable, '-m', module, '--ros-args', *given, *(arguments or [])],
@@ -92,7 +92,8 @@ class NodeProcess:
         return '\n'.join(text.splitlines()[-count:])
 
 
-def _as_yaml(value: object) -> str:
+def as_yaml(value: object) -> str:
+    """Write a parameter as ROS reads it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str | Path):

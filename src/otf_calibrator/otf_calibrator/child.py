@@ -21,29 +21,26 @@ from otf_calibrator.children import (
     ChildError,
     DiagnosisTask,
     Failure,
-    Solved,
     internal_error,
 )
-from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.diagnosis.diagnose import NONE, calibrate_with_effects, diagnose
+from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.config import NONE
+from otf_core.diagnosis.diagnose import calibrate_with_effects, diagnose
 from otf_core.errors import OtfError
 from otf_core.live.stages import DIAGNOSE, Progress, of_whole
-from otf_core.pieces.methods import PREPARATIONS
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
 
 
-def _calibrate(task: CalibrationTask, progress: Progress) -> Solved:
+def _calibrate(task: CalibrationTask, progress: Progress) -> CalibrationResult:
     """Calibrate a run; OtfError if that is not possible."""
     runs = [task.recording]
-    if task.recording.machine.rotary_names:
-        return calibrate_axes(runs, task.config, progress, task.method)
     if task.effects != NONE:
         return calibrate_with_effects(
             runs, task.effects, twin_recording, task.config, progress, task.method
         )
-    return calibrate_runs(runs, task.config, progress, PREPARATIONS[task.method])
+    return calibrate_recordings(runs, task.config, progress, task.method)
 
 
 def _diagnose(task: DiagnosisTask, progress: Progress) -> dict[str, Any]:
@@ -64,7 +61,7 @@ def _diagnose(task: DiagnosisTask, progress: Progress) -> dict[str, Any]:
 
 def _serve_calibrations(node: Connection) -> int:
     """Perform tasks until the node is gone."""
-    answer: Solved | OtfError | ChildError
+    answer: CalibrationResult | OtfError | ChildError
     try:
         while True:
             task: CalibrationTask = node.recv()

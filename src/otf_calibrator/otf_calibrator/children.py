@@ -25,9 +25,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, Any
 
-from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.errors import OtfError
 from otf_core.live.stages import Progress
@@ -38,9 +36,6 @@ LOOK = 0.05
 """s; interval at which to check that the calibration is still wanted."""
 OF_A_CAUSE = ('effects*.yaml', 'calibration_plain', 'calibration_with_effects')
 """What a diagnosis writes only if it names a cause."""
-
-AnyCalibration = CalibrationResult | AxisCalibration
-Solved = AnyCalibration | EffectsCalibration
 
 
 @dataclass(frozen=True)
@@ -127,7 +122,7 @@ class Solver:
                 except OSError as error:
                     raise OtfError(f'the calibration cannot be started: {error}') from None
 
-    def solve(self, task: CalibrationTask, progress: Progress) -> Solved:
+    def solve(self, task: CalibrationTask, progress: Progress) -> CalibrationResult:
         """Calibrate a run.
 
         Parameters

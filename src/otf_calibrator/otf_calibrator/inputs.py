@@ -28,8 +28,8 @@ from otf_core.bags.rosbag2_metadata import GAP, STATUS
 from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import InputError, OtfError
 from otf_core.model.axis_path import PartsTrack, nominal_track
-from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
+from otf_core.model.sections import SIGNAL_FIELDS, SignalSpec
 from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
 from otf_ros.convert import ns_from_time
@@ -175,7 +175,7 @@ def _take(node: Node, intake: Intake, spec: SignalSpec, message: Any) -> None:
     header = getattr(message, 'header', None)
     now = node.get_clock().now().nanoseconds or time.time_ns()  # a bag that is played has a clock
     stamp = now if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
-    value = float(getattr(message, PLAIN[spec.type]))
+    value = float(getattr(message, SIGNAL_FIELDS[spec.type]))
     intake.take_signal(spec, stamp, value, serialize_message(message))
 
 

@@ -24,10 +24,10 @@ from otf_core.bags.rosbag2_metadata import AXES, GAP, PATH, POINT, STATUS
 from otf_core.bags.sample_order import screen_points
 from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
-from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.machine import TOOL, Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.sections import SignalSpec
 from otf_core.model.signals import Signal
 
 RESUMED_WITHIN = 600.0

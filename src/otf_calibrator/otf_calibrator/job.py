@@ -19,47 +19,33 @@ from pathlib import Path
 from typing import TypeVar
 
 from otf_calibrator.children import (
-    AnyCalibration,
     CalibrationTask,
-    Solved,
     Solver,
     internal_error,
 )
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import Screening, sort_by_time
-from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.diagnose import AUTO, NONE
+from otf_core.config import AUTO, NONE, CalibrationConfig
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest, written_files
-from otf_core.files.writing import DISK_FULL, DiskFull, write_text
+from otf_core.files.writing import DISK_FULL, DiskFull
 from otf_core.history.store import add_run
 from otf_core.model.axis_path import PartsTrack
-from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.sections import SignalSpec
 from otf_core.model.signals import Signal
 from otf_core.pieces.runs import Recording
-from otf_core.reports import rotary_calibration
-from otf_core.reports.calibration import (
-    REPORT_FILE,
-    facts_of,
-    write_calibration,
-    write_report,
-    write_reports,
-    write_residuals_of_both,
-    write_with_effects,
-)
-from otf_core.reports.residual_files import RESIDUALS_FILE, residual_arrays, write_residuals
+from otf_core.reports.calibration import REPORT_FILE, write_calibration, write_later
+from otf_core.reports.residual_files import RESIDUALS_FILE
 from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import FollowedTrack
 
 Writer = Callable[[Path], object]
-FilesWriter = Callable[[Path, dict[str, str]], object]
 A = TypeVar('A')
 Seen = FollowedTrack | PartsDriven
 Look = Callable[[Samples], Seen | None]
@@ -102,7 +88,7 @@ class CalibrationOutput:
 
     request: Request
     recording: Recording
-    result: AnyCalibration
+    result: CalibrationResult
     folder: Path | None
     later: Mapping[str, Writer]
     problem: str = ''
@@ -218,54 +204,25 @@ class Worker:
             recording = replace(recording, seen=self._seen)
         files = request.files
         task = CalibrationTask(recording, request.config, files.method, files.effects)
-        result, write, later = _result_and_writers(self._solver.solve(task, self._progress))
+        result = self._solver.solve(task, self._progress)
+        later = {
+            name: functools.partial(write_later, result, name=name)
+            for name in (REPORT_FILE, RESIDUALS_FILE)
+        }
         base = _base(files)
         folder = free_folder(base, result.run_id)
         try:
             out = OutputFolder(folder)
             with out.filled(VERB) as partial:
-                write(partial, out.missing)
+                write_calibration(
+                    result, partial, report=False, residuals=False, missing=out.missing
+                )
         except Exception as error:  # noqa: BLE001 - the result is published
             problem = f'files not written: {self._words(error)}'
             return CalibrationOutput(request, recording, result, None, later, problem)
         problems = [out.missing_words, _latest(base, folder), _add_to_store(files, folder)]
         problem = '; '.join(text for text in problems if text)
         return CalibrationOutput(request, recording, result, folder, later, problem, out.missing)
-
-
-def _result_and_writers(solved: Solved) -> tuple[AnyCalibration, FilesWriter, dict[str, Writer]]:
-    """The result, what writes its files as far as they fit, and what adds the larger ones."""
-    if isinstance(solved, AxisCalibration):
-        return (
-            solved,
-            lambda folder, missing: rotary_calibration.write_calibration(
-                solved, folder, report=False, missing=missing
-            ),
-            {
-                REPORT_FILE: lambda folder: write_text(
-                    folder / REPORT_FILE, rotary_calibration.page(solved)
-                )
-            },
-        )
-    if isinstance(solved, CalibrationResult):
-        result, write_first = solved, functools.partial(write_calibration, solved)
-        later: dict[str, Writer] = {
-            REPORT_FILE: lambda folder: write_report(folder, facts_of(solved)),
-            RESIDUALS_FILE: lambda folder: write_residuals(residual_arrays(solved.runs), folder),
-        }
-    else:
-        result, write_first = solved.result, functools.partial(write_with_effects, solved)
-        later = {
-            REPORT_FILE: functools.partial(write_reports, solved),
-            RESIDUALS_FILE: functools.partial(write_residuals_of_both, solved),
-        }
-    return (
-        result,
-        lambda folder, missing: write_first(
-            folder, report=False, residuals=False, missing=missing
-        ),
-        later,
-    )
 
 
 def _write_samples(outcome: CalibrationOutput, folder: Path) -> None:

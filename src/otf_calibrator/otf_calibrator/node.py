@@ -14,10 +14,9 @@ from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnostics import tell
 from otf_calibrator.inputs import PathReceiver, listen, status_of
 from otf_calibrator.job import check_files
-from otf_calibrator.messages import places_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.publishers import PublisherOfRun
-from otf_calibrator.results import OutcomePublisher
+from otf_calibrator.results import OutcomePublisher, places_of
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
@@ -110,7 +109,7 @@ class Calibrator(Node):
             self._tick()
 
     def _look(self) -> None:
-        self._drain.empty()  # what came while the process stood still is of the run, if it is over
+        self._drain.take_turn()  # what came while the process stood still is of the run: not over
         self._tick()
 
     def _tick(self) -> None:

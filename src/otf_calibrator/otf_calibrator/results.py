@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import traceback
+from collections.abc import Mapping
 from concurrent.futures import Future
+from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
@@ -12,9 +14,9 @@ from rclpy.node import Node
 from otf_calibrator.children import Answer, Failure, internal_error
 from otf_calibrator.job import CalibrationOutput, Request
 from otf_calibrator.losses import lost_words
-from otf_calibrator.messages import messages_of
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
+from otf_core.arrays import Array
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
 from otf_msgs.msg import CalibrationResult as ResultMessage
@@ -25,6 +27,16 @@ try:
     from tf2_ros import StaticTransformBroadcaster
 except ImportError:  # a small installation: calibrator/alignment says the same
     StaticTransformBroadcaster = None
+
+
+def places_of(job: Future[Any]) -> Mapping[str, Array] | None:
+    """Where a calibration or a look found the reflectors; None if it tells nothing of them."""
+    if job.exception():
+        return None
+    found = job.result()
+    if isinstance(found, FirstSight):
+        return found.places
+    return {name: own.place for name, own in found.result.targets.items()} or None
 
 
 class ResultPublishers:
@@ -55,7 +67,9 @@ class ResultPublishers:
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
         request = outcome.request
-        messages = messages_of(result, now, request.files.method, provisional=not request.final)
+        messages = convert_result.messages_of(
+            result, now, request.files.method, provisional=not request.final
+        )
         tables, message = messages.tables, messages.result
         tables.output_directory = str(outcome.folder or '')
         self._tables.publish(tables)

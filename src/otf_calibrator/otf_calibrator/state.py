@@ -14,7 +14,6 @@ from rclpy.node import Node
 from otf_calibrator.children import Answer, Failure
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import CalibrationOutput
-from otf_calibrator.messages import summary
 from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
@@ -67,7 +66,7 @@ class StatePublisher:
         """Remember that the run was calibrated."""
         places = [f'files in {outcome.folder}' if outcome.folder else '', outcome.problem]
         place = '; '.join(text for text in places if text)
-        text = f'{summary(outcome.result)}; for another run just drive again; {place}'
+        text = f'{outcome.result.sentence}; for another run just drive again; {place}'
         self._outcome = (CalibratorState.DONE, 1.0, text)
         self._diagnosis = NO_DIAGNOSIS
 

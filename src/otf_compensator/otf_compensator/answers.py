@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from otf_compensator.tables import CompensatedPosition, Tables
+from otf_compensator.tables import Tables
 from otf_core.errors import OtfError
 from otf_msgs.msg import Compensation
 from otf_msgs.srv import Compensate
@@ -40,30 +40,31 @@ class CompensationServer:
     ) -> Compensate.Response:
         stamp = self._node.get_clock().now().to_msg()
         header = Header(stamp=stamp, frame_id=frames.machine())
-        points = [_tuple(p) for p in request.wanted]
         try:
             tables = self._tables_in_use()
-            response.message = '; '.join(tables.notes(points))
-            response.compensations = [_message(f, header) for f in tables.ask(points)]
+            points = tables.points([(p.x, p.y, p.z) for p in request.wanted], request.turned)
+            found, corrected, notes = tables.ask(points)
+            response.message = '; '.join(notes)
+            response.compensations = [
+                Compensation(
+                    header=header,
+                    wanted=wanted,
+                    error=Vector3(**dict(zip('xyz', error, strict=True))),
+                    uncertainty=Vector3(**dict(zip('xyz', u, strict=True))),
+                    corrected=Point(**dict(zip('xyz', command, strict=True))),
+                    inside=inside,
+                )
+                for wanted, error, u, command, inside in zip(
+                    request.wanted,
+                    found.error.tolist(),
+                    found.u.tolist(),
+                    corrected.tolist(),
+                    found.inside.tolist(),
+                    strict=True,
+                )
+            ]
             response.success = True
             self.count += len(points)
         except OtfError as error:
             response.message = str(error)
         return response
-
-
-def _tuple(point: Point) -> tuple[float, float, float]:
-    return point.x, point.y, point.z
-
-
-def _message(answer: CompensatedPosition, header: Header) -> Compensation:
-    (x, y, z), (a, b, c) = answer.wanted, answer.corrected
-    (ex, ey, ez), (ux, uy, uz) = answer.error, answer.uncertainty
-    return Compensation(
-        header=header,
-        wanted=Point(x=x, y=y, z=z),
-        error=Vector3(x=ex, y=ey, z=ez),
-        uncertainty=Vector3(x=ux, y=uy, z=uz),
-        corrected=Point(x=a, y=b, z=c),
-        inside=answer.inside,
-    )

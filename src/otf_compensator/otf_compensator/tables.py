@@ -3,29 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Sequence
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.tables import load_tables
-from otf_core.prediction.predict import check_points
-from otf_core.prediction.predictor import Predictor
-
-Vector: TypeAlias = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class CompensatedPosition:
-    """What tables say of one position; fields as of otf_msgs/msg/Compensation."""
-
-    wanted: Vector
-    error: Vector
-    uncertainty: Vector
-    corrected: Vector
-    inside: bool
+from otf_core.prediction.predict import PredictedErrors, Predictor, check_points
 
 
 class Tables:
@@ -57,40 +42,43 @@ class Tables:
                 'parameter tables_file: missing; give the path of an error_tables.json'
             )
         content = load_tables(file)
-        if turning := content.tables.machine.rotary_names:
-            raise ConfigError(
-                f'parameter tables_file: {file} is of a machine with rotary axes '
-                f'({", ".join(turning)}); the compensator corrects linear axes alone'
-            )
         self._predictor = Predictor.of(content)
         self.run_id = str(content.extra.get('run_id', ''))
         self.machine = self._predictor.tables.machine.name
         self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 
-    def notes(self, wanted: Sequence[Vector]) -> list[str]:
-        """State which positions lie outside the axis ranges.
+    def points(self, wanted: Sequence[Sequence[float]], turned: Sequence[float]) -> Array:
+        """Points (n, m), m and rad: X, Y, Z, and the angles of the rotary axes, else zero.
 
         Raises
         ------
         ConfigError
-            If one is that of no such machine: not finite, or in mm.
+            If there are not as many angles as rotary axes and points, or a position is not finite.
         """
-        q = np.array(wanted, dtype=float).reshape(-1, 3)
-        if not np.all(np.isfinite(q)):
+        machine = self._predictor.tables.machine
+        shape = len(wanted), len(machine.rotary_names)
+        if len(turned) not in (0, shape[0] * shape[1]):
+            raise ConfigError(
+                f'turned: {len(turned)} angles; {machine.name} needs {shape[1]} for each of '
+                f'{shape[0]} positions: {", ".join(machine.rotary_names) or "no rotary axis"}'
+            )
+        angles = np.reshape(turned, shape) if len(turned) else np.zeros(shape)
+        points = np.hstack([np.reshape(wanted, (-1, 3)), angles])
+        if not np.all(np.isfinite(points)):
             raise ConfigError('wanted: a position is not finite')
-        return check_points(self._predictor.tables, q, 'wanted')
+        return points
 
-    def ask(self, wanted: Sequence[Vector]) -> Iterator[CompensatedPosition]:
-        """Evaluate at positions, m."""
-        q = np.array(wanted, dtype=float).reshape(-1, 3)
-        prediction, corrected = self._predictor.at(q), self._predictor.corrected(q)
-        columns = (
-            q.tolist(),
-            prediction.error.tolist(),
-            prediction.u.tolist(),
-            corrected.tolist(),
-        )
-        for (w, e, u, c), within in zip(
-            zip(*columns, strict=True), prediction.inside.tolist(), strict=True
-        ):
-            yield CompensatedPosition(tuple(w), tuple(e), tuple(u), tuple(c), within)
+    def ask(self, points: Array) -> tuple[PredictedErrors, Array, list[str]]:
+        """Errors at points, X, Y, Z to command (n, 3), and which points lie outside.
+
+        Raises
+        ------
+        ConfigError
+            If a position is that of no such machine, or in mm.
+        """
+        machine, corrected = self._predictor.tables.machine, points.copy()
+        notes = check_points(self._predictor.tables, points, 'wanted')
+        q = machine.axis_positions(points)
+        columns = [machine.point_names.index(a) for a in machine.axis_names]
+        corrected[:, columns] = self._predictor.corrected(q)
+        return self._predictor.at(q), corrected[:, :3], notes

@@ -17,6 +17,8 @@ from otf_core.errors import ConfigError
 
 OTF, STANDSTILL = METHODS = ('otf', 'standstill')
 """Of calibration: on the fly, or from the stops at the corner points."""
+AUTO, NONE = 'auto', 'none'
+"""Effects to take off a calibration: those that a diagnosis finds; none."""
 
 
 KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'a text',

@@ -18,16 +18,18 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
+from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness, tables_to_dict
 from otf_core.noise.noise_model import NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
+from otf_core.pieces.runs import Observed
+from otf_core.planning.nc.programs import on_increment, part_program
 from otf_core.planning.path_creation import plan_path
-from otf_core.sim.drive import Drive
-from otf_core.solving.model_choice import linear_bases
+from otf_core.sim.drive import drives_of
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
 from otf_core.solving.system import System, build_system
-from otf_core.solving.unknowns import Unknowns, layout
+from otf_core.solving.unknowns import Unknowns, layout, linear_bases
 from otf_core.solving.whitener import Whitener
 
 CONTRACT_CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
@@ -39,6 +41,12 @@ def some_machine(chain='w-b-X-Y-Z-t', ranges=RANGES, pitch=0.05, offset=(0.02, -
     axes = {a: Axis(low, high, pitch) for a, (low, high) in zip(AXES, ranges, strict=True)}
     spec = TrackerSpec(0.5e-6, 2e-6)
     return Machine('small', Chain.parse(chain), axes, np.array(offset), spec)
+
+
+def observed(machine, pieces, pose):
+    """Pieces seen by the tracker that the machine states."""
+    noise = NoiseModel.from_spec(machine.tracker)
+    return Observed(machine=machine, pieces=pieces, pose=pose, noise=noise)
 
 
 def written_tables(tmp_path, tables, **blocks):
@@ -176,15 +184,34 @@ def tracker_noise(xyz, spec, rng):
 
 def record(machine, plan, rate=100.0, acceleration=2.0):
     """Programmed positions of a plan at the given sample rate."""
-    drive = Drive(plan, acceleration)
+    (drive,) = drives_of(machine, plan, acceleration)
     time = np.arange(int(drive.duration * rate) + 1) / rate
-    return Recording(machine, plan.path, time, drive.position(time))
+    return Recording(machine, plan.path, time, drive.at(time))
 
 
 def small_plan(machine, **parameters):
     """Planned path: few planes, little dwell."""
     defaults = {'levels': 2, 'passes': 1, 'corner_dwell': 0.05, 'end_dwell': 0.5}
     return plan_path(machine, PlannerConfig(**(defaults | parameters)))
+
+
+def program(dialect, plan, header, machine=None):
+    """NC program of a plan of one part, on a machine wide enough."""
+    return part_program(
+        dialect, machine or some_machine(ranges=3 * [(-900.0, 900.0)]), plan.parts[0], 1, header
+    )
+
+
+def on_increments(machine, plan):
+    """The same plan at positions that a program can state."""
+    return Plan(tuple(on_increment(machine, part) for part in plan.parts))
+
+
+def plan_for_path(path, config):
+    """Drive a path at one feed with a stop at every corner."""
+    dwell = np.full(len(path.points), config.corner_dwell)
+    dwell[[0, -1]] = config.end_dwell
+    return Plan.along(path.points, np.full(len(dwell) - 1, config.feed), dwell)
 
 
 def pieces_of(machine, path, tables, pose, size=0.01, count=10, *, exact=False):
@@ -204,17 +231,23 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10, *, exact=False):
     n = len(q)
     ones = np.ones(n)
     return Pieces(
+        q=q,
+        step=unit[leg],
+        spread=0.0 * ones,  # points on the path, not means along it
         xyz=inverse,
-        leg=leg,
-        origin=corners[leg],
+        nominal=q,
         direction=unit[leg],
+        origin=corners[leg],
+        part=np.zeros_like(leg),
+        leg=leg,
+        stretch=leg,
         side=sides_of_travel(unit)[leg],
         count=np.full(n, count),
         time=np.arange(n) * 0.01,
         duration=0.01 * ones,
-        speed=0.0 * ones,  # points on the path, not means along it
+        rate=np.zeros((n, 3)),
+        speed=0.0 * ones,
         used=n * count,
-        outliers=0,
     )
 
 
@@ -300,14 +333,14 @@ def white(machine):
 def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
     """Solve for given pieces: straight between nodes, hardly any prior, white noise."""
     nodes = table_nodes(machine, *(ranges or (machine.lower, machine.upper)))
-    unknowns = layout(linear_bases(nodes))
+    unknowns = layout(linear_bases(machine, nodes))
     prior = TIE_BREAK * smoothness(unknowns) / limit**2
-    first = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
+    first = build_system(observed(machine, pieces, pose), unknowns, nodal_lever=True)
     whitener = Whitener.of(first, pieces, white(machine))
     accepted = identifiable_blocks(normal_equations(first, unknowns, whitener), unknowns, limit)
     tables = None
     for _ in range(iterations):
-        system = build_system(machine, pieces, pose, unknowns, tables)
+        system = build_system(observed(machine, pieces, pose), unknowns, tables)
         normal = normal_equations(system, unknowns, whitener)
         solution = solve(normal, unknowns, limit, accepted, prior)
         tables = tables_of(machine, unknowns, solution)

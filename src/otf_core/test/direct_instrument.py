@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
-from otf_core.model.kinematics import displacement
+from otf_core.comparison.direct import AxisReadings, DirectMeasurement
+from otf_core.model.chain import displacement
 from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
 

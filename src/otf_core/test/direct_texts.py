@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from otf_core.comparison.direct_csv import TWO_WAYS
+from otf_core.comparison.direct import TWO_WAYS
 
 
 def write_direct_csv(path, measurement):

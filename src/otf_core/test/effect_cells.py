@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from otf_core.effects import REGISTRY, AppliedEffect, State
 from otf_core.model.frames import RigidTransform
 from otf_core.sim.cell import random_tables
-from otf_core.sim.drive import Drive
+from otf_core.sim.drive import drives_of
 from otf_core.sim.effects import run_state
 
 EXAMPLES = {
@@ -63,7 +63,13 @@ def driven_state(machine=None, rate=20.0, pose=None) -> State:
     """Samples of a driven plan, standstills included."""
     machine = machine or some_machine('w-Y-b-X-Z-t')
     plan = some_plan(machine)
-    drive = Drive(plan, 2.0)
-    time = np.arange(int(drive.duration * rate)) / rate
+    drives = drives_of(machine, plan, 2.0)
+    time = np.arange(int(drives[0].duration * rate)) / rate
     truth = random_tables(machine, 2e-5, np.random.default_rng(8))
-    return run_state(machine, plan, drive, time, time, pose or tracker_pose(), truth)
+    return state_of(truth, drives, time, time, pose or tracker_pose())
+
+
+def state_of(truth, drives, time, clock, pose):
+    """State of the samples of the only part of a run."""
+    places = {name: np.array(own.place) for name, own in truth.machine.targets.items()}
+    return run_state(drives, 0, time, clock, truth, places, pose, float(clock[-1]))

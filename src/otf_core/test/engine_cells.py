@@ -17,8 +17,7 @@ from otf_core.diagnosis.engine.search import Cause, tried_effects
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.model_choice import linear_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases
 
 LIMIT = CalibrationConfig().unidentifiable_above
 
@@ -37,7 +36,7 @@ def solved_rows():
         recordings.append(Recording(samples, plan.path, own))
     config = CalibrationConfig(piece_length=0.024)
     runs, nodes = prepare_runs(recordings, config)
-    unknowns = layout(linear_bases(nodes), runs=2)
+    unknowns = layout(linear_bases(machine, nodes), 2)
     done = solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
     return build_rows(runs, done, LIMIT)
 

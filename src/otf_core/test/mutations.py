@@ -53,8 +53,9 @@ def tables():
 def plan():
     """A plan of two legs."""
     points = [[0.0, 0.0, 0.0], [0.3, 0.0, 0.1], [0.3, 0.2, 0.0]]
-    return {'schema': 'otf-plan/1', 'path': points, 'feed': [0.05, 0.05],
-            'dwell': [0.0, 0.5, 0.0]}  # fmt: skip
+    part = {'target': 'tool', 'positions': points, 'feed': [0.05, 0.05], 'dwell': [0.0, 0.5, 0.0]}
+    assumed = {'tracker_link': 'w', 'tracker_place': [0.0, -0.5, 0.1]}
+    return {'schema': 'otf-plan/2', 'axes': ['X', 'Y', 'Z'], 'parts': [part], 'assumed': assumed}
 
 
 GCODE = b"""%

@@ -52,4 +52,4 @@ def edge_points(machine, count):
 def standstill_plan(points, feed, dwell):
     """Drive from point to point at one feed (m/s) and stop at each for ``dwell`` seconds."""
     path = NominalPath(points)
-    return Plan(path, np.full(len(points) - 1, feed), np.full(len(points), dwell))
+    return Plan.along(path.points, np.full(len(points) - 1, feed), np.full(len(points), dwell))

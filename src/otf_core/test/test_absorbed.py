@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Chain
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness

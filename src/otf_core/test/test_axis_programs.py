@@ -12,10 +12,10 @@ from test_rotary_paths import FEED, trunnion
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import driven_through, seconds_of_legs
-from otf_core.model.joints import Sight
-from otf_core.planning import axis_programs as programs
-from otf_core.planning import rotary_paths as paths
-from otf_core.planning.nc import DIALECTS
+from otf_core.model.chain import Sight
+from otf_core.model.plan import part_along
+from otf_core.planning import chains as paths
+from otf_core.planning.nc import DIALECTS, programs
 
 STOPS = {'sinumerik': 'G9', 'fanuc': 'G09', 'linuxcnc': 'G61.1', 'twincat': 'G60'}
 OFF = {
@@ -68,8 +68,8 @@ def driven(name, text, axes):
 def planned(link='b'):
     machine = trunnion(link)
     parts = [
-        programs.on_axis_increment(machine, p)
-        for p in paths.parts_of(machine, paths.candidate_chains(machine, FEED))
+        programs.on_increment(machine, p)
+        for p in paths.parts_of(machine, paths.candidate_chains(machine, FEED), FEED)
     ]
     return machine, parts
 
@@ -80,7 +80,7 @@ def test_a_program_drives_the_part_that_is_published(name, link):
     machine, parts = planned(link)
     scale = programs.program_units(machine)
     number, part = next((k, p) for k, p in enumerate(parts) if p.words != 'lines')
-    text = programs.part_program(DIALECTS[name], machine, part, number, FEED, ['head'])
+    text = programs.part_program(DIALECTS[name], machine, part, number, ['head'])
     found = driven(name, text, machine.axis_names)
     np.testing.assert_allclose(found.q, part.path.positions * scale, atol=2e-6)
     wanted = seconds_of_legs(machine, part.path.positions, FEED.feed)
@@ -105,7 +105,7 @@ def test_corners_lie_on_the_increment_inside_the_ranges():
 @pytest.mark.parametrize('name', DIALECTS)
 def test_the_verification_holds_the_reflector_at_one_place_with_tcp_on(name):
     machine = trunnion()
-    part = programs.verification_part(machine)
+    part = paths.verification_part(machine)
     text = programs.verification_program(DIALECTS[name], machine, part, 6, [])
     assert ON[name] in text
     found = driven(name, text, ('X', 'Y', 'Z', 'A', 'C'))
@@ -119,15 +119,14 @@ def test_the_verification_holds_the_reflector_at_one_place_with_tcp_on(name):
 def test_a_block_that_no_control_takes_is_refused():
     machine, parts = planned()
     with pytest.raises(ConfigError, match='controls take'):
-        programs.part_program(
-            DIALECTS['fanuc'], machine, parts[0], 1, PlannerConfig(feed=1e-4), []
-        )
+        slow = part_along(machine, parts[0].path, PlannerConfig(feed=1e-4))
+        programs.part_program(DIALECTS['fanuc'], machine, slow, 1, [])
 
 
 def test_linuxcnc_interpreter_drives_a_part_in_its_times(rs274):  # noqa: F811
     machine, parts = planned()
     part = next(p for p in parts if p.path.target == 'a')
-    text = programs.part_program(DIALECTS['linuxcnc'], machine, part, 3, FEED, ['(x)'])
+    text = programs.part_program(DIALECTS['linuxcnc'], machine, part, 3, ['(x)'])
     done = rs274(text)
     assert done.code == 0, done.error
     stop = [name for name, _ in done.moves].index('PROGRAM_STOP')

@@ -12,10 +12,9 @@ from html_cells import Page, number, unloading
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.errors import ConfigError
-from otf_core.model.circumstances import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS, Circumstances
-from otf_core.model.limits import Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.sections import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS, Circumstances, Limits
 from otf_core.reports.calibration import facts_of, write_calibration
 from otf_core.reports.calibration_sections.first_screen import error_sizes
 from otf_core.reports.certificate import BLANK, certificate_html

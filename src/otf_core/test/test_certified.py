@@ -30,8 +30,8 @@ from otf_core.prediction.predict import predict
 from otf_core.reports.calibration import write_calibration
 from otf_core.solving import roughness
 from otf_core.solving.joint import Start, solve_jointly
-from otf_core.solving.model_choice import Choice, ReversalSolution, linear_bases, smooth_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.model_choice import Choice, ReversalSolution
+from otf_core.solving.unknowns import layout, linear_bases, smooth_bases
 
 RUN = read_run()
 CONFIG = CalibrationConfig(**RUN['config'])
@@ -107,7 +107,9 @@ def prepared():
 @pytest.fixture(scope='module', params=['straight', 'smooth'])
 def calibration(request, prepared):
     """Result of the core for both kinds of functions, and what is expected."""
-    bases = {'straight': linear_bases, 'smooth': smooth_bases}[request.param](prepared.nodes)
+    bases = {'straight': linear_bases, 'smooth': smooth_bases}[request.param](
+        prepared.run.machine, prepared.nodes
+    )
     run = with_given_noise(prepared.run)
     done = solved(run, bases)
     done = ReversalSolution([run], done, Choice('none', False, {}), ([run], done))
@@ -197,7 +199,7 @@ def test_gap_is_the_expected_one(prepared):
     twin, _ = prepare_runs([recording('twin.csv')], CONFIG)
     residuals = []
     for run in (prepared.run, *twin):
-        rows = build_rows([run], solved(run, linear_bases(prepared.nodes)), 1e-4)
+        rows = build_rows([run], solved(run, linear_bases(run.machine, prepared.nodes)), 1e-4)
         residuals.append(plain_residuals(rows).rms_um)
     expected = EXPECTED['gap']
     same(residuals, [expected['measured_um'], expected['simulated_um']])

@@ -17,16 +17,16 @@ from certified_rotary.exact_chain import HERE, MACHINE, NODES
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import machine_from_dict
-from otf_core.rotary.axis_solution import AxisSolution, place_equations
-from otf_core.rotary.axis_unknowns import layout, place_block
-from otf_core.rotary.curve_matching import Part, nominal_places
-from otf_core.rotary.reduction import AxisPieces
-from otf_core.rotary.rows import AxisRun, build_rows
-from otf_core.rotary.tabulation import gauge_matrix, raw_rows
-from otf_core.solving.model_choice import linear_bases
+from otf_core.noise.noise_model import NoiseModel
+from otf_core.pieces.pieces import Pieces
+from otf_core.pieces.runs import Observed
+from otf_core.rotary.curve_matching import nominal_places
+from otf_core.solving.joint import place_equations
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import solve
-from otf_core.solving.unknowns import pose_block
+from otf_core.solving.system import build_system
+from otf_core.solving.tabulate import table_rows
+from otf_core.solving.unknowns import layout, linear_bases, place_block, pose_block
 from otf_core.solving.whitener import Whitener
 
 EXPECTED = json.loads((HERE / 'expected.json').read_text(encoding='utf-8'))
@@ -45,15 +45,18 @@ def stops(machine, name):
     number = np.array([order.index(t) for t in targets])
     places = nominal_places(machine)
     start = RigidTransform(*(np.array(TRUTH['start'][k]) for k in ('rotation', 'translation')))
-    pieces = AxisPieces(
-        q=q, step=np.zeros_like(q), spread=np.zeros(count), xyz=xyz, nominal=zero, direction=zero,
-        part=number, leg=np.arange(count), stretch=np.arange(count), side=np.zeros_like(q),
-        rate=np.zeros_like(q),
-        count=np.full(count, dense.SAMPLES), time=np.arange(count) * 2.0,
+    pieces = Pieces(
+        q=q, step=np.zeros_like(q), spread=np.zeros(count), xyz=xyz, nominal=zero,
+        direction=zero, origin=zero, part=number, leg=np.arange(count),
+        stretch=np.arange(count), side=np.zeros_like(q), rate=np.zeros_like(q),
+        speed=np.zeros(count), count=np.full(count, dense.SAMPLES), time=np.arange(count) * 2.0,
         duration=np.ones(count), standstill=True,
     )  # fmt: skip
-    measured = tuple(Part(p.of(machine), 0, 0) for p in parts)
-    run = AxisRun(machine, measured, pieces, start, places, places, 0, name, tuple(dense.NESTS))
+    targets, noise = tuple(p.target for p in parts), NoiseModel.from_spec(machine.tracker)
+    run = Observed(
+        machine=machine, pieces=pieces, pose=start, noise=noise, name=name, targets=targets,
+        places=places, base=places,
+    )  # fmt: skip
     size = np.linalg.norm(xyz, axis=1)
     spec = machine.tracker
     sd = np.stack([np.full(count, spec.u_range), spec.u_angle * size, spec.u_angle * size])
@@ -62,11 +65,9 @@ def stops(machine, name):
 
 def nominal_points(machine, run, places):
     """Nominal points of the pieces at places of the targets."""
-    from otf_core.rotary.curve_matching import sight_at
-
     points = np.zeros((len(run.pieces), 3))
     for name, own in run.by_target().items():
-        points[own] = sight_at(machine, name, places).nominal(run.pieces.q[own])
+        points[own] = replace(run, places=places).sight(name).nominal(run.pieces.q[own])
     return points
 
 
@@ -86,7 +87,7 @@ def solved(name):
     machine = machine_from_dict(MACHINE)
     run, sd = stops(machine, name)
     nodes = {a: NODES[a] for a in machine.axis_names}
-    unknowns = layout(machine, linear_bases(nodes), 1, dense.NESTS)
+    unknowns = layout(linear_bases(machine, nodes), targets=dense.NESTS)
     prior = expected_before(unknowns)
     pose, places = run.pose, dict(run.places)
     bounds = [(k, k + 1) for k in range(len(run.pieces))]
@@ -94,7 +95,7 @@ def solved(name):
     for _ in range(10):
         pieces = replace(run.pieces, nominal=nominal_points(machine, run, places))
         now = replace(run, pieces=pieces, pose=pose, places=places, base=dict(places))
-        normal = normal_equations(build_rows(now, unknowns, None), unknowns, whitener)
+        normal = normal_equations(build_system(now, unknowns), unknowns, whitener)
         normal = normal + place_equations(machine, unknowns, places)
         accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
         solution = solve(normal, unknowns, LIMIT, accepted, prior)
@@ -102,8 +103,7 @@ def solved(name):
         pose = pose.moved_by(step[:3], step[3:])
         for nest in dense.NESTS:
             places[nest] = places[nest] + solution.value[unknowns.blocks[place_block(nest)]]
-    done = AxisSolution(machine, unknowns, solution, None, normal, (), (pose,), places, 10)
-    rows = gauge_matrix(machine, nodes) @ raw_rows(done, nodes)
+    rows = table_rows(machine, unknowns, nodes)
     value = rows @ solution.value
     u = np.sqrt(np.maximum(np.diag(rows @ solution.covariance @ rows.T), 0.0))
     names = [(n, 1) for n in machine.scalars]

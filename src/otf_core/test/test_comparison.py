@@ -20,12 +20,13 @@ from otf_core.comparison.compare import (
     source_of_measurement,
     source_of_tables,
 )
+from otf_core.comparison.direct import AxisReadings, DirectMeasurement
 from otf_core.errors import ConfigError
-from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
-from otf_core.model.evaluation import mean_length
+from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import MotionTable, Squareness, tables_to_dict
+from otf_core.model.tables import MotionTable, Squareness, TablesFile, tables_to_dict
+from otf_core.prediction.covariance import pack_covariance
 from otf_core.reports.comparison import (
     comparison_to_dict,
     format_comparison,
@@ -49,12 +50,23 @@ def changed(tables, **added):
     return replace(tables, motions=motions)
 
 
+def source(name, tables, covariance=None, hidden=()):
+    extra = {'not_identifiable': list(hidden)}
+    if covariance is not None:
+        extra['covariance'] = pack_covariance(covariance, tables.machine)
+    return source_of_tables(name, TablesFile(tables, extra))
+
+
 def compared(a, b, points=None):
-    return compare(source_of_tables('a', a, None), source_of_tables('b', b, None), points)
+    return compare(source('a', a), source('b', b), points)
+
+
+def motions_of(comparison):
+    return {m: comparison.errors[m] for m in comparison.common.motions}
 
 
 def largest(comparison):
-    return max(np.abs(m.difference).max() for m in comparison.motions.values())
+    return max(np.abs(m.difference).max() for m in motions_of(comparison).values())
 
 
 def test_the_convention_takes_out_what_says_nothing_of_the_machine():
@@ -65,31 +77,26 @@ def test_the_convention_takes_out_what_says_nothing_of_the_machine():
     )  # fmt: skip
     result = compared(tables, other)
     assert largest(result) < 1e-15
-    assert mean_length(result.volume.difference) < 1e-15
+    field = error_of(other, result.common.grid) - error_of(tables, result.common.grid)
+    field = without_rigid_motion(field, result.volume.position)
+    np.testing.assert_allclose(result.volume.difference, field, atol=1e-12)
 
 
 def test_both_sides_follow_the_convention():
     result = compared(truth_of(some_machine()), truth_of(some_machine(), seed=4))
-    for name, motion in result.motions.items():
+    for name, motion in motions_of(result).items():
         zero = [0, -1] if name.is_straightness else [int(np.argmin(np.abs(motion.position)))]
         np.testing.assert_allclose(motion.a[zero], 0.0, atol=1e-18)
         np.testing.assert_allclose(motion.b[zero], 0.0, atol=1e-18)
     assert largest(result) > 1e-6
 
 
-def test_error_vectors_are_those_of_the_model_without_squareness():
-    machine = some_machine()
-    tables = replace(
-        truth_of(machine), squareness={k: Squareness() for k in ('C0Y', 'B0Z', 'A0Z')}
-    )
-    result = compared(tables, zero_tables(machine))
-    own = {m: v.a for m, v in result.motions.items()}
-    motions = {
-        m: replace(t, position=result.common.position[m[2]], value=own[m], u=np.zeros(own[m].size))
-        for m, t in tables.motions.items()
-    }
-    expected = error_of(replace(tables, motions=motions), result.volume.q)
-    np.testing.assert_allclose(result.volume.a, expected, atol=1e-15)
+def test_error_vectors_are_those_of_the_model_without_rigid_motion():
+    tables = truth_of(some_machine())
+    result = compared(tables, zero_tables(tables.machine))
+    expected = error_of(tables, result.common.grid)
+    expected = without_rigid_motion(expected, result.common.grid)
+    np.testing.assert_allclose(result.volume.a, expected, atol=1e-12)
     np.testing.assert_allclose(result.volume.b, 0.0, atol=1e-15)
 
 
@@ -155,7 +162,7 @@ def test_what_a_run_in_a_plane_mixes_up_is_mixed_up_in_both(chain):
     assert set(blind) <= set(result.common.folded)
     assert largest(result) < 1e-15
     assert mean_length(result.volume.difference) < 1e-15
-    np.testing.assert_array_equal(np.unique(result.volume.q[:, 2]), [still])
+    np.testing.assert_array_equal(np.unique(result.common.grid[:, 2]), [still])
 
 
 def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of():
@@ -187,7 +194,7 @@ def test_a_direct_measurement_is_one_at_the_point_that_it_measured():
     readings = AxisReadings(position, value, np.zeros(3))
     measurement = DirectMeasurement({'Z': readings}, np.zeros(3))
     direct = source_of_measurement('direct', measurement, tables.machine)
-    result = compare(source_of_tables('t', tables, None), direct)
+    result = compare(source('t', tables), direct)
     assert {'EAZ', 'EBZ', 'ECZ'} <= set(result.common.folded)
     assert largest(result) < 1e-15
     np.testing.assert_array_equal(result.offsets[1], np.zeros(3))
@@ -201,9 +208,9 @@ def test_a_perfect_instrument_finds_every_motion(chain):
     measurement = measure_directly(tables, 1, positions=61, noise=PERFECT)
     result = compare(
         source_of_measurement('direct', measurement, machine),
-        source_of_tables('truth', tables, None),
+        source('truth', tables),
     )
-    assert set(result.motions) == set(MOTIONS)
+    assert set(motions_of(result)) == set(MOTIONS)
     assert largest(result) < 1e-12
 
 
@@ -214,12 +221,12 @@ def test_a_realistic_instrument_agrees_within_its_uncertainty():
         measurement = measure_directly(tables, seed, positions=6)
         result = compare(
             source_of_measurement('direct', measurement, machine),
-            source_of_tables('truth', tables, None),
+            source('truth', tables),
         )
         # between its positions an instrument knows nothing
         seen = [
             m.normalised[np.isin(m.position.round(9), measurement.axes[n[2]].position.round(9))]
-            for n, m in result.motions.items()
+            for n, m in motions_of(result).items()
         ]
         values = np.concatenate(seen)
         shares.append(np.mean(values[np.isfinite(values)] <= 1.0))
@@ -257,7 +264,7 @@ def test_a_side_without_uncertainty_is_said_to_count_as_exact():
     # the scatter of a single run is not known
     single = measure_directly(tables, 1, runs=1, noise=PERFECT)
     direct = source_of_measurement('d', single, tables.machine)
-    found = compare(direct, source_of_tables('t', both, None))
+    found = compare(direct, source('t', both))
     assert found.without_u == ('a',)
 
 
@@ -268,14 +275,14 @@ def test_uncertainty_takes_the_covariance_along():
     together = np.zeros((size, size))
     place = 3 + 5 * MOTIONS.index('EXX')
     together[place : place + 5, place : place + 5] = 1e-12  # an offset common to all nodes
-    a = source_of_tables('a', tables, together)
-    result = compare(a, source_of_tables('b', tables, None))
-    assert result.motions['EXX'].u_a.max() < 1e-12
+    a = source('a', tables, together)
+    result = compare(a, source('b', tables))
+    assert result.errors['EXX'].u_a.max() < 1e-12
     independent = compare(
-        source_of_tables('a', tables, np.diag(np.diag(together))),
-        source_of_tables('b', tables, None),
+        source('a', tables, np.diag(np.diag(together))),
+        source('b', tables),
     )
-    np.testing.assert_allclose(independent.motions['EXX'].u_a[1:], np.sqrt(2) * 1e-6)
+    np.testing.assert_allclose(independent.errors['EXX'].u_a[1:], np.sqrt(2) * 1e-6)
 
 
 def test_only_the_common_range_is_compared():
@@ -289,7 +296,7 @@ def test_only_the_common_range_is_compared():
     result = compared(tables, replace(tables, motions=short))
     np.testing.assert_allclose(result.common.position['X'][[0, -1]], [0.05, 0.25])
     assert largest(result) < 1e-15
-    assert result.volume.q[:, 0].min() == pytest.approx(0.05)
+    assert result.common.grid[:, 0].min() == pytest.approx(0.05)
 
 
 def test_other_machines_are_refused():
@@ -312,7 +319,7 @@ def test_command_compares_tables_with_a_direct_measurement(tmp_path, capsys):
     assert cli.main(['compare', *pair, *options]) == 0
     assert 'volume, 2 points' in capsys.readouterr().out
     data = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
-    assert data['schema'] == 'otf-comparison/1'
+    assert data['schema'] == 'otf-comparison/2'
     assert data['volume']['points'] == 2
     assert data['motions']['EXX']['largest_difference'] < 2e-6
     assert {f.name for f in (tmp_path / 'out').iterdir()} == {
@@ -324,7 +331,8 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
     tables = truth_of(some_machine())
     moved = replace(tables, machine=some_machine(offset=(0.1, 0.05, -0.3)))
     result = compared(tables, moved)
-    assert result.volume.squareness[2] < 1e-12 < result.volume.squareness[0]
+    volume = result.volume
+    assert mean_length(volume.difference) < 1e-12 < mean_length(volume.a)
     assert (
         'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100'
         in format_comparison(result)
@@ -339,7 +347,7 @@ def test_a_comparison_says_whether_squareness_was_known():
     ratio = known['volume_with_squareness']
     assert ratio['mae_difference'] == pytest.approx(0.1 * ratio['mae_a'])
     direct = source_of_measurement('d', measure_directly(tables, 1), machine)
-    unknown = comparison_to_dict(compare(direct, source_of_tables('t', tables, None)))
+    unknown = comparison_to_dict(compare(direct, source('t', tables)))
     assert 'volume_with_squareness' not in unknown
 
 
@@ -358,9 +366,9 @@ def test_squareness_is_compared_after_the_same_gauge():
     same = compared(tables, with_squareness(turned, C0Y=square + 4e-5))
     other = compared(tables, turned)
     for name in ('C0Y', 'B0Z', 'A0Z'):
-        assert abs(same.squareness[name].difference) < 1e-12, name
-    assert other.squareness['C0Y'].difference == pytest.approx(-4e-5, abs=1e-12)
-    assert abs(other.squareness['B0Z'].difference) < 1e-12
+        assert abs(same.errors[name].difference[0]) < 1e-12, name
+    assert other.errors['C0Y'].difference[0] == pytest.approx(-4e-5, abs=1e-12)
+    assert abs(other.errors['B0Z'].difference[0]) < 1e-12
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
@@ -369,10 +377,10 @@ def test_constants_of_rotations_go_into_squareness_of_every_chain(chain):
     sizes = {m: 1e-6 * (7 + 5 * k) for k, m in enumerate(MOTIONS) if m[1] in 'ABC'}
     other = changed(tables, **{m: lambda q, size=size: size for m, size in sizes.items()})
     result = compared(tables, other)
-    q = result.volume.q
+    q = result.common.grid
     field = error_of(other, q) - error_of(tables, q)
     shear = np.zeros_like(field)
-    found = {name: s.difference for name, s in result.squareness.items()}
+    found = {name: result.errors[name].difference[0] for name in result.common.scalars}
     shear[:, 0] = -found['C0Y'] * q[:, 1] + found['B0Z'] * q[:, 2]
     shear[:, 1] = -found['A0Z'] * q[:, 2]
     rest = field - shear
@@ -386,9 +394,9 @@ def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     a, b = zero_tables(machine), zero_tables(machine)
     a = replace(a, squareness={**a.squareness, 'C0Y': Squareness(1e-5, 2e-6)})
     b = replace(b, squareness={**b.squareness, 'C0Y': Squareness(-5e-6, 1.5e-6)})
-    one = compared(a, b).squareness['C0Y']
-    assert (one.a, one.b) == (pytest.approx(1e-5), pytest.approx(-5e-6))
-    assert one.normalised == pytest.approx(1.5e-5 / (2 * 2.5e-6))
+    one = compared(a, b).errors['C0Y']
+    assert (one.a[0], one.b[0]) == (pytest.approx(1e-5), pytest.approx(-5e-6))
+    assert one.normalised[0] == pytest.approx(1.5e-5 / (2 * 2.5e-6))
     data = comparison_to_dict(compared(a, b))['squareness']['C0Y']
     assert data['normalised_error'] == pytest.approx(3.0)
     assert re.search(r'^C0Y +urad +15\.00 .* 3\.00 +0 %$', format_comparison(compared(a, b)), re.M)
@@ -396,9 +404,10 @@ def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
 
 def test_squareness_that_one_side_does_not_know_is_not_compared():
     tables = truth_of(some_machine())
-    a = source_of_tables('a', tables, None, ('A0Z', 'EAZ'))
-    result = compare(a, source_of_tables('b', tables, None))
-    assert list(result.squareness) == ['C0Y', 'B0Z']
+    a = source('a', tables, None, ('A0Z',))
+    result = compare(a, source('b', tables))
+    assert result.common.scalars == ('C0Y', 'B0Z')
+    assert 'not compared: A0Z: a does not determine it' in format_comparison(result)
 
 
 def test_a_comparison_writes_a_page_like_the_others(tmp_path):
@@ -412,6 +421,6 @@ def test_a_comparison_writes_a_page_like_the_others(tmp_path):
     assert 'differ beyond U' in page.text
     rows = {row[0]: row for row in page.rows('Error by error')}
     assert list(rows) == [*MOTIONS, 'C0Y', 'B0Z', 'A0Z']
-    assert float(rows['C0Y'][7]) > 1
+    assert float(rows['C0Y'][8]) > 1
     assert 'errors ×' in page.text
     assert '(m)' not in page.text and 'X (mm)' in page.text

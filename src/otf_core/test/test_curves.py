@@ -16,8 +16,8 @@ from otf_core.tracking.curves import (
     GROUP_LENGTH,
     MAX_TURN,
     Lines,
-    curve_boundaries,
     largest_sagitta,
+    piece_boundaries,
     shape_of,
 )
 from otf_core.tracking.driving_order import OFF_PATH
@@ -83,7 +83,7 @@ def test_samples_settle_on_the_nearest_chord_of_their_passage():
 
 def test_pieces_of_a_curve_end_at_nodes_and_turn_little():
     path = circle(1e-3, 0.05)
-    marks = curve_boundaries(path, NODES, 0.008)
+    marks = piece_boundaries(path, NODES, 0.008)
     done = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     assert np.diff(marks).max() < 0.05 * MAX_TURN * 1.05
     place = np.stack([np.interp(marks, done, path[:, k]) for k in range(3)], axis=1)
@@ -110,7 +110,7 @@ def test_pieces_of_a_perfect_machine_lie_on_the_curve(chord):
     local = found.T_machine_tracker.apply(pieces.xyz) - pieces.origin
     along = np.einsum('ij,ij->i', local, pieces.direction)
     beside = np.linalg.norm(local - along[:, None] * pieces.direction, axis=1)
-    assert np.count_nonzero(pieces.chord != pieces.leg) > 80
+    assert np.count_nonzero(pieces.stretch != pieces.leg) > 80
     assert beside.max() < 2e-8  # 1/1000 of the sagitta of a piece, and of the fine alignment
     assert np.all(np.diff(pieces.time) > 0)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from core_cells import (
     leg_parts,
+    observed,
     pieces_of,
     small_plan,
     some_machine,
@@ -21,14 +22,20 @@ from otf_core.effects.catalogue.direction_dependent_tables import DirectionDepen
 from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import Misfit
-from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import sum_groups
 from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import is_reversal, layout, reversal_block
+from otf_core.solving.unknowns import (
+    is_reversal,
+    layout,
+    linear_bases,
+    reversal_block,
+    reversal_names,
+    smooth_bases,
+)
 from otf_core.solving.whitener import Whitener
 
 
-def cell(bases, *, reversal=0, spread=0.0):
+def cell(bases, *, reversal=0, spread=0.0, held=False):
     machine = some_machine()
     pose = transform_pose(machine, 3)
     path = small_plan(machine).path
@@ -39,10 +46,12 @@ def cell(bases, *, reversal=0, spread=0.0):
         pieces,
         time=0.2 * np.arange(count) + pieces.leg,
         duration=np.full(count, 0.15),
-        spread=rng.uniform(0.5, 1.5, count) * spread if spread else np.zeros(0),
+        spread=rng.uniform(0.5, 1.5, count) * spread,
     )
-    unknowns = layout(bases(table_nodes(machine, machine.lower, machine.upper)), 1, reversal)
-    return machine, pieces, unknowns, build_system(machine, pieces, pose, unknowns)
+    nodes = table_nodes(machine, machine.lower, machine.upper)
+    names = reversal_names(machine.motions, reversal)
+    unknowns = layout(bases(machine, nodes), 1, names, held=held)
+    return machine, pieces, unknowns, build_system(observed(machine, pieces, pose), unknowns)
 
 
 CASES = {
@@ -77,13 +86,10 @@ def test_products_are_those_of_the_dense_rows(case):
 
 @pytest.mark.parametrize('held', [False, True], ids=['returns at standstill', 'held'])
 def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
-    machine, _, _, system = cell(linear_bases, reversal=4)
-    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)), 1, 4,
-                      held=held)  # fmt: skip
-    rows = replace(system.rows, unknowns=unknowns)
-    dense = rows.dense(slice(None))
-    assert np.any(rows.side[rows.travel == 0.0])
-    state = replace(state_of_travel(machine, rows.q, rows.travel), side=rows.side)
+    machine, pieces, unknowns, system = cell(linear_bases, reversal=4, held=held)
+    dense = system.rows.dense(slice(None))
+    assert np.any(pieces.side[pieces.direction == 0.0])
+    state = replace(state_of_travel(machine, system.q, pieces.direction), side=pieces.side)
     own = {
         reversal_block(f'E{axis}{axis}', 0): column
         for axis, column in zip(
@@ -94,7 +100,7 @@ def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     own |= dict(zip(tables.names, tables.columns.T, strict=True))
     assert set(own) == {name for name in unknowns.blocks if is_reversal(name)}
     for name, column in own.items():
-        across = np.einsum('cpi,ip->cp', rows.axes, column)
+        across = np.einsum('cpi,ip->cp', system.axes, column)
         close(dense[:, :, unknowns.blocks[name].start], across)
 
 
@@ -117,17 +123,15 @@ def test_mean_over_a_piece_is_that_of_its_two_gauss_points():
     _, pieces, unknowns, _ = cell(smooth_bases)
     machine, pose = some_machine(), transform_pose(some_machine(), 3)
     spread = np.full(len(pieces), 0.008)
-    both = build_system(machine, replace(pieces, spread=spread), pose, unknowns)
+    both = build_system(observed(machine, replace(pieces, spread=spread), pose), unknowns)
     value = np.random.default_rng(6).standard_normal(unknowns.full)
     single = []
     for sign in (1, -1):
         # the same pieces, moved along their lines as a whole
         reach = sign * 0.008 * pieces.direction
         xyz = pieces.xyz + reach @ pose.rotation
-        moved = build_system(machine, replace(pieces, xyz=xyz), pose, unknowns)
-        # directions of rows turn with the beam: those of the centres count
-        rows = replace(moved.rows, axes=both.axes)
-        single.append(rows.times(value))
+        moved = build_system(observed(machine, replace(pieces, xyz=xyz), pose), unknowns)
+        single.append(moved.rows.times(value))
     close(both.rows.times(value), 0.5 * (single[0] + single[1]))
 
 

@@ -7,9 +7,8 @@ from core_cells import some_machine
 from direct_instrument import measure_directly
 from direct_texts import write_direct_csv
 
-from otf_core.comparison.direct_csv import read_direct_csv
+from otf_core.comparison.direct import motion_readings, read_direct_csv
 from otf_core.errors import ConfigError, InputError
-from otf_core.model.direct_measurement import motion_readings
 from otf_core.model.machine import AXES
 from otf_core.sim.cell import random_tables
 
@@ -68,7 +67,7 @@ def test_a_lever_without_its_rotation_is_refused(tmp_path):
         (small_csv(rows=['X,1,up,0,0,0']), "line 3: direction: 'up'"),
         (small_csv(rows=['X,1,forward,zero,0,0']), 'line 3: expected a reading'),
         (small_csv(rows=['X,1,forward,inf,0,0']), 'line 3: position and errors'),
-        (small_csv(rows=['X,1,forward,0,0,0', 'X,1,forward,9,0,0']), 'backward, position 0 m: 0'),
+        (small_csv(rows=['X,1,forward,0,0,0', 'X,1,forward,9,0,0']), 'backward, position 0: 0'),
         (small_csv().replace('0.1,-0.05', '0.1'), 'line 1: point X: expected 3 numbers'),
         (f'# target_offset: 0,,-0.1\n{small_csv()}', 'line 1: target_offset: expected 3 numbers'),
         (f'# u_length_scale:\n{small_csv()}', 'line 1: u_length_scale: expected 1 numbers'),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from core_cells import some_machine
-from effect_cells import driven_state, some_plan
+from effect_cells import driven_state, some_plan, state_of
 
 from otf_core.config import SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, names_of
@@ -15,11 +15,8 @@ from otf_core.effects.effects_page import catalogue_markdown
 from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
-from otf_core.model.declared import KEYS
-from otf_core.model.frames import RigidTransform
+from otf_core.model.sections import DECLARABLE
 from otf_core.sim.cell import simulate
-from otf_core.sim.drive import Drive
-from otf_core.sim.effects import run_state
 
 UNITS = {'', 'm', 'rad', 's', 'Hz', 'm/m', 'rad/m', 'm/rad', 'm/rad^2'}
 DISPLACING = [n for n, e in REGISTRY.items() if e.belongs_to is not BelongsTo.NOISE]
@@ -202,10 +199,9 @@ def test_simulated_run_differs_by_the_terms(name):
         return simulate(machine, plan, config, effects=[AppliedEffect(effect, shape | values)])
 
     low, middle, high = (run(step) for step in (-unit, 0.0, unit))
-    slope = (high.samples.xyz - low.samples.xyz) @ middle.rotation / (2.0 * unit)
-    drive, pose = Drive(plan, config.acceleration), RigidTransform(middle.rotation.T, middle.place)
+    slope = (high.samples.xyz - low.samples.xyz) @ middle.pose.rotation.T / (2.0 * unit)
     time = middle.samples.time / (1 + config.clock_drift)
-    state = run_state(machine, plan, drive, time, middle.samples.time, pose, middle.truth)
+    state = state_of(middle.truth, middle.drives, time, middle.samples.time, middle.pose)
     expected = effect.terms(state, shape).columns @ direction
     # noise of the angles grows with the range and turns with the point
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=3e-4 * np.abs(expected).max())
@@ -297,4 +293,4 @@ def test_contributions_to_the_budget_follow_what_is_declared(name, state):
 
 def test_every_declared_uncertainty_acts_through_one_effect():
     keys = [k for e in REGISTRY.values() for c in e.contributions for k in c.keys]
-    assert sorted(keys) == sorted(KEYS)
+    assert sorted(keys) == sorted(DECLARABLE)

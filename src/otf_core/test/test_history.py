@@ -16,9 +16,9 @@ from core_cells import error_of
 from otf_core.errors import ConfigError, InputError
 from otf_core.history.control_chart import MachineStatus, history_of
 from otf_core.history.store import add_event, add_run, read_store, series_of
+from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import (
@@ -150,10 +150,10 @@ def test_what_the_convention_takes_out_of_motions_lies_in_squareness(found, tmp_
         (tmp_path / f'{k}.json').write_text(json.dumps(data))
         add_run(tmp_path / 'store', tmp_path / f'{k}.json', f'2026-03-0{k + 1}')
     series = series_of(read_store(tmp_path / 'store').runs)
-    q = series.grid
+    q = series.common.grid
     for run_of, vector in zip(series.runs, series.values, strict=True):
         field = without_rigid_motion(error_of(run_of.content.tables, q), q)
-        np.testing.assert_allclose(series.field_rows @ vector, field.ravel(), atol=1e-12)
+        np.testing.assert_allclose(series.common.field_rows @ vector, field.ravel(), atol=1e-12)
 
 
 def test_runs_with_other_targets_are_compared_at_the_latest_or_it_is_said(found, tmp_path):
@@ -201,7 +201,7 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.drift.significant
     assert {n for n, c in h.drift.motions.items() if c.significant} == {'EXX', 'C0Y'}
     tables = [tables_from_dict(moved(found.data, s), 'made').tables for s in (0.0, 3e-6)]
-    q = h.series.grid
+    q = h.series.common.grid
     field = error_of(tables[1], q) - error_of(tables[0], q)
     rate = mean_length(without_rigid_motion(field, q)) / 30.0
     assert h.drift.volume == pytest.approx(rate, rel=0.1)
@@ -356,12 +356,12 @@ def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
 
 
 def rotary_tables(machine, growth):
-    """Tables of a machine with rotary axes: EXC grows over its range, X0C by a shift, m."""
+    """Tables of a machine with rotary axes: ECC grows over its range, rad, X0C, m."""
     motions = {}
     for motion in machine.motions:
         axis = machine.axes[motion.axis]
         at = np.linspace(axis.min, axis.max, 5)
-        value = growth * np.linspace(0.0, 1.0, 5) if motion == 'EXC' else np.zeros(5)
+        value = growth * np.linspace(0.0, 1.0, 5) if motion == 'ECC' else np.zeros(5)
         motions[motion] = MotionTable(at, value, np.full(5, 1e-7))
     square = {n: Squareness(0.0, 1e-7) for n in machine.squareness}
     location = {n: LocationError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
@@ -376,10 +376,11 @@ def test_history_of_a_machine_with_rotary_axes_shows_what_drifts(tmp_path):
         add_run(tmp_path / 'store', tmp_path / 'tables.json', f'2026-11-0{day}')
     found = history_of(read_store(tmp_path / 'store'), machine.name)
     changed = {n for n, c in found.chart[-1].items() if c.significant}
-    assert changed == {'EXC', 'X0C'}
-    rate = found.drift.rate[found.series.parts['X0C']]
+    assert changed == {'ECC', 'X0C'}
+    rate = found.drift.rate[found.series.common.parts['X0C']]
     assert rate == pytest.approx(5e-6, rel=1e-6)
-    rows = found.series.rows(found.series.grid) @ found.series.values[-1]
-    exact = displacement(rotary_tables(machine, 1e-5), found.series.grid)
-    assert np.allclose(rows, exact, atol=1e-15)
+    common = found.series.common
+    exact = displacement(rotary_tables(machine, 1e-5), common.grid)
+    exact = without_rigid_motion(exact, nominal_position(machine, common.grid)).ravel()
+    assert np.allclose(common.field_rows @ found.series.values[-1], exact, atol=1e-15)
     assert 'X0C' in format_history(found)

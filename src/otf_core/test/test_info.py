@@ -14,9 +14,11 @@ from otf_core.reports.calibration import write_calibration
 ROOT = Path(__file__).resolve().parents[3]
 ROOM = ROOT / 'bags/y-carries-the-table'
 PLAN = {
-    'schema': 'otf-rotary-plan/1',
-    'parts': [{'target': 'nest', 'duration': 90.0}],
-    'forecast': {'hidden': {'ECZ': 'why'}},
+    'schema': 'otf-plan/2',
+    'length': 2.0,
+    'duration': 90.0,
+    'parts': [{'target': 'nest', 'positions': [[0.0], [1.0]]}],
+    'forecast': {'errors': {'ECZ': {'identifiable': False}}},
 }
 
 
@@ -59,7 +61,7 @@ def test_tables_of_a_calibration_and_of_others_and_their_folder(calibrated, tmp_
 @pytest.mark.parametrize(
     ('data', 'kind', 'words'),
     [
-        (PLAN, 'plan', 'parts nest (90 s); not shown: ECZ'),
+        (PLAN, 'plan', '2.00 m, 90 s; parts nest (2 corner points); not shown: ECZ'),
         (
             {'schema': 'otf-gap/1', 'verdict': 'none', 'sentence': 'A.'},
             'diagnosis',

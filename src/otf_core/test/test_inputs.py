@@ -214,7 +214,9 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
 
 
 def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
-    plan = {'schema': 'otf-plan/1', 'path': CORNERS.tolist(), 'feed': [0.1] * 3, 'dwell': [0] * 4}
+    part = {'target': 'tool', 'feed': [0.1] * 3, 'dwell': [0] * 4, 'positions': CORNERS.tolist()}
+    assumed = {'tracker_link': 'w', 'tracker_place': [0, 0, 0]}
+    plan = {'schema': 'otf-plan/2', 'axes': list('XYZ'), 'parts': [part], 'assumed': assumed}
     (tmp_path / 'plan.json').write_text(json.dumps(plan))
     np.testing.assert_array_equal(read_path(tmp_path / 'plan.json')[0], CORNERS)
     rows = '\n'.join(comma(';'.join(mm(*p))) for p in CORNERS.tolist())

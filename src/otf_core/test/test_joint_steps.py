@@ -11,8 +11,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving import joint
-from otf_core.solving.model_choice import linear_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases
 
 
 @pytest.mark.parametrize('factor', [2.5, 4.0])
@@ -24,16 +23,18 @@ def test_steps_that_grow_make_the_normal_matrix_anew(monkeypatch, factor):
     driven = record(machine, plan, rate=50.0)
     recording = Recording(driven.measured(truth, seed=0), plan.path, machine)
     runs, nodes = prepare_runs([recording], config)
-    unknowns = layout(linear_bases(nodes), runs=1)
+    unknowns = layout(linear_bases(machine, nodes))
 
     def solved():
         return joint.solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
 
-    right, improved = solved(), joint.newton_step
+    right, improved, matrices = solved(), joint.newton_step, []
 
     def too_far(solution, *rest):
         better = improved(solution, *rest)
-        return replace(solution, value=solution.value + factor * (better.value - solution.value))
+        matrices.append(solution.covariance)
+        size = factor if solution.covariance is matrices[0] else 1.0
+        return replace(solution, value=solution.value + size * (better.value - solution.value))
 
     monkeypatch.setattr(joint, 'newton_step', too_far)
     (found,), (wanted,) = solved().runs, right.runs

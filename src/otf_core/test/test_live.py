@@ -18,11 +18,11 @@ from otf_core.live import layers
 from otf_core.live.layers import TRACK_POINTS, PathDistance, Track, enlargement
 from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress
 from otf_core.live.stages import StepProgress, TimeLeft, approximate_time
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.volume import VolumeErrors
 
 CORNERS = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0], [0.1, 0.1, -0.2]], float)
 PATH = NominalPath(CORNERS)

@@ -3,7 +3,7 @@
 
 from core_cells import some_machine
 
-from otf_core.calibration.calibrate import mixture_warnings
+from otf_core.calibration.assembly import mixture_warnings
 
 CHAIN = 'w-Y-X-b-Z-t'
 

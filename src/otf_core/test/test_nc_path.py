@@ -6,16 +6,14 @@ import json
 import numpy as np
 import pytest
 from cli_cells import words_of
-from core_cells import small_plan, some_machine
+from core_cells import on_increments, program, small_plan, some_machine
 
 from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.inputs.path_file import read_path
-from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS
-from otf_core.planning.nc.programs import program, round_to_increment
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 MACHINE = """\
@@ -42,7 +40,7 @@ def random_plan(seed):
     points = np.round(rng.uniform(-0.9, 0.9, (12, 3)), 6)
     points[5] = points[4]
     points[8, :2] = points[7, :2]
-    return Plan(NominalPath(points), np.full(11, 0.1), np.round(rng.uniform(0.01, 3.0, 12), 3))
+    return Plan.along(points, np.full(11, 0.1), np.round(rng.uniform(0.01, 3.0, 12), 3))
 
 
 def read(tmp_path, text, name='PROGRAM.NC'):
@@ -54,7 +52,7 @@ def read(tmp_path, text, name='PROGRAM.NC'):
 @pytest.mark.parametrize('passes', [1, 2, 3])
 def test_a_planned_program_is_the_path_that_was_planned_to_the_last_bit(tmp_path, name, passes):
     machine = some_machine()
-    plan = round_to_increment(small_plan(machine, passes=passes), machine.lower, machine.upper)
+    plan = on_increments(machine, small_plan(machine, passes=passes))
     (tmp_path / DIALECTS[name].file_name).write_text(program(DIALECTS[name], plan, NASTY))
     points, said = read_path(tmp_path / DIALECTS[name].file_name)
     assert points.tobytes() == (driven(plan.path.points) + 0.0).tobytes()
@@ -77,9 +75,11 @@ def test_the_program_that_the_command_writes_is_read(tmp_path, name):
     asked += ['--tracker-place', '0.9,-0.6,0.3']
     asked += words_of({'levels': 2, 'passes': 1, 'rate': 50, 'grid': 2})
     assert cli.main(['plan', *asked]) == 0
-    file = tmp_path / 'plan' / DIALECTS[name].file_name
+    file = tmp_path / 'plan' / DIALECTS[name].file_of(1)
     plan = json.loads((tmp_path / 'plan' / 'plan.json').read_text())
-    np.testing.assert_array_equal(read_path(file)[0], driven(np.array(plan['path'])) + 0.0)
+    np.testing.assert_array_equal(
+        read_path(file)[0], driven(np.array(plan['parts'][0]['positions'])) + 0.0
+    )
 
 
 CORNERS = [[0.1, 0.0, -0.05], [0.2, 0.0, -0.05], [0.2, 0.15, -0.05], [0.2, 0.15, 0.0125]]

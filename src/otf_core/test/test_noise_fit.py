@@ -9,6 +9,7 @@ import pytest
 from core_cells import (
     corner_path,
     leg_parts,
+    observed,
     pieces_of,
     some_machine,
     transform_pose,
@@ -30,7 +31,9 @@ from otf_core.noise.noise_model import (
     misfit_of,
     scale_noise,
 )
-from otf_core.solving.joint import (
+from otf_core.solving.system import build_system
+from otf_core.solving.unknowns import cubic, layout
+from otf_core.solving.variance_components import (
     LOWER_BOUNDS,
     PRIOR_SIGMAS,
     UPPER_BOUNDS,
@@ -38,8 +41,6 @@ from otf_core.solving.joint import (
     _slopes,
     fit_noise,
 )
-from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import cubic, layout
 from otf_core.solving.whitener import Whitener
 
 RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)
@@ -59,7 +60,7 @@ def rows_of(corners, size):
     pieces = replace(pieces, time=time, duration=np.full(count, 0.1))
     ends = zip('XYZ', machine.lower, machine.upper, strict=True)
     unknowns = layout({a: cubic(np.array([low, high]), 3) for a, low, high in ends})
-    system = build_system(machine, pieces, pose, unknowns)
+    system = build_system(observed(machine, pieces, pose), unknowns)
     return SimpleNamespace(machine=machine, pieces=pieces, system=system, unknowns=unknowns)
 
 

@@ -5,14 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_cells import corner_path, record, some_machine, transform_pose, zero_tables
+from core_cells import (
+    corner_path,
+    plan_for_path,
+    record,
+    some_machine,
+    transform_pose,
+    zero_tables,
+)
 
 from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.errors import InputError
 from otf_core.model.machine import AXES
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
-from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import MotionTable
 from otf_core.pieces.pieces import over_windows, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment

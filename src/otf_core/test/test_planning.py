@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planned path: sees all that can be seen, stays inside, runs forward and reverse."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero_tables
+from core_cells import (
+    fit_pieces,
+    pieces_of,
+    plan_for_path,
+    some_machine,
+    transform_pose,
+    zero_tables,
+)
 
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError, InputError
+from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import check_inside, plan_for_path
+from otf_core.model.plan import Plan, check_inside
 from otf_core.planning import follow_up
+from otf_core.planning.findings import findings
+from otf_core.planning.forecast import Setup, forecast
 from otf_core.planning.path_creation import plan_path
 from otf_core.solving.solution import determined_by_data
 
@@ -110,7 +118,7 @@ def test_every_leg_moves():
 def test_given_path_is_driven_as_it_is():
     path = NominalPath(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0.0]]))
     plan = plan_for_path(path, PlannerConfig(feed=0.1, corner_dwell=0.5, end_dwell=2))
-    assert plan.path is path
+    assert np.array_equal(plan.path.points, path.points)
     assert plan.feed.tolist() == [0.1, 0.1]
     assert plan.dwell.tolist() == [2.0, 0.5, 2.0]
 
@@ -123,20 +131,39 @@ def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
     points[:, (axis + 1) % 3] += [0, 0.05, 0]
     points[2, axis] = (machine.upper if side > 0 else machine.lower)[axis] + side * 0.004
     with pytest.raises(InputError, match=rf'point 2 leaves the range of axis {name} by 4\.000 mm'):
-        check_inside(NominalPath(points), machine)
+        check_inside(Plan.along(points, [0.1, 0.1], [0, 0, 0]), machine)
 
 
 def test_path_to_the_very_ends_is_inside():
     machine = some_machine()
-    path = NominalPath(np.array([machine.lower, machine.upper]))
-    assert check_inside(path, machine) is None
+    plan = Plan.along([machine.lower, machine.upper], [0.1], [0, 0])
+    assert check_inside(plan, machine) is None
 
 
 @pytest.mark.parametrize('acceleration', [0.5, 1.0, 2.0, 3.0])
 def test_the_shortest_time_that_is_said_after_a_diagnosis_suffices(acceleration):
     config = ForecastConfig(acceleration=acceleration)
-    setup = SimpleNamespace(machine=some_machine(), config=config)
+    setup = Setup.of(some_machine(), config=config)
     with pytest.raises(ConfigError, match='no path takes 1 s or less') as raised:
         follow_up._candidates(setup, PlannerConfig(), 1.0)
     enough = float(str(raised.value).split()[-2])
     assert follow_up._candidates(setup, PlannerConfig(), enough)
+
+
+@pytest.mark.parametrize(
+    ('chain', 'hidden', 'needs'),
+    [
+        ('w-b-X-Y-t', {'EBX', 'EAY', 'EBY', 'ECY'}, 'target offset that differs'),
+        ('w-b-X-t', {'EXX', 'EAX', 'EBX', 'ECX'}, 'stops at every corner'),
+    ],
+)
+def test_a_gantry_and_a_plotter_plan_and_say_what_they_hide(chain, hidden, needs):
+    axes = {a: {'min': 0.0, 'max': 0.5, 'table_pitch': 0.1} for a in 'XY' if a in chain}
+    machine = machine_from_dict({
+        'name': 'flat', 'chain': chain, 'axes': axes, 'target_offset': [0.0, 0.0, -0.1],
+        'tracker': {'u_range': 5e-7, 'u_angle': 2e-6},
+    })  # fmt: skip
+    plan, setup = plan_path(machine, PlannerConfig()), Setup.of(machine)
+    found = forecast(plan, setup)
+    assert set(found.not_identifiable) == hidden
+    assert any(needs in f.needs for f in findings(plan, found, setup.limit))

@@ -17,8 +17,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import tables_to_dict
-from otf_core.prediction.predict import predict
-from otf_core.prediction.table_prior import prior_from_dict
+from otf_core.prediction.predict import predict, prior_from_dict
 from otf_core.solving.tabulate import USUAL_ANGLE, unseen_sizes
 
 OFFSET = np.array([0.02, -0.03, -0.15])

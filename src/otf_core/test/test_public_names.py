@@ -126,8 +126,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def test_results_travel_between_processes():
     machine = otf_core.load_machine(ROOT / 'bags/y-carries-the-table/machine.yaml')
-    path = otf_core.NominalPath([[0, 0, 0], [0.1, 0, 0]])
-    plan = otf_core.Plan(path, [0.1], [1.0, 1.0])
+    plan = otf_core.Plan.along([[0, 0, 0], [0.1, 0, 0]], [0.1], [1.0, 1.0])
     run = otf_core.simulate(machine, plan, seed=2)
     again = pickle.loads(pickle.dumps(run))
     np.testing.assert_array_equal(again.recording.samples.xyz, run.recording.samples.xyz)

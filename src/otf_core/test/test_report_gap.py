@@ -17,8 +17,8 @@ from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.where import describe_structure
 from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
-from otf_core.model.circumstances import Circumstances
-from otf_core.model.quantities import quantity
+from otf_core.model.expanded import quantity
+from otf_core.model.sections import Circumstances
 from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis, report_html
 from otf_core.reports.drawing.style import typeset
 from otf_core.reports.gap_sections.overview import confidence_words, next_measurements

@@ -6,31 +6,34 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rotary_cells import BAG, machine, recorded, truth
+from rotary_cells import BAG, machine, plan_of, recorded, truth
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.cdr import decode_axes, encode_axes
 from otf_core.cli import main
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.path_file import read_axis_plan, read_path
+from otf_core.inputs.path_file import read_path, read_plan
 from otf_core.inputs.recordings import ReadingOptions, read_recording
-from otf_core.model.axis_path import TURN_RATE, AxisPath, along_legs, nominal_track, position_at
+from otf_core.model.axis_path import (
+    TURN_RATE,
+    AxisPath,
+    along_legs,
+    driven_length,
+    nominal_track,
+    position_at,
+)
+from otf_core.model.chain import Sight, displacement
 from otf_core.model.evaluation import evenly_spread
-from otf_core.model.joints import Sight
-from otf_core.model.kinematics import displacement
 from otf_core.model.motions import ErrorMotion
-from otf_core.planning.rotary_forecast import duration_of
-from otf_core.planning.rotary_paths import PlannedPart
+from otf_core.pieces.pieces import LEAST_CHORD
 from otf_core.prediction.predict import predict
-from otf_core.rotary.curve_matching import match, split_parts
+from otf_core.rotary.curve_matching import match, nominal_places, sight_at, split_parts
 from otf_core.rotary.mismatch import check_matched
-from otf_core.rotary.periodic import over_turn
-from otf_core.rotary.reduction import LEAST_CHORD, Reach, chord_shares
-from otf_core.rotary.tabulation import field_rows, gauge_matrix
-from otf_core.rotary.track import Curve
-from otf_core.sim.axis_cell import JointDrive
-from otf_core.solving.tabulate import projection
+from otf_core.sim.drive import drives_of
+from otf_core.solving.tabulate import field_rows, gauge_matrix, projection
+from otf_core.solving.unknowns import over_turn
+from otf_core.tracking.curves import NO_PART, Lines, PathShape, shape_of_parts
 
 
 def test_trajectory_survives_its_encoding():
@@ -73,10 +76,15 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
     lines += [f'{p.target},{",".join(map(repr, q))}' for p in parts for q in p.positions.tolist()]
     (tmp_path / 'path.csv').write_text('\n'.join(lines))
     plan = [{'target': p.target, 'positions': p.positions.tolist()} for p in parts]
-    content = {'schema': 'otf-rotary-plan/1', 'axes': axes, 'parts': plan}
+    content = {'schema': 'otf-plan/2', 'axes': axes, 'parts': plan}
     (tmp_path / 'plan.json').write_text(json.dumps(content))
-    with pytest.raises(ConfigError, match=r'parts: 1: feed: expected a finite number'):
-        read_axis_plan(tmp_path / 'plan.json')  # drawn by hand: a path, but no plan
+    with pytest.raises(ConfigError, match=r'parts: 1: feed: expected \d+ finite numbers'):
+        read_plan(tmp_path / 'plan.json')  # drawn by hand: a path, but no plan
+    for part in plan:
+        count = len(part['positions'])
+        part |= {'feed': (count - 1) * [0.1], 'dwell': count * [0.0]}
+    content['assumed'] = {'tracker_link': 'b', 'tracker_place': [0, 0, 0]}
+    (tmp_path / 'plan.json').write_text(json.dumps(content))
     for file in ('path.csv', 'plan.json'):
         again = read_recording(
             [tmp_path / 's.csv'], machine(), ReadingOptions(path=tmp_path / file)
@@ -159,28 +167,44 @@ def test_gauge_changes_no_error_and_makes_motions_zero_at_zero():
 
 def test_drive_passes_all_corners_and_keeps_to_the_legs():
     q = np.array([[0.0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.1, 0, 0, 1.0, 2.0]])
-    drive = JointDrive(machine(), q, 0.05, 2.0, 0.5)
+    plan = plan_of([AxisPath(tuple('XYZAC'), q)], feed=0.05, dwell=0.5)
+    (drive,) = drives_of(machine(), plan, 2.0)
     at = drive.at(np.linspace(0, drive.duration, 2000))
     assert np.allclose(at[0], q[0]) and np.allclose(at[-1], q[-1])
     assert np.abs(at[:, 3] - 0.5 * at[:, 4]).max() < 1e-12
     assert np.abs(np.diff(at[:, 4])).max() < TURN_RATE * drive.duration / 2000 * 1.01
-    own = PlannerConfig(feed=0.05, corner_dwell=0.5)
-    part = PlannedPart(AxisPath(tuple('XYZAC'), q), 0.0, '')
-    assert duration_of(machine(), part, own) == drive.duration
-    ends = np.array([own.end_dwell, drive.duration - own.end_dwell])
+    dwell = PlannerConfig.end_dwell
+    ends = np.array([dwell, drive.duration - dwell])
     assert np.array_equal(drive.at(ends), q[[0, -1]])
     assert np.abs(drive.at(ends + np.array([0.1, -0.1])) - q[[0, -1]]).max(axis=1).min() > 1e-3
 
 
 def test_a_curve_that_turns_back_has_a_short_chord():
-    corners = np.zeros((2, 5))
     along = np.linspace(0.0, 1.0, 201)
     there = 0.02 * np.abs(along - 0.5)
-    curve = Curve(corners, along, np.stack([there, 1e-5 * along, 0.0 * along], axis=1))
-    reach = Reach.of(machine(), np.array([[0, 0, 0, 0, 0.0], [0.1, 0, 0, 0, 0.0]]))
-    places = np.array([0.1, 0.5, 0.9])
-    share = chord_shares(curve, places, np.zeros(3, dtype=np.int64), reach)
+    corners = np.stack([there, 1e-5 * along, 0.0 * along], axis=1)
+    one = np.zeros(200, dtype=np.int64)
+    lines = Lines.of(PathShape(corners, one, one))
+    chord = np.array([20, 100, 180])
+    share = lines.closest(corners[chord], chord, np.zeros(3))[3]
     assert np.all(share[[0, 2]] > LEAST_CHORD) and share[1] < 0.1
+
+
+def test_chords_stand_for_curves_and_lines_are_one_chord():
+    m, places = machine(), nominal_places(machine())
+    parts = recorded().axis_paths[1:3]
+    sights = [sight_at(m, p.target, places) for p in parts]
+    shape = shape_of_parts(sights, [p.positions for p in parts])
+    lines, first = Lines.of(shape), int(np.flatnonzero(shape.part == 1)[0])
+    assert np.all(np.bincount(shape.part[shape.part >= 0]) == [16, len(shape.part) - first])
+    assert not shape.curved[:17].any() and shape.curved[first:].all()
+    assert shape.part[16] == NO_PART and len(np.unique(shape.stretch[first:])) == 12
+    at = np.full(len(shape.part) - first, 0.5) * lines.length[first:]
+    q = lines.interpolated(shape.positions, np.arange(first, len(shape.part)), at)
+    middle = lines.at(at, np.arange(first, len(shape.part)))
+    assert np.linalg.norm(sights[1].nominal(q) - middle, axis=1).max() < 5e-6
+    travel = shape.travel[first:].sum()
+    assert travel == pytest.approx(driven_length(m, parts[1].positions))
 
 
 def test_parts_are_told_apart_by_the_broken_beam():
@@ -191,7 +215,7 @@ def test_parts_are_told_apart_by_the_broken_beam():
     with pytest.raises(InputError, match=r'path has 6 parts, but .* number 4, not 5'):
         first = recording.axis_paths[0]
         longer = replace(first, positions=np.concatenate([first.positions, first.positions]))
-        six = [longer, *recording.axis_paths]
+        six = [longer.of(machine()), *recording.axis_paths]
         split_parts(recording.samples, machine(), six)
 
 
@@ -211,12 +235,12 @@ def test_a_recording_that_ended_early_holds_the_first_parts():
 
 
 def test_tables_predict_the_exact_error_within_second_order():
-    from otf_core.model.joints import exact_position
+    from otf_core.model.chain import exact_position
 
     tables = truth().scaled(1.5)
     q = evenly_spread(machine().lower, machine().upper, 100)
     sight = Sight.of_tool(machine())
-    exact = exact_position(tables, sight, q) - sight.nominal(q)
+    exact = exact_position(tables, q, sight) - sight.nominal(q)
     assert np.abs(exact - displacement(tables, q)).max() < 5e-8
     from otf_core.model.tables import TablesFile
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of machines with rotary axes side by side: compare, history, fleet."""
 
+import itertools
 import json
 from dataclasses import replace
 
@@ -9,9 +10,11 @@ import pytest
 from cli_cells import run
 from test_rotary_exports import five_axes
 
-from otf_core.comparison.rotary_axes import compare_rotary
+from otf_core.comparison.compare import compare, load_source
 from otf_core.errors import ConfigError
 from otf_core.fleet.fleet import JobResult
+from otf_core.model.chain import displacement, rotations
+from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.tables import LocationError, MotionTable, tables_to_dict
 from otf_core.reports.fleet_report import fleet_page, fleet_rows
 from otf_core.sim.cell import random_tables
@@ -53,45 +56,93 @@ def test_compare_states_differences_of_rotary_motions_and_location_errors(
     assert run('compare', a, b, '--out', tmp_path / 'out') == 0
     shown = capsys.readouterr().out
     ecc, x0c = (next(r for r in shown.splitlines() if r.startswith(n)) for n in ('ECC', 'X0C'))
-    assert ecc.split()[1:5] == ['urad', '20.00', '-114.59', 'deg']  # 1e-5 of 2 rad
+    assert ecc.split()[1:3] == ['urad', '20.00']  # 1e-5 of 2 rad, either way
+    assert '114.59 deg' in ecc
     assert x0c.split()[1:3] == ['um', '30.00']
+    assert 'E_n <= 1 for' in shown
     assert 'not compared: EBA' in shown
     data = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
-    assert data['location']['X0C']['normalised_error'] == pytest.approx(30 / (2 * 2**0.5 * 2))
+    largest = 30 / (2 * 2**0.5 * 2)  # by its own u, to which that of the motions of C adds
+    assert 1 < data['location']['X0C']['normalised_error'] < largest
     assert data['motions']['ECC']['position_unit'] == 'rad'
-    assert data['motions']['EXC']['largest_difference'] == 0.0
+    assert data['motions']['EXC']['largest_difference'] < 1e-15
     assert data['volume']['mae_difference'] > 1e-6
     assert 'EBA' in data['not_compared']
     assert 'X0C' in (tmp_path / 'out' / 'report.html').read_text()
 
 
-def test_compare_says_what_cannot_be_compared(tables, tmp_path):
-    a = written(tmp_path, 'a', tables)
-    other = written(tmp_path, 'other', tables, gauge='another gauge')
-    found = compare_rotary(a, other)
-    assert not found.motions
-    assert len(set(found.not_compared.values())) == 2
-    assert found.not_compared['X0C'].startswith('the gauges differ, so that only')
-    assert found.not_compared['EBA'] == 'other does not determine it'
-    assert found.volume[2] == 0.0  # the volume needs no gauge
+def compared(a, b):
+    return compare(load_source(a, None), load_source(b, None))
+
+
+def test_any_gauge_and_range_are_brought_to_one(tables, tmp_path):
+    """Constants of motions and lengths of ranges say nothing of the machine."""
+    a, motions = written(tmp_path, 'a', tables), dict(tables.motions)
+    for k, m in enumerate(('EXX', 'EBZ', 'EXC', 'EAC', 'ECA')):
+        motions[m] = replace(motions[m], value=motions[m].value + 1e-5 * (k + 1))
+    same = replace(tables, motions=motions)
+    found = compared(a, written(tmp_path, 'other', same, gauge='another gauge'))
+    own = found.common.motions
+    assert max(np.abs(found.errors[m].difference).max() for m in own) < 1e-15
+    assert found.common.not_compared == {'EBA': 'a does not determine it'}
+    assert {'X0C', 'A0C', 'C0Y'} <= set(found.common.scalars)
+    q, volume = found.common.grid, found.volume
+    field = displacement(same, q) - displacement(tables, q)
+    np.testing.assert_allclose(
+        volume.difference, without_rigid_motion(field, volume.position), atol=1e-11
+    )
     short = {
         m: t if m.axis != 'C' else MotionTable(t.position[2:], t.value[2:], t.u[2:])
         for m, t in tables.motions.items()
     }
-    narrow = compare_rotary(a, written(tmp_path, 'narrow', replace(tables, motions=short)))
-    assert 'different ranges of C' in narrow.not_compared['X0C']
-    assert 'EAA' in narrow.motions
+    narrow = compared(a, written(tmp_path, 'narrow', replace(tables, motions=short)))
+    low = tables.motions['EXC'].position[2]
+    assert narrow.errors['EXC'].position[0] == pytest.approx(low)
+    assert max(np.abs(p.difference).max() for p in narrow.errors.values()) < 1e-12
 
 
-def test_compare_refuses_other_nominal_lines_and_direct_measurements(tables, tmp_path):
-    a = written(tmp_path, 'a', tables)
+def test_a_shifted_line_is_a_location_error_whichever_table_holds_it(tables, tmp_path):
+    """D (x) moves as X0C of D does, or as the motions of C that its displacement makes."""
+    machine, size = tables.machine, 2e-5
+    motions = dict(tables.motions)
+    q = motions['EXC'].position
+    turn = rotations(-q, np.array(machine.axes['C'].direction))  # C carries the table
+    moved = -(np.eye(3) - turn)[:, :, 0] * size
+    for k, m in enumerate(('EXC', 'EYC', 'EZC')):
+        motions[m] = replace(motions[m], value=motions[m].value + moved[:, k])
+    found = compared(
+        written(tmp_path, 'a', changed(tables, x0c=size)),
+        written(tmp_path, 'b', replace(tables, motions=motions)),
+    )
+    assert max(np.abs(p.difference).max() for p in found.errors.values()) < 1e-11
+
+
+def test_a_direct_measurement_of_an_axis_that_turns(tables, tmp_path):
+    machine, table = tables.machine, tables.motions['ECC']
+    q, rows = np.degrees(table.position), []
+    for number, sense in itertools.product((1, 2), (1, -1)):
+        way = 'forward' if sense > 0 else 'backward'
+        rows += [
+            f'C,{number},{way},{p!r},{1e6 * v!r}'
+            for p, v in list(zip(q.tolist(), table.value.tolist(), strict=True))[::sense]
+        ]
+    file = tmp_path / 'direct.csv'
+    file.write_text('\n'.join(['axis,run,direction,position_deg,EC_urad', *rows]) + '\n')
+    a = load_source(written(tmp_path, 'a', tables), None)
+    found = compare(load_source(file, machine), a)
+    assert found.common.motions == ('ECC',) and not found.common.scalars
+    assert np.abs(found.errors['ECC'].difference).max() < 1e-12
+    file.write_text(file.read_text().replace('position_deg', 'position_mm'))
+    with pytest.raises(ConfigError, match='column position_deg'):
+        load_source(file, machine)
+
+
+def test_other_nominal_lines_are_refused(tables, tmp_path):
     machine = tables.machine
     moved = replace(machine.axes['C'], centre=(0.0, 0.0, 0.5))
     other = replace(tables, machine=replace(machine, axes={**machine.axes, 'C': moved}))
     with pytest.raises(ConfigError, match='direction or centre of C'):
-        compare_rotary(a, written(tmp_path, 'b', other))
-    with pytest.raises(ConfigError, match='three linear axes only'):
-        compare_rotary(a, tmp_path / 'x.csv')
+        compared(written(tmp_path, 'a', tables), written(tmp_path, 'b', other))
 
 
 def test_history_takes_machines_with_rotary_axes(tables, tmp_path):
@@ -109,10 +160,14 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     folder = tmp_path / 'one'
     folder.mkdir()
     extra = {
-        'failed_gates': [],
-        'verdicts': {'machine': {'state': 'fail'}},
+        'verdicts': {'machine': {'state': 'fail'}, 'measurement': {'good': True}},
         'not_identifiable': ['A0C', 'EBA'],
-        'volumetric_error': {'mean': 5e-5, 'max': 1e-4},
+        'headline': {
+            'error': {'mean': 5e-5, 'max': 1e-4},
+            'U_of_largest': 5e-6,
+            'expected_after_compensation': {'U': {'mean': 2e-6, 'max': 5e-6}},
+        },
+        'target_offset_bound': {'contains': {}, 'offset': [0.0, 0.0, 0.0]},
     }
     written(folder, 'error_tables', tables, **extra)
     outcomes = {'one': JobResult(0, '', 'x')}

@@ -11,8 +11,8 @@ from otf_core.diagnosis.weighing import input_words
 from otf_core.effects import EVERY, REGISTRY, ROTARY, catalogue
 from otf_core.effects.inputs import input_values
 from otf_core.effects.state import probe_state, state_in_parts
+from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform
-from otf_core.model.joints import Sight
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec, load_machine
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from cli_cells import message, run
 from export_readers import etalon_blocks, evenly, sinumerik_values
-from test_joints import constant, machine_of
+from test_chain import constant, machine_of
 
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
-from otf_core.exports.format import Request, remaining_error
-from otf_core.exports.lattice import linear_tables
+from otf_core.exports.format import THREE_AXES, Request, remaining_error
 from otf_core.exports.pivot import correct_axis_lines
-from otf_core.model.kinematics import exact_position, nominal_position
+from otf_core.exports.terms import linear_tables
+from otf_core.model.chain import exact_position, nominal_position
 from otf_core.model.tables import LocationError, MotionTable, TablesFile, tables_to_dict
+from otf_core.prediction.predict import Predictor
 from otf_core.sim.cell import random_tables
 
 CHAINS = ('w-C-A-b-Y-X-Z-t', 'w-C-b-X-Y-Z-B-t', 'w-X-b-Y-Z-C-A-t')
@@ -259,7 +260,7 @@ def test_unseen_errors_of_rotary_axes_are_named_in_the_file():
     assert words in made.files['cell.txt'].decode()
 
 
-@pytest.mark.parametrize('name', [n for n in HOMES if not export_format(n).takes_rotary])
+@pytest.mark.parametrize('name', [n for n in HOMES if export_format(n).holds == THREE_AXES])
 def test_a_format_of_three_axes_refuses_rotary_axes(name):
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
     with pytest.raises(ConfigError, match=rf'--format {name}: holds three linear axes only.*A, C'):
@@ -368,9 +369,8 @@ def test_new_centre_is_old_and_the_location_error():
     made = exported('pivot', tables)
     text = made.files['cell.txt'].decode()
     assert '+ (0.100000, 0.000000, 0.000000)' in text
-    assert 'C: X0C +0.100000 mm' in text
-    assert 'centre of C: add (0.100000, 0.000000, 0.000000)' in text
-    assert 'HEIDENHAIN, FANUC: not checked in a manual' in text
+    assert 'location errors of C: X0C 0.100000 mm' in text
+    assert 'not checked in a manual' in text
     assert remaining_error(tables, made.held).after_max < 1e-9
 
 
@@ -459,12 +459,15 @@ def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(1))
     text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
     alone = exported('sinumerik-enc', linear_tables(tables)).files['cell.txt'].decode()
+    across = [exported('sinumerik-cec', t) for t in (tables, linear_tables(tables))]
+    values = [sinumerik_values(made.files['cell.txt'].decode(), 'AN_CEC') for made in across]
+    assert values[0] == values[1]
     tables_of = [line for line in alone.splitlines() if line.startswith('$')]
     assert [line for line in text.splitlines() if line in set(tables_of)] == tables_of
     assert 'rotary axes at zero' in text
 
 
-@pytest.mark.parametrize('name', ['isg', 'etalon', 'sinumerik-enc', 'linuxcnc', 'pivot'])
+@pytest.mark.parametrize('name', [n for n in HOMES if n != 'lattice-csv'])
 def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
     file = tmp_path / 'error_tables.json'
@@ -478,3 +481,17 @@ def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
     assert run('export', file, '--format', 'lattice-csv', '--out', tmp_path / 'x.xml') == 2
     assert 'holds three linear axes only' in message(capsys)
     assert not (tmp_path / 'x.xml').exists()
+
+
+@pytest.mark.parametrize('chain', CHAINS)
+def test_corrected_commands_of_the_linear_axes_put_the_target_where_it_is_wanted(chain):
+    """What the compensator answers: the position of the target on the table, at any angles."""
+    tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
+    machine, q = tables.machine, places(tables.machine)
+    command = Predictor.of(TablesFile(tables)).corrected(q)
+    turning = [machine.column(a) for a in machine.rotary_names]
+    np.testing.assert_array_equal(command[:, turning], q[:, turning])
+    wanted = nominal_position(machine, q)
+    before = np.linalg.norm(exact_position(tables, q) - wanted, axis=1)
+    after = np.linalg.norm(exact_position(tables, command) - wanted, axis=1)
+    assert after.max() < 1e-7 < 0.01 * before.max()

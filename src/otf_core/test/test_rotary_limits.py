@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_joints import constant
+from test_chain import constant
 from test_rotary_exports import five_axes
 
-from otf_core.calibration.machine_verdict import judge_axes
+from otf_core.budget.budget import NOISE, Budget, Source
+from otf_core.calibration.machine_verdict import judge
 from otf_core.errors import ConfigError
-from otf_core.model.limits import Limits
 from otf_core.model.machine import machine_from_dict
+from otf_core.model.sections import Limits
 from otf_core.model.tables import LocationError, MotionTable
 from otf_core.prediction.volumetric import table_places
 
@@ -31,7 +32,10 @@ def cell(limits):
 def judged(limits, hidden=()):
     tables = cell(limits)
     size = max(place.stop for place in table_places(tables).values())
-    verdict = judge_axes(tables, 1e-12 * np.eye(size), hidden)
+    covariance = 1e-12 * np.eye(size)
+    sources = (Source(NOISE, covariance, np.inf),)
+    budget = Budget(sources, (), 1.0, np.eye(size), np.zeros(size))
+    verdict = judge(tables, covariance, budget, hidden)
     return {one.name: one for one in verdict.judged}
 
 

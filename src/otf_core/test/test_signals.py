@@ -21,10 +21,9 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free_form import signal_forms
 from otf_core.errors import ConfigError
-from otf_core.model.courses import Courses
-from otf_core.model.declared_signals import DRIVEN
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.signals import LAGS, Signal
+from otf_core.model.sections import SIGNAL_DRIVEN
+from otf_core.model.signals import LAGS, Courses, Signal
 from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
@@ -196,7 +195,7 @@ def test_a_signal_drives_only_what_it_may_act_on():
     probe = driven_state()
     course = np.arange(float(len(probe)))
     states = [replace(probe, machine=machine, more={'signal:/motor@30': course})]
-    named = {e: signal_forms(REGISTRY[e], states) for e in DRIVEN}
+    named = {e: signal_forms(REGISTRY[e], states) for e in SIGNAL_DRIVEN}
     assert [e for e, forms in named.items() if forms] == ['thermal_axis_expansion']
 
 
@@ -217,7 +216,7 @@ def test_a_simulated_run_holds_the_signals_that_effects_follow(tmp_path):
     assert {s.wanted for s in run.signals} == {'/spindle', '/coolant'}
     assert set(read['signal:/coolant'].value.tolist()) == {0.0, 1.0}
     assert warm.value.min() == 20.0 and 22.0 < warm.value.max() <= 26.0
-    moved = (run.samples.xyz - still.samples.xyz) @ run.rotation
+    moved = (run.samples.xyz - still.samples.xyz) @ run.pose.rotation.T
     stamps = run.samples.stamp_ns - warm.stamp_ns[0]
     kelvin = np.interp(stamps, warm.stamp_ns - warm.stamp_ns[0], warm.value) - 20.0
     assert np.allclose(moved, np.outer(kelvin, [0.0, 0.0, 2e-6]), atol=1e-9)

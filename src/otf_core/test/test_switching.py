@@ -26,8 +26,7 @@ from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.model_choice import linear_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases
 
 DRIFT = REGISTRY['thermal_structure_drift']
 
@@ -111,7 +110,7 @@ def one_run():
     recording = Recording(driven.measured(truth, seed=0), plan.path, machine)
     runs, nodes = prepare_runs([recording], config)
     done = solve_jointly(
-        runs, layout(linear_bases(nodes), runs=1), config, lambda stage, fraction: None
+        runs, layout(linear_bases(machine, nodes)), config, lambda stage, fraction: None
     )
     return build_rows(runs, done, LIMIT)
 

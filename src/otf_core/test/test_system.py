@@ -8,6 +8,7 @@ import pytest
 from core_cells import (
     CONTRACT_CHAINS,
     error_by_hand,
+    observed,
     pieces_of,
     small_plan,
     some_machine,
@@ -17,29 +18,29 @@ from core_cells import (
 )
 from nature import influences
 
+from otf_core.model.chain import Sight
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import MotionTable, Squareness
 from otf_core.noise.noise_model import MODEL_FLOOR
 from otf_core.sim.cell import random_tables
-from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import normal_equations
-from otf_core.solving.system import build_system, model_rows, nominal_positions
-from otf_core.solving.unknowns import layout
+from otf_core.solving.system import build_system, model_rows, positions_on_path
+from otf_core.solving.unknowns import layout, linear_bases, smooth_bases
 from otf_core.solving.whitener import Whitener
 
 ALL_CHAINS = (*CONTRACT_CHAINS, 'w-Z-Y-X-b-t')
 
 
-def coarse_splines(nodes):
-    return smooth_bases(nodes, 5)
+def coarse_splines(machine, nodes):
+    return smooth_bases(machine, nodes, 5)
 
 
 def system_of(machine, tables, pose=None, seed=0, known=None, bases=linear_bases):
     pose = pose or transform_pose(machine, seed)
     pieces = pieces_of(machine, small_plan(machine).path, tables, pose, size=0.06)
-    unknowns = layout(bases(table_nodes(machine, machine.lower, machine.upper)))
-    return pieces, unknowns, build_system(machine, pieces, pose, unknowns, known)
+    unknowns = layout(bases(machine, table_nodes(machine, machine.lower, machine.upper)))
+    return pieces, unknowns, build_system(observed(machine, pieces, pose), unknowns, known)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +83,7 @@ def test_columns_of_the_pose_take_off_a_motion_of_the_tracker():
         small = np.zeros(6)
         small[k] = 1e-6
         moved = pose.moved_by(small[:3], small[3:])
-        shifted = build_system(machine, pieces, moved, unknowns)
+        shifted = build_system(observed(machine, pieces, moved), unknowns)
         change = np.einsum('kij,ij->ki', system.axes, moved.apply(pieces.xyz) - shifted.q)
         change -= np.einsum('kij,ij->ki', system.axes, pose.apply(pieces.xyz) - system.q)
         # a correction of the pose undoes the motion; second order is 1e-12
@@ -129,8 +130,9 @@ def test_positions_lie_on_their_legs_even_with_errors_along_them():
     pieces = pieces_of(machine, small_plan(machine).path, truth, pose, size=0.06)
     exact = pieces_of(machine, small_plan(machine).path, zero_tables(machine), pose, size=0.06)
     programmed = pose.apply(exact.xyz)
-    found = nominal_positions(pieces, pose.apply(pieces.xyz), truth)
-    nearest = nominal_positions(pieces, pose.apply(pieces.xyz), None)
+    sight, points = Sight.of_tool(machine), pose.apply(pieces.xyz)
+    found = positions_on_path(sight, pieces, points, truth)
+    nearest = positions_on_path(sight, pieces, points, None)
     # without tables it is off by the error along the path, some 100 um; with them by 1e-3 of it
     assert np.abs(nearest - programmed).max() > 5e-5
     np.testing.assert_allclose(found, programmed, atol=1e-7)
@@ -170,7 +172,7 @@ def test_rows_hold_a_few_coefficients_of_a_motion_and_no_more(bases, entries):
 def test_rows_of_the_volumetric_error_are_those_of_the_contract(chain):
     machine = some_machine(chain)
     rng = np.random.default_rng(5)
-    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)))
+    unknowns = layout(linear_bases(machine, table_nodes(machine, machine.lower, machine.upper)))
     tables = random_tables(machine, 2e-5, rng)
     q = rng.uniform(machine.lower, machine.upper, (6, 3))
     values = np.zeros(unknowns.full)
@@ -190,7 +192,7 @@ def test_a_piece_is_a_mean_over_its_samples_not_the_value_at_its_centre(count, b
     size = len(points)
     shares = (np.arange(count) + 0.5) / count - 0.5
     means = replace(points, spread=np.full(size, 0.03 * np.std(shares)))
-    found = build_system(machine, means, transform_pose(machine, 0), unknowns)
+    found = build_system(observed(machine, means, transform_pose(machine, 0)), unknowns)
     values = np.zeros(unknowns.full)
     for k, name in enumerate(MOTIONS):
         basis = unknowns.bases[name[2]]

@@ -9,7 +9,7 @@ from core_cells import some_machine
 from scipy.spatial.transform import Rotation
 
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import displacement
+from otf_core.model.chain import displacement
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import load_tables, tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
@@ -38,7 +38,7 @@ def test_tables_stay_with_their_chain():
 
 
 def test_layout_is_that_of_the_contract(data):
-    assert data['schema'] == 'otf-error-tables/1'
+    assert data['schema'] == 'otf-error-tables/2'
     assert set(data['motions']) == set(MOTIONS)
     for name, entry in data['motions'].items():
         assert {'axis', 'unit', 'position', 'value', 'u', 'identifiable'} <= set(entry)
@@ -163,7 +163,8 @@ def set_motion(**change):
 @pytest.mark.parametrize(
     ('change', 'names'),
     [
-        (lambda d: d.update(schema='otf-error-tables/2'), ('schema',)),
+        (lambda d: d.update(schema='otf-error-tables/3'), ('schema',)),
+        (lambda d: d.update(schema='otf-error-tables/1', motions={'EXC': {}}), ('EXC',)),
         (lambda d: d.pop('schema'), ('schema',)),
         (lambda d: d.pop('motions'), ('motions',)),
         (lambda d: d.update(motions=[]), ('motions',)),

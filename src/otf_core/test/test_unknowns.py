@@ -6,8 +6,7 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.model.nodes import table_nodes
-from otf_core.solving.model_choice import linear_bases, smooth_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases, reversal_names, smooth_bases
 
 ACROSS_ZERO = ((-0.13, 0.22), (-0.08, 0.11), (-0.31, 0.02))
 BESIDE_ZERO = ((0.0, 0.35), (0.02, 0.2), (-0.31, -0.02))
@@ -18,7 +17,7 @@ BESIDE_ZERO = ((0.0, 0.35), (0.02, 0.2), (-0.31, -0.02))
 def test_matrices_are_lowered_and_lifted_by_the_gauge(bases, ranges, following):
     machine = some_machine(ranges=ranges)
     nodes = table_nodes(machine, machine.lower, machine.upper)
-    unknowns = layout(bases(nodes), 2, reversal=1)
+    unknowns = layout(bases(machine, nodes), 2, reversal_names(machine.motions, 1))
     G, rng = unknowns.gauge.toarray(), np.random.default_rng(6)
     follows = unknowns.full - len(unknowns.kept) - int(np.sum(~G.any(axis=1)))
     assert follows == following

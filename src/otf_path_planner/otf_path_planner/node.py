@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Path planner node: publishes the nominal path and the plan, latched; plans anew on request.
 
-A machine with rotary axes has a trajectory of axis positions for every part instead of a path.
+A machine with rotary axes or several targets has a trajectory of axis positions for every part
+instead of a path.
 """
 
 from __future__ import annotations
@@ -12,12 +13,11 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from otf_core.config import PlannerConfig
+from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import OtfError
-from otf_core.model.machine import Machine
 from otf_msgs.msg import Plan
 from otf_path_planner.params import PlannerFiles
-from otf_path_planner.planning import check_files, make_axis_plan, make_plan, read_machine
+from otf_path_planner.planning import check_files, make_plan, read_machine
 from otf_ros import app, convert, qos, services
 from otf_ros.params import NodeParameters
 
@@ -47,31 +47,21 @@ class PathPlanner(Node):
         """Plan with the present parameters, publish, and say what was planned."""
         files, config = self._settings.read(PlannerFiles), self._settings.read(PlannerConfig)
         machine = read_machine(files)
-        return (self._plan_parts if machine.rotary_names else self._plan_path)(
-            machine, files, config
-        )
-
-    def _plan_path(self, machine: Machine, files: PlannerFiles, config: PlannerConfig) -> str:
-        plan, passes = make_plan(machine, files, config)
+        plan, track = make_plan(machine, files, config)
         now = self.get_clock().now().to_msg()
-        self._path_publisher.publish(convert.path_to_message(plan.path, now))
-        self._plan_publisher.publish(convert.plan_to_message(plan, machine.name, passes, now))
-        return (
-            f'planned for {machine.name}: {len(plan.path.points)} points, '
-            f'{plan.path.length:.2f} m, {plan.duration:.0f} s without acceleration'
+        if plan.is_plain:
+            self._path_publisher.publish(convert.path_to_message(plan.path, now))
+        for part in () if plan.is_plain else plan.parts:
+            self._axes_publisher.publish(convert.axes_to_message(part.path, now))
+        duration = plan.duration(machine, ForecastConfig.acceleration)
+        self._plan_publisher.publish(
+            convert.plan_to_message(plan, machine.name, track.length, duration, now)
         )
-
-    def _plan_parts(self, machine: Machine, files: PlannerFiles, config: PlannerConfig) -> str:
-        plan, track = make_axis_plan(machine, files, config)
-        now = self.get_clock().now().to_msg()
-        for part in plan.parts:
-            self._axes_publisher.publish(convert.axes_to_message(part, now))
-        message = convert.axis_plan_to_message(plan, machine.name, track.length, now)
-        self._plan_publisher.publish(message)
+        corners = sum(len(part.path.positions) for part in plan.parts)
         targets = ', '.join(part.target for part in plan.parts)
         return (
-            f'planned for {machine.name}: {len(plan.parts)} parts ({targets}), '
-            f'{track.length:.2f} m, {plan.duration:.0f} s without moves by hand'
+            f'planned for {machine.name}: {corners} points in {len(plan.parts)} part(s) '
+            f'({targets}), {track.length:.2f} m, {duration:.0f} s without moves by hand'
         )
 
     def _replan(self) -> tuple[bool, str]:

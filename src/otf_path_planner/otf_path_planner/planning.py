@@ -8,14 +8,12 @@ from pathlib import Path
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.path_file import read_axis_paths, read_path
-from otf_core.model.axis_path import PartsTrack, nominal_track
+from otf_core.inputs.path_file import holds_axis_positions, read_axis_paths, read_path
+from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
 from otf_core.model.machine import Machine, load_machine
-from otf_core.model.path import NominalPath
-from otf_core.model.plan import AxisPlan, Plan, check_inside, plan_for_path
-from otf_core.planning.part_choice import axis_plan, planned_parts
-from otf_core.planning.path_creation import plan_path
-from otf_core.planning.rotary_paths import PlannedPart
+from otf_core.model.plan import Plan, check_inside, plan_along
+from otf_core.planning.forecast import Setup
+from otf_core.planning.part_choice import planned
 from otf_path_planner.params import PlannerFiles
 
 
@@ -40,33 +38,10 @@ def check_files(files: PlannerFiles, changed: Collection[str]) -> None:
         raise ConfigError(f'parameter path_file: {files.path_file}: no such file')
 
 
-def make_plan(machine: Machine, files: PlannerFiles, config: PlannerConfig) -> tuple[Plan, int]:
-    """Plan for a machine with linear axes alone.
-
-    Returns
-    -------
-    passes : int
-        How often the path is driven.
-
-    Raises
-    ------
-    ConfigError
-        Names the parameter or the file that is wrong.
-    """
-    if not files.path_file:
-        return plan_path(machine, config), config.passes
-    try:
-        path = NominalPath(read_path(files.path_file)[0])
-        check_inside(path, machine)
-    except InputError as error:
-        raise ConfigError(f'{files.path_file}: {error}') from None
-    return plan_for_path(path, config), 1
-
-
-def make_axis_plan(
+def make_plan(
     machine: Machine, files: PlannerFiles, config: PlannerConfig
-) -> tuple[AxisPlan, PartsTrack]:
-    """Plan for a machine with rotary axes: the parts of ``otf plan``, or of a file.
+) -> tuple[Plan, PartsTrack]:
+    """Make the plan of ``otf plan``, or drive that of a file.
 
     Returns
     -------
@@ -78,13 +53,17 @@ def make_axis_plan(
     ConfigError
         Names the parameter or the file that is wrong.
     """
+    name = files.path_file
     try:
-        if files.path_file:
-            own = read_axis_paths(files.path_file, machine.axis_names)
-            parts = [PlannedPart(path.of(machine), 0.0, '') for path in own]
-        else:
-            parts = planned_parts(machine, config)
-        track = nominal_track(machine, [part.path for part in parts])
+        plan = planned(Setup.of(machine), config) if not name else _plan_of(name, machine, config)
+        check_inside(plan, machine)
+        return plan, nominal_track(machine, [part.path for part in plan.parts])
     except InputError as error:
-        raise ConfigError(f'{files.path_file or files.machine_file}: {error}') from None
-    return axis_plan(machine, parts, config), track
+        raise ConfigError(f'{name or files.machine_file}: {error}') from None
+
+
+def _plan_of(name: str, machine: Machine, config: PlannerConfig) -> Plan:
+    """Plan of a file: its parts or points at the feed and with the dwells of the parameters."""
+    if machine.rotary_names or holds_axis_positions(name):
+        return plan_along(machine, read_axis_paths(name, machine.axis_names), config)
+    return plan_along(machine, [AxisPath.of_points(machine, read_path(name)[0])], config)

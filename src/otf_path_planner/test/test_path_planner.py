@@ -15,7 +15,8 @@ from otf_core.config import PlannerConfig
 from otf_core.contradictions.recording_checks import check_path
 from otf_core.errors import ConfigError
 from otf_core.model.machine import load_machine
-from otf_core.planning.part_choice import planned_parts
+from otf_core.planning.forecast import Setup
+from otf_core.planning.part_choice import planned
 from otf_msgs.msg import Plan
 from otf_path_planner.node import PathPlanner
 from otf_ros import convert, qos
@@ -57,14 +58,15 @@ def test_parts_of_a_machine_with_rotary_axes_are_published_one_by_one_with_one_s
         bench.wait(lambda: plans and len(parts) >= 3, 'the parts')
     machine = load_machine(file)
     paths = [convert.axes_from_message(part).of(machine) for part in parts]
-    planned = planned_parts(machine, PlannerConfig(levels=2))
-    assert [path.target for path in paths] == [part.path.target for part in planned]
-    for path, part in zip(paths, planned, strict=True):
+    wanted = planned(Setup.of(machine), PlannerConfig(levels=2))
+    assert [path.target for path in paths] == [part.target for part in wanted.parts]
+    for path, part in zip(paths, wanted.parts, strict=True):
         assert np.array_equal(path.positions, part.path.positions)
     assert len({(p.header.stamp.sec, p.header.stamp.nanosec) for p in parts}) == 1
-    plan = convert.axis_plan_from_message(plans[0])
-    assert plan.stops == (False, False, True) and plan.dwell == (0.2, 0.2, 1.0)
-    assert list(plans[0].parts) == parts and not plans[0].points
+    plan = convert.plan_from_message(plans[0])
+    for part, own in zip(plan.parts, wanted.parts, strict=True):
+        assert np.array_equal(part.feed, own.feed) and np.array_equal(part.dwell, own.dwell)
+    assert list(plans[0].parts) == parts
 
 
 def test_planner_without_a_machine_says_what_is_missing():

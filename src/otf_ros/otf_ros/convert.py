@@ -16,13 +16,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from otf_core.bags.cdr import frame_text
 from otf_core.bags.sample_order import usable_path
-from otf_core.errors import InputError, ShapeError
+from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TOOL
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import AxisPlan, Plan
+from otf_core.model.plan import Part, Plan
 from otf_msgs.msg import Plan as PlanMessage
 from otf_ros import frames
 
@@ -142,64 +142,42 @@ def path_of_part(part: AxisPath, stamp: Time) -> Path:
     return path_to_message(NominalPath(part.positions), stamp)
 
 
-def axis_plan_to_message(plan: AxisPlan, machine: str, length: float, stamp: Time) -> PlanMessage:
-    """Return a plan message for a machine with rotary axes of this name.
+def plan_to_message(
+    plan: Plan, machine: str, length: float, duration: float, stamp: Time
+) -> PlanMessage:
+    """Return a plan message for the machine of this name.
 
     Parameters
     ----------
-    length : float
-        Of the track of the reflectors, m.
+    length, duration : float
+        Of the track of the reflectors, m, and of all parts, s.
     """
     digest = hashlib.sha256()
     for part in plan.parts:
-        digest.update(part.target.encode() + np.ascontiguousarray(part.positions).tobytes())
-    digest.update(np.array([plan.feed, plan.dwell, plan.stops]).tobytes())
+        digest.update(part.target.encode())
+        for array in (part.path.positions, part.feed, part.dwell):
+            digest.update(np.ascontiguousarray(array).tobytes())
     return PlanMessage(
         header=header(stamp),
         plan_id=digest.hexdigest()[:16],
         machine=machine,
-        passes=1,
-        parts=[axes_to_message(part, stamp) for part in plan.parts],
-        part_feed=list(plan.feed),
-        part_dwell=list(plan.dwell),
-        part_stops=list(plan.stops),
+        parts=[axes_to_message(part.path, stamp) for part in plan.parts],
+        feed=np.concatenate([part.feed for part in plan.parts]).tolist(),
+        dwell=np.concatenate([part.dwell for part in plan.parts]).tolist(),
         length=length,
-        duration=plan.duration,
-    )
-
-
-def axis_plan_from_message(message: PlanMessage) -> AxisPlan:
-    """Return the plan of a message for a machine with rotary axes; InputError if it is none."""
-    parts = tuple(axes_from_message(part) for part in message.parts)
-    try:
-        given = message.part_feed, message.part_dwell, message.part_stops
-        return AxisPlan(parts, *map(tuple, given), message.duration)
-    except ShapeError as error:
-        raise InputError(str(error)) from None
-
-
-def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanMessage:
-    """Return a plan message for the machine of this name."""
-    digest = hashlib.sha256()
-    for array in (plan.path.points, plan.feed, plan.dwell):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return PlanMessage(
-        header=header(stamp),
-        plan_id=digest.hexdigest()[:16],
-        machine=machine,
-        points=[Point(x=x, y=y, z=z) for x, y, z in plan.path.points.tolist()],
-        feed=plan.feed.tolist(),
-        dwell=plan.dwell.tolist(),
-        passes=passes,
-        length=plan.path.length,
-        duration=plan.duration,
+        duration=duration,
     )
 
 
 def plan_from_message(message: PlanMessage) -> Plan:
     """Return the plan of a message; InputError or ShapeError if it is none."""
-    points = np.array([(p.x, p.y, p.z) for p in message.points], float).reshape(-1, 3)
-    return Plan(NominalPath(points), np.array(message.feed), np.array(message.dwell))
+    paths = [axes_from_message(part) for part in message.parts]
+    if not paths:
+        raise InputError('a plan without parts')
+    ends = np.cumsum([len(path.positions) for path in paths])
+    feeds = np.split(np.array(message.feed, float), ends[:-1] - np.arange(1, len(paths)))
+    dwells = np.split(np.array(message.dwell, float), ends[:-1])
+    return Plan(tuple(Part(*own) for own in zip(paths, feeds, dwells, strict=True)))
 
 
 def transform_to_message(transform: RigidTransform) -> Transform:

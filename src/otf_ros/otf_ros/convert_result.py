@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of a calibration to messages; of machines with rotary axes see ``convert_rotary``."""
+"""Results of a calibration to messages."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
 
-from otf_core.calibration.axis_calibration import AxisCalibration
+from otf_core.arrays import Array
 from otf_core.calibration.calibration_result import (
     CalibrationResult,
     motion_sizes,
@@ -22,16 +22,15 @@ from otf_core.calibration.machine_verdict import (
     OPEN,
     PASS,
     UNKNOWN,
-    Verdicts,
 )
 from otf_core.errors import ShapeError
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import unit_of
 from otf_core.model.tables import ErrorTables
-from otf_core.model.volume import VolumeErrors
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable
+from otf_msgs.msg import ErrorTable, TargetPlace
 from otf_msgs.msg import ErrorTables as TablesMessage
 from otf_msgs.msg import VolumeErrors as VolumeMessage
 from otf_ros import frames
@@ -50,47 +49,28 @@ STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignm
 
 def _tables_to_messages(tables: ErrorTables) -> list[ErrorTable]:
     """Return one message per error motion, EXX to ECZ first."""
-    messages = []
-    for name in tables.machine.motions:
-        table, axis = tables.motions[name], tables.machine.axes[name.axis]
-        seen = table.node_identifiable
-        straight = name.is_straightness and not axis.rotary
-        message = ErrorTable(
+    return [
+        ErrorTable(
             motion=name,
             axis=name.axis,
             unit=unit_of(name),
-            position_unit=axis.unit,
+            position_unit=tables.machine.axes[name.axis].unit,
             position=table.position.tolist(),
             value=table.value.tolist(),
             u=table.u.tolist(),
             identifiable=table.identifiable,
-            node_identifiable=[table.identifiable] * len(table.position)
-            if seen is None
-            else seen.tolist(),
-            gauge=STRAIGHTNESS_GAUGE if straight else ZERO_GAUGE,
+            node_identifiable=table.nodes_seen.tolist(),
+            gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
         )
-        messages.append(message)
-    return messages
+        for name in tables.machine.motions
+        for table in [tables.motions[name]]
+    ]
 
 
-def tables_to_message(
-    result: CalibrationResult | AxisCalibration,
-    alignment: RigidTransform,
-    hidden: Collection[str],
-    stamp: Time,
-    method: str,
-) -> TablesMessage:
-    """Return all errors of one calibration but those of rotary axes; its files are left empty.
-
-    Parameters
-    ----------
-    alignment : RigidTransform
-        Place of the tracker.
-    hidden : collection of str
-        Errors that the data do not show.
-    """
-    machine, run = result.tables.machine, result.origin[0]
-    squareness = {name: result.tables.squareness[name] for name in machine.squareness}
+def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> TablesMessage:
+    """Return all errors of one calibration; where its files lie is left empty."""
+    machine, run, tables = result.tables.machine, result.origin[0], result.tables
+    squareness, location = tables.squareness, tables.location
     return TablesMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -98,13 +78,26 @@ def tables_to_message(
         chain=str(machine.chain),
         method=method,
         passed=not result.failed_gates,
-        tables=_tables_to_messages(result.tables),
+        tables=_tables_to_messages(tables),
         squareness=list(squareness),
         squareness_value=[entry.value for entry in squareness.values()],
         squareness_u=[entry.u for entry in squareness.values()],
-        squareness_identifiable=[name not in hidden for name in squareness],
+        squareness_identifiable=[name not in result.not_identifiable for name in squareness],
+        location=list(location),
+        location_value=[entry.value for entry in location.values()],
+        location_u=[entry.u for entry in location.values()],
+        location_identifiable=[entry.identifiable for entry in location.values()],
+        targets=[
+            TargetPlace(
+                name=name,
+                link=own.link,
+                place=Point(**_xyz(own.place)),
+                u=Vector3(**_xyz(own.u)),
+            )
+            for name, own in result.targets.items()
+        ],
         tracker_link=machine.tracker.link,
-        alignment=transform_to_message(alignment),
+        alignment=transform_to_message(result.T_machine_tracker),
         software=f'otf_core {__version__}',
         first=time_from_ns(run.first_ns),
         last=time_from_ns(run.last_ns),
@@ -112,6 +105,10 @@ def tables_to_message(
         run_sha256=run.sha256,
         machine_sha256=machine.file_sha256,
     )
+
+
+def _xyz(values: Array) -> dict[str, float]:
+    return dict(zip('xyz', values.tolist(), strict=True))
 
 
 def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> TransformStamped:
@@ -123,21 +120,16 @@ def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> Tran
     )
 
 
-def common_result(
-    result: CalibrationResult | AxisCalibration,
-    verdicts: Verdicts,
-    alignment: RigidTransform,
-    hidden: Collection[str],
-    stamp: Time,
-    method: str,
-) -> ResultMessage:
-    """Return what the summaries of all machines have in common; see ``tables_to_message``."""
+def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
+    """Return the summary; what only the node knows (lost samples, folder) is left empty."""
     fit, machine, first = result.fit, result.tables.machine, result.headline
+    verdicts, location = result.verdicts, result.tables.location
     sizes = motion_sizes(result.tables)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
         status=verdicts.exit_code,
+        message=result.sentence,
         measurement_good=verdicts.good,
         measurement_verdict=verdicts.measurement_words,
         machine_state=MACHINE_STATES[verdicts.machine_state],
@@ -146,7 +138,7 @@ def common_result(
         chain=str(machine.chain),
         method=method,
         tracker_link=machine.tracker.link,
-        alignment=transform_to_message(alignment),
+        alignment=transform_to_message(result.T_machine_tracker),
         samples=fit.samples,
         used=fit.used,
         pieces=fit.pieces,
@@ -167,22 +159,16 @@ def common_result(
         motions=list(sizes),
         motion_largest=[largest for largest, _ in sizes.values()],
         motion_u=[u for _, u in sizes.values()],
-        not_identifiable=list(hidden),
+        location=list(location),
+        location_value=[entry.value for entry in location.values()],
+        location_u=[v.u if v.identifiable else math.nan for v in location.values()],
+        not_identifiable=list(result.not_identifiable),
+        needs=[result.advice.get(name, '') for name in result.not_identifiable],
         warnings=list(result.warnings),
     )
     for name in machine.squareness:
         setattr(message, name.lower(), result.tables.squareness[name].value)
         setattr(message, f'u_{name.lower()}', result.tables.squareness[name].u)
-    return message
-
-
-def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
-    """Return the summary; what only the node knows (lost samples, folder) is left empty."""
-    hidden = result.not_identifiable
-    message = common_result(
-        result, result.verdicts, result.T_machine_tracker, hidden, stamp, method
-    )
-    message.message = summary(result)
     return message
 
 
@@ -241,24 +227,13 @@ def messages_of(
     provisional : bool
         Of a part of the run.
     """
-    hidden, place = result.not_identifiable, result.T_machine_tracker
-    message = result_to_message(result, stamp, method)
-    volume = volume_to_message(volume_errors(result, provisional), result.run_id, stamp)
+    volume = volume_errors(result, provisional)
     return Messages(
-        tables_to_message(result, place, hidden, stamp, method),
-        alignment_to_message(place, stamp),
-        message,
-        volume,
+        tables_to_message(result, stamp, method),
+        alignment_to_message(result.T_machine_tracker, stamp),
+        result_to_message(result, stamp, method),
+        volume_to_message(volume, result.run_id, stamp),
     )
-
-
-def summary(result: CalibrationResult) -> str:
-    """Return the outcome in one sentence."""
-    verdicts, first = result.verdicts, result.headline
-    if not verdicts.good:
-        return verdicts.measurement_words
-    error, expected, _ = first.words
-    return '; '.join([error, expected, verdicts.measurement_words, verdicts.machine_words])
 
 
 def failure_to_message(exit_code: int, text: str, stamp: Time) -> ResultMessage:

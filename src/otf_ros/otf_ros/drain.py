@@ -16,6 +16,10 @@ from rclpy.qos import QoSProfile
 
 from otf_ros.timers import create_timer
 
+AT_ONCE = 500
+"""Messages of one turn, after which the node does its other work, as stating what it has taken: a
+publisher that is as fast as they are taken would keep it from that for ever."""
+
 
 class PolledSubscription(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
@@ -58,23 +62,30 @@ class Drain:
         period: float = 0.02,
     ) -> None:
         self._callback = callback
-        self._most = qos.depth
+        self._depth = qos.depth
         self.subscription = node.create_subscription(
             msg_type, topic, self._never, qos, callback_group=PolledSubscription()
         )
-        self._timer = create_timer(node, period, self.empty)
+        self._timer = create_timer(node, period, self.take_turn)
 
     @staticmethod
     def _never(message: Any) -> None:
         raise AssertionError('the timer reads this subscription')
 
+    def take_turn(self) -> None:
+        """Hand over what is pending, but only so much that other work gets its turn."""
+        self._take(AT_ONCE)
+
     def empty(self) -> None:
-        """Hand over what is pending now; at most one queue length, so other work gets its turn."""
+        """Hand over all that is pending: at most what the queue holds."""
+        self._take(self._depth)
+
+    def _take(self, most: int) -> None:
         messages: list[Any] = []
         numbers: list[int | None] = []
         handle, msg_type = self.subscription.handle, self.subscription.msg_type
         with handle:
-            while len(messages) < self._most:
+            while len(messages) < most:
                 received = handle.take_message(msg_type, False)
                 if received is None:
                     break

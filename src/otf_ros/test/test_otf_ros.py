@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -12,8 +13,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from otf_core.config import Parameters, parameter
 from otf_core.model.path import NominalPath
-from otf_ros import convert
+from otf_ros import convert, qos
 from otf_ros.convert_gap import gap_to_message
+from otf_ros.drain import AT_ONCE, Drain
 from otf_ros.params import NodeParameters
 from otf_ros.testing import node_on_bench
 from otf_ros.topic_watch import name_of
@@ -55,6 +57,33 @@ def test_parameter_that_acts_later_says_when_and_others_say_nothing():
         refused = changed(node, 'feed', 9.0)
         assert not refused.successful and 'feed' in refused.reason
         assert node.settings.read(Speed) == Speed(1.0, 3)
+
+
+class Reader(Node):
+    def __init__(self):
+        super().__init__('reader')
+        self.taken = []
+        self.drain = Drain(
+            self,
+            PointStamped,
+            'point',
+            lambda new, _: self.taken.append(len(new)),
+            qos.MEASUREMENT,
+        )
+
+
+def test_messages_that_pile_up_are_taken_in_turns_or_all_at_once():
+    with node_on_bench(Reader) as bench:
+        node, point = (
+            bench.node,
+            bench.ear.create_publisher(PointStamped, 'point', qos.MEASUREMENT),
+        )
+        bench.wait(point.get_subscription_count, 'the reader')
+        for _ in range(2 * AT_ONCE + 500):
+            point.publish(PointStamped())
+        node.drain.take_turn()
+        node.drain.empty()
+        assert node.taken == [AT_ONCE, AT_ONCE + 500]
 
 
 def test_publisher_whose_node_is_not_discovered_has_no_name_of_the_middleware():

@@ -100,8 +100,7 @@ class Streamer:
         if not self._plan_wanted:
             return
         try:
-            read = convert.axis_plan_from_message if plan.parts else convert.plan_from_message
-            self._backend.prepare(read(plan))
+            self._backend.prepare(convert.plan_from_message(plan))
             self._plan_wanted = False
             self._timer.reset()
         except OtfError as error:
@@ -147,7 +146,7 @@ class Streamer:
                 self._status.begin(self._backend)
                 self._streaming, self._window = True, Window(self._calibrators.names)
             if self._calibrators.look(LOOK_AGAIN):
-                self._window.keep(self._calibrators.names)
+                self._window.see(self._calibrators.names, self._status.message.samples_published)
             self._backend.allowed = self._window.allowed
             batch = self._due(self._backend.poll())
             self._status.take(batch)

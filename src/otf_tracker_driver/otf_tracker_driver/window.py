@@ -15,6 +15,9 @@ AHEAD = 4000
 UNTAKEN = 10
 """States of a calibrator, one each half second, without a sample taken: what was published before
 is lost. It was published before the calibrator could hear it, or to the one before."""
+UNHEARD = 10
+"""Looks at the graph, one each second, that show a calibrator of which no state was heard: it is
+not waited for until it states where it is."""
 
 
 @dataclass
@@ -23,7 +26,9 @@ class _Place:
 
     passed: int
     acknowledged: bool = False
+    heard: bool = False
     untaken: int = 0
+    unheard: int = 0
 
 
 class Window:
@@ -33,12 +38,11 @@ class Window:
     ----------
     calibrators : collection of str
         Who listens at its beginning, and so takes the first sample; the others begin with those
-        that are published after they were heard first.
+        that are published after they were seen first.
     """
 
     def __init__(self, calibrators: Collection[str] = ()) -> None:
-        self._from_the_first = set(calibrators)
-        self._places: dict[str, _Place] = {}
+        self._places = {calibrator: _Place(0) for calibrator in calibrators}
 
     def hear(self, calibrator: str, taken: int, published: int) -> None:
         """Process a state of a calibrator.
@@ -50,25 +54,27 @@ class Window:
         published : int
             Samples of the stream that are published.
         """
-        first = 0 if calibrator in self._from_the_first else published
-        place = self._places.setdefault(calibrator, _Place(first))
+        place = self._places.setdefault(calibrator, _Place(published))
+        place.heard = True
         if taken > place.passed:
-            self._places[calibrator] = _Place(taken, acknowledged=True)
+            place.passed, place.acknowledged, place.untaken = taken, True, 0
         elif taken == 0 and place.acknowledged:  # it was started again
-            self._places[calibrator] = _Place(published)
+            place.passed, place.acknowledged, place.untaken = published, False, 0
         elif published > place.passed:
             place.untaken += 1
             if place.untaken >= UNTAKEN:
                 place.passed, place.untaken = published, 0
 
-    def keep(self, calibrators: Collection[str]) -> None:
-        """Wait no more for calibrators that are not among these: they are gone."""
-        self._from_the_first &= set(calibrators)
+    def see(self, calibrators: Collection[str], published: int) -> None:
+        """Process a look at the graph: wait for these calibrators alone; the others are gone."""
         for gone in self._places.keys() - set(calibrators):
             del self._places[gone]
+        for calibrator in calibrators:
+            place = self._places.setdefault(calibrator, _Place(published))
+            place.unheard += not place.heard
 
     @property
     def allowed(self) -> int | None:
-        """Samples of the stream that may be published; None if no calibrator is heard: all."""
-        passed = [place.passed for place in self._places.values()]
-        return min(passed) + AHEAD if passed else None
+        """Samples of the stream that may be published; None if no calibrator is waited for."""
+        waited_for = [p for p in self._places.values() if p.heard or p.unheard < UNHEARD]
+        return min(p.passed for p in waited_for) + AHEAD if waited_for else None

@@ -33,7 +33,7 @@ def test_samples_come_once_the_driver_is_active(tmp_path):
         plan = plan_path(machine_from_dict(MACHINE), PlannerConfig(passes=1))
         now = bench.ear.get_clock().now().to_msg()
         bench.ear.create_publisher(Plan, 'planner/plan', qos.PATH).publish(
-            convert.plan_to_message(plan, 'small', 1, now)
+            convert.plan_to_message(plan, 'small', 1.0, 1.0, now)
         )
         points = bench.heard(PointStamped, 'tracker/point', qos.MEASUREMENT)
         said = bench.heard(TrackerStatus, 'tracker/status', qos.STATUS)

@@ -13,23 +13,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otf_core.bags import bag
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
+from otf_core.config import (
+    OTF,
+    STANDSTILL,
+    CalibrationConfig,
+    ForecastConfig,
+    PlannerConfig,
+    SimulationConfig,
+)
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
 from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
-from otf_core.inputs.recordings import ReadingOptions, read_recording
+from otf_core.inputs.recordings import ReadingOptions, driven_path, read_recording
 from otf_core.live.stages import Progress
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import Plan, check_inside, plan_for_path
+from otf_core.model.plan import Plan, check_inside, plan_along
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables, tables_from_dict
 from otf_core.noise.noise_model import read_noise as noise_from_file
-from otf_core.pieces.methods import prepare_stops
-from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.pieces.runs import Recording
 from otf_core.prediction import predict as evaluation
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
@@ -206,7 +213,7 @@ def write_plan(
     --------
     >>> files = otf_core.write_plan(report, 'plan', dialect='linuxcnc')
     >>> [file.name for file in files]
-    ['otf_path.ngc', 'path.csv', 'report.html', 'plan.json']
+    ['otf_path_1.ngc', 'path.csv', 'report.html', 'plan.json']
     """
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan_files import write_report
@@ -254,7 +261,7 @@ def _fill_folder(
 
 Recordings = Recording | Iterable[Recording]
 
-METHODS = {'otf': prepare_runs, 'standstill': prepare_stops}
+METHODS = (OTF, STANDSTILL)
 
 
 def calibrate(
@@ -262,6 +269,7 @@ def calibrate(
     *,
     method: str = 'otf',
     effects: str | Path | None = None,
+    same_station: bool = False,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
@@ -276,6 +284,8 @@ def calibrate(
         On the fly, or from the stops at the corner points alone.
     effects : str or Path, optional
         Effects to take off: 'auto' for those that a diagnosis finds, or an effects.yaml.
+    same_station : bool
+        The tracker was not moved between the recordings; for machines with rotary axes.
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -306,13 +316,11 @@ def calibrate(
     if method not in METHODS:
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
-        return calibrate_runs(runs, config, progress, METHODS[method])
+        return calibrate_recordings(runs, config, progress, method, same_station=same_station)
     from otf_core.diagnosis.diagnose import calibrate_with_effects
     from otf_core.sim.twin import twin_recording
 
-    return calibrate_with_effects(
-        runs, str(effects), twin_recording, config, progress, method
-    ).result
+    return calibrate_with_effects(runs, str(effects), twin_recording, config, progress, method)
 
 
 def diagnose(
@@ -371,8 +379,9 @@ def predict(
     tables : CalibrationResult, TablesFile, ErrorTables, str or Path
         A result, or an error_tables.json, read or not. Tables alone hold no covariance: their
         nodes are taken as independent then.
-    points : array_like, shape (n, 3), m
-        Programmed axis positions.
+    points : array_like, shape (n, m), m and rad
+        Programmed axis positions x, y, z, then those of the rotary axes; zero along what is no
+        axis.
     target_offset : array_like, shape (3,), m, optional
         Predict for this one, e.g. a longer tool; as measured if not given.
 
@@ -381,7 +390,7 @@ def predict(
     ConfigError
         If the tables cannot be read, or points or offset are not of such a machine.
     ShapeError
-        If points is not (n, 3).
+        If points are not rows of these.
 
     Examples
     --------
@@ -391,20 +400,24 @@ def predict(
     >>> bool((there.u < 3e-6).all())
     True
     """
-    q = np.asarray(points, dtype=float)
-    if q.ndim != 2 or q.shape[1] != 3:
-        raise ShapeError(f'points: expected shape (n, 3), got {q.shape}')
-    if not np.all(np.isfinite(q)):
-        first = int(np.flatnonzero(~np.isfinite(q).all(axis=1))[0])
-        raise ConfigError(f'points: point {first + 1} is not finite')
-    offset = None if target_offset is None else np.asarray(target_offset, dtype=float)
-    source: TablesFile | str | Path
     if isinstance(tables, CalibrationResult):
         # through the layout of the file, so that a result and its file predict the same
         content = json.loads(json.dumps(result_to_dict(tables)))
         source = tables_from_dict(content, 'result')
+    elif isinstance(tables, ErrorTables):
+        source = TablesFile(tables)
     else:
-        source = TablesFile(tables) if isinstance(tables, ErrorTables) else tables
+        source = tables if isinstance(tables, TablesFile) else load_tables(tables)
+    q, names = np.asarray(points, dtype=float), source.tables.machine.point_names
+    if q.ndim != 2 or q.shape[1] != len(names):
+        raise ShapeError(
+            f'points: expected shape (n, {len(names)}), got {q.shape}: a column for each of '
+            f'{", ".join(names)}'
+        )
+    if not np.all(np.isfinite(q)):
+        first = int(np.flatnonzero(~np.isfinite(q).all(axis=1))[0])
+        raise ConfigError(f'points: point {first + 1} is not finite')
+    offset = None if target_offset is None else np.asarray(target_offset, dtype=float)
     return evaluation.predict(source, q, offset)
 
 
@@ -486,8 +499,8 @@ def plan(
     --------
     >>> few = otf_core.PlannerConfig(passes=1, levels=2)
     >>> report = otf_core.plan(machine, config=few)
-    >>> len(report.plan.path.points), round(report.plan.duration)
-    (72, 102)
+    >>> len(report.plan.path.points), round(report.forecast.duration)
+    (72, 111)
     >>> 0 < report.forecast.mean_grid_u < 2e-6
     True
     """
@@ -530,7 +543,7 @@ def simulate(
     effects : mapping, str or Path, optional
         What else is wrong: names of effects to their parameters in SI units, or an effects.yaml.
     tracker_place : array_like, shape (3,), m, optional
-        Beam origin in the machine frame; drawn if no report says where.
+        Beam origin in the frame of what the tracker stands on; drawn if no report says where.
 
     Raises
     ------
@@ -550,7 +563,8 @@ def simulate(
     >>> bool(abs(run.T_machine_tracker.translation - report.setup.place).max() < 1e-12)
     True
     """
-    from otf_core.planning.path_creation import plan_path
+    from otf_core.planning.forecast import Setup
+    from otf_core.planning.part_choice import planned
     from otf_core.planning.plan_report import PlanReport
     from otf_core.sim.cell import simulate
 
@@ -561,19 +575,20 @@ def simulate(
     if isinstance(plan, PlanReport):
         place = plan.setup.place if place is None else place
         plan = plan.plan
-    driven = plan_path(machine, PlannerConfig()) if plan is None else plan
-    check_inside(driven.path, machine)
+    driven = planned(Setup.of(machine), PlannerConfig()) if plan is None else plan
+    check_inside(driven, machine)
     truth = tables if isinstance(tables, ErrorTables) or tables is None else None
     if isinstance(tables, (str, Path)):
         truth = load_tables(tables).tables
     if truth is not None:
         truth = truth.on(machine)
     run = simulate(machine, driven, config, truth, _effects(effects, machine), place)
+    path, parts = driven_path(() if run.path else run.parts, run.path, machine)
     name = f'simulation of seed {config.seed}'
     return Simulation(
-        Recording(run.samples, driven.path, machine, name),
+        Recording(run.samples, path, machine, name, axis_paths=parts),
         run.truth,
-        RigidTransform(run.rotation.T, run.place),
+        run.pose,
     )
 
 
@@ -581,9 +596,9 @@ def _plan_along(
     path: Plan | NominalPath | ArrayLike, machine: Machine, config: PlannerConfig
 ) -> Plan:
     if not isinstance(path, Plan):
-        nominal = path if isinstance(path, NominalPath) else NominalPath(np.asarray(path, float))
-        path = plan_for_path(nominal, config)
-    check_inside(path.path, machine)
+        points = path.points if isinstance(path, NominalPath) else np.asarray(path, float)
+        path = plan_along(machine, [AxisPath.of_points(machine, points)], config)
+    check_inside(path, machine)
     return path
 
 

@@ -35,9 +35,9 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import SkippedLines
 from otf_core.files.writing import unwritable
 from otf_core.model.axis_path import AxisPath
-from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.sections import SignalSpec
 from otf_core.model.signals import Signal
 
 # Write a rosbag2 folder as rosbag2 itself lays it out: metadata.yaml and one MCAP file.

@@ -14,7 +14,7 @@ from otf_core.bags.bag_source import locate
 from otf_core.bags.cdr import SECOND_NS
 from otf_core.bags.rosbag2_metadata import Topic
 from otf_core.errors import ConfigError, InputError
-from otf_core.model.declared_signals import HEAD, PLAIN, SignalSpec
+from otf_core.model.sections import SIGNAL_FIELDS, SIGNAL_PREFIX, SignalSpec
 from otf_core.model.signals import Signal
 
 # Signals as messages of their topics; those without a header count at their time of reception.
@@ -36,7 +36,7 @@ def signal_messages(
         topic, kind = topic_of(spec), store.types[spec.type]
         fields = kind.__dataclass_fields__
         for stamp, value in zip(signal.stamp_ns.tolist(), signal.value.tolist(), strict=True):
-            given: dict[str, Any] = {PLAIN[spec.type]: _message_number(spec.type, value)}
+            given: dict[str, Any] = {SIGNAL_FIELDS[spec.type]: _message_number(spec.type, value)}
             if 'header' in fields:
                 given |= {'header': _header(store, stamp), 'variance': 0.0}
             data = bytes(store.serialize_cdr(kind(**given), spec.type))
@@ -92,7 +92,7 @@ def read_signals(source: str | Path, declared: Sequence[SignalSpec]) -> dict[str
             _log.warning('%s: no topic %s, a signal of the machine', source, one.topic)
     rows = _rows(source, [one.wanted for one in declared if one.topic in held], held)
     return {
-        HEAD + name: signal_of(f'{source}: {name}', own)
+        SIGNAL_PREFIX + name: signal_of(f'{source}: {name}', own)
         for name, own in rows.items()
         if _enough(f'{source}: {name}', own)
     }
@@ -111,7 +111,7 @@ def _rows(
                 rows[name].append((_stamp(message, received), number))
 
     topics = {name.partition(':')[0] for name in names}
-    plain: dict[str, tuple[str, ...]] = {t: (held[t],) for t in topics if held[t] in PLAIN}
+    plain: dict[str, tuple[str, ...]] = {t: (held[t],) for t in topics if held[t] in SIGNAL_FIELDS}
     for topic, message, received in _plain_messages(source, plain):
         take(topic, message, received)
     if topics - set(plain):

@@ -25,7 +25,7 @@ the effect states from which keys of machine.yaml their uncertainty comes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from itertools import combinations
@@ -37,9 +37,10 @@ from otf_core.arrays import Array, Index
 from otf_core.aside import share_out
 from otf_core.effects import REGISTRY, Effect, State, Terms
 from otf_core.effects.base import Contribution
-from otf_core.model.declared import KEYS, DeclaredUncertainty, declarable_keys
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.sections import DECLARABLE, DeclaredUncertainty, declarable_keys
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import (
     MISFIT_TIME,
@@ -49,8 +50,8 @@ from otf_core.noise.noise_model import (
     noise_covariance,
 )
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
-from otf_core.pieces.runs import Observed, Run
-from otf_core.solving.joint import JointSolution, SolvedRun
+from otf_core.pieces.runs import Observed
+from otf_core.solving.joint import JointSolution, SolvedRun, place_equations
 from otf_core.solving.normal import (
     NormalEquations,
     of_free,
@@ -238,17 +239,20 @@ def residual_freedom(joint: JointSolution, correlation_factor: float) -> float:
     return max(1.0, (trace**2 / square - joint.solution.rank) / correlation_factor)
 
 
-def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
+def standstill_freedom(
+    recorded: Sequence[Samples], runs: Sequence[Observed], speed: float
+) -> float:
     """Degrees of freedom of the noise level from the standstills; zero if too short.
 
     Parameters
     ----------
+    recorded : sequence of Samples
+        Of every run.
     speed : float
         m/s; slower counts as standstill.
     """
     total = 0.0
-    for run in runs:
-        samples = run.samples
+    for samples, run in zip(recorded, runs, strict=True):
         if len(samples) < 2:
             continue
         standstills = find_standstills(samples, speed)
@@ -313,7 +317,7 @@ class Systematic:
 SYSTEMATIC = tuple(
     sorted(
         (Systematic(e, c) for e in REGISTRY.values() for c in e.contributions),
-        key=lambda one: list(KEYS).index(one.keys[0]),
+        key=lambda one: list(DECLARABLE).index(one.keys[0]),
     )
 )
 """In the order of their keys."""
@@ -497,17 +501,17 @@ def whole_check(
 
 
 def make_budget(
-    runs: Sequence[Run],
+    runs: Sequence[Observed],
     joint: JointSolution,
     parts: NoiseParts,
-    states: Callable[[], Sequence[State]],
-    speed: float,
-    check: ResidualCheck | None = None,
-    known: Mapping[str, Array] | None = None,
+    states: Sequence[State],
+    still: float,
+    check: ResidualCheck,
 ) -> Budget:
     """Set up the budget of a calibration.
 
-    The data leave a part C K^-1 C of the covariance C to a prior K.
+    The data leave a part C K^-1 C of the covariance C to a prior K: smoothness, and what
+    machine.yaml states of the places of targets.
 
     Parameters
     ----------
@@ -515,36 +519,35 @@ def make_budget(
         Of the same runs.
     parts : NoiseParts
         Of both.
-    states : callable
-        States of the pieces of every run, see ``piece_states``.
-    speed : float
-        m/s; slower counts as standstill.
-    check : ResidualCheck, optional
-        Of all residuals; that of ``whole_check`` if not given.
-    known : mapping of source to ndarray, shape (free, free), optional
-        Prior that is no smoothness: the inverse of its covariance.
+    states : sequence of State
+        Of the pieces of every run, see ``piece_states``.
+    still : float
+        See ``standstill_freedom``.
+    check : ResidualCheck
+        Of all residuals.
 
     Returns
     -------
     Budget
         Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
-    check = check or whole_check(runs, joint, [s.residual for s in joint.runs])
     own = joint.solution.covariance
     gauge, free = joint.unknowns.gauge, free_values(joint.unknowns, own)
     smooth = np.asarray(free.T @ joint.roughness.precision @ free)
-    stated = {name: np.asarray(free.T @ prior @ free) for name, prior in (known or {}).items()}
-    prior = reduce(add, stated.values(), smooth)
+    places = place_equations(joint.machine, joint.unknowns, joint.places).matrix
+    stated = np.asarray(free.T @ places @ free)
+    prior = smooth + stated
     drawn = gauge @ joint.roughness.drawn
     misfit = own @ parts.misfit @ own
     noise = own - misfit - prior + own @ (parts.corners + parts.between) @ own
     misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - prior)
-    dof = residual_freedom(joint, check.correlation_factor) + standstill_freedom(runs, speed)
+    dof = residual_freedom(joint, check.correlation_factor) + still
     entries = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
     entries.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
-    entries += [(name, part, np.inf) for name, part in stated.items()]
+    if stated.any():
+        entries.append((PLACES, stated, np.inf))
     declared = declared_sources(runs)
-    changes = systematic_sensitivities(declared, states() if declared else (), joint)
+    changes = systematic_sensitivities(declared, states, joint)
     for source, change in zip(declared, changes, strict=True):
         entries.append((source.source, change @ change.T, np.inf))
     return Budget(

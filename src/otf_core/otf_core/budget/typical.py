@@ -29,9 +29,9 @@ from otf_core.budget.budget import (
     systematic_pulls,
 )
 from otf_core.effects import State
-from otf_core.model.declared import DeclaredUncertainty, declarable_keys
-from otf_core.model.motions import SQUARENESS
+from otf_core.model.motions import is_location
 from otf_core.model.presets import TYPICAL, typical_values
+from otf_core.model.sections import DeclaredUncertainty, declarable_keys
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed
 from otf_core.prediction.volumetric import table_places
@@ -200,13 +200,12 @@ def typical_to_dict(typical: TypicalSystematic | None) -> dict[str, Any] | None:
     if typical is None:
         return None
     scalars = {n: {'u': u} for n, (_, u) in typical.scalars.items()}
-    location = {n: u for n, u in scalars.items() if n not in SQUARENESS}
     return {
         'missing': list(typical.missing),
         'presets': list(TYPICAL),
         'assumed': dict(typical.assumed),
-        'squareness': {n: u for n, u in scalars.items() if n in SQUARENESS},
-        **({'location': location} if location else {}),
+        'squareness': {n: u for n, u in scalars.items() if not is_location(n)},
+        'location': {n: u for n, u in scalars.items() if is_location(n)},
         'motions': {n: {'u': u.tolist()} for n, u in typical.motions.items()},
         'grid': {'unit': 'm', 'u_stated': typical.grid[0], 'u': typical.grid[1]},
     }

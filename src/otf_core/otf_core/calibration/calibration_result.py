@@ -19,31 +19,34 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.budget.budget import OBSERVED, Budget
 from otf_core.budget.typical import TypicalSystematic, with_typical
 from otf_core.calibration.machine_verdict import Verdict, Verdicts
-from otf_core.config import CalibrationConfig
+from otf_core.config import OTF, STANDSTILL, CalibrationConfig
+from otf_core.effects import AppliedEffect
 from otf_core.effects.stated_effect import StatedEffect
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import tidy
-from otf_core.model.evaluation import driven_grid
+from otf_core.model.chain import displacement, nominal_position
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
 from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import displacement
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.machine import Machine
+from otf_core.model.motions import unit_of
 from otf_core.model.presets import TYPICAL
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
-from otf_core.model.volume import VolumeErrors
 from otf_core.noise.noise_model import Misfit, NoiseModel
 from otf_core.noise.standstill import LostSamples
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
+from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
 from otf_core.solving.reversal import Reversal
+from otf_core.solving.reversal_choice import AxisLag
 from otf_core.solving.tabulate import TableCost
 
 DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
@@ -170,6 +173,16 @@ class Headline(ExpectedRemainder):
         }
 
 
+def covariance_with_typical(
+    covariance: Array, budget: Budget, typical: TypicalSystematic | None
+) -> Array:
+    """Covariance (m, m) of the tables with typical values where nothing is declared."""
+    if typical is None:
+        return covariance
+    change = budget.rows @ typical.change
+    return np.asarray(covariance + change @ change.T)
+
+
 def expanded_of(
     tables: ErrorTables, covariance: Array, budget: Budget, hidden: Collection[str]
 ) -> dict[str, Array]:
@@ -227,8 +240,8 @@ def headline_of(
 
 
 COLUMNS = (
-    'error', 'axis', 'position', 'value', 'unit', 'u', 'identifiable', 'U', 'k', 'U_with_typical',
-    'target_offset',
+    'error', 'axis', 'position', 'position_unit', 'value', 'unit', 'u', 'identifiable', 'U', 'k',
+    'U_with_typical', 'target_offset',
 )  # fmt: skip
 WIDTH, HEIGHT = 2.6, 2.2
 """inch; of a panel of the figure."""
@@ -255,28 +268,20 @@ def coverage_factors(tables: ErrorTables, budget: Budget) -> dict[str, float]:
     return factors
 
 
-def one_line(result: CalibrationResult) -> str:
-    """Machine, both verdicts, error and expanded uncertainty."""
-    head, verdicts = result.headline, result.verdicts
-    words = (verdicts.measurement_words, verdicts.machine_words)
-    return (
-        f'<CalibrationResult {result.tables.machine.name}: {head.error_words}; '
-        f'{head.expanded_words}; {"; ".join(words)}>'
-    )
-
-
 def table_html(result: CalibrationResult) -> str:
-    """The same as rows, and squareness; what else there is in a line."""
+    """The same as rows, and scalars; what else there is in a line."""
     head, verdicts = result.headline, result.verdicts
     lines = [*head.words[:2], verdicts.measurement_words, verdicts.machine_words]
     rows = []
-    for name in SQUARENESS:
-        value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
+    scalars = result.tables.machine.scalars
+    for name in scalars:
+        value, wide = result.tables.scalar(name), float(result.expanded[name][0])
         seen = name not in result.not_identifiable
-        shown = micro_with_expanded(value, wide, 'rad') if seen else 'not seen'
+        shown = micro_with_expanded(value, wide, unit_of(name)) if seen else 'not seen'
         bound = result.offset_bound.words(name)
-        rows.append((f'squareness {name}', f'{shown}, {bound}' if bound else shown))
-    unseen = [n for n in result.not_identifiable if n not in SQUARENESS]
+        kind = 'location' if name in result.tables.location else 'squareness'
+        rows.append((f'{kind} {name}', f'{shown}, {bound}' if bound else shown))
+    unseen = [n for n in result.not_identifiable if n not in scalars]
     if unseen:
         rows.append(('not seen', ', '.join(unseen)))
     offset = ', '.join(f'{1e3 * v:.1f}' for v in result.tables.machine.target_offset)
@@ -294,40 +299,35 @@ def _typeset(text: str) -> str:
     return html.escape(with_micro_sign(text).replace('+/-', '±'))
 
 
-def data_frame(result: CalibrationResult) -> Any:
-    """All nodes and squareness errors, a row each; see ``CalibrationResult.to_frame``."""
-    module = _optional('pandas', 'CalibrationResult.to_frame()')
-    tables, rows = result.tables, list[tuple[Any, ...]]()
-    factors = coverage_factors(tables, result.budget)
-    for motion in MOTIONS:
-        table, k = tables.motions[motion], factors[motion]
-        known = table.node_identifiable
-        flags = np.ones(len(table.position), bool) if known is None else known
+def table_cells(result: CalibrationResult) -> list[tuple[Any, ...]]:
+    """All nodes and scalars, a row under ``COLUMNS`` each."""
+    tables, bound = result.tables, result.offset_bound
+    factors, rows = coverage_factors(tables, result.budget_with_typical), list[tuple[Any, ...]]()
+    for name in (*map(str, tables.machine.motions), *tables.machine.scalars):
+        k, unit, whole = factors[name], unit_of(name), result.expanded[name].tolist()
+        offset = tuple(map(float, bound.offset)) if name in bound.contains else None
+        if name in tables.machine.scalars:
+            seen = name not in result.not_identifiable
+            nodes = [(math.nan, tables.scalar(name) + 0.0, tables.scalar_u(name), seen)]
+            axis = along = ''
+        else:
+            table, axis = tables.motions[name], name[2]
+            along, seen = tables.machine.axes[axis].unit, table.nodes_seen.tolist()
+            nodes = list(zip(map(tidy, table.position), (table.value + 0.0).tolist(),
+                             table.u.tolist(), seen, strict=True))  # fmt: skip
         rows += [
-            (
-                str(motion),
-                motion.axis,
-                tidy(p),
-                v,
-                motion.unit,
-                u,
-                bool(seen),
-                _expanded(k, u),
-                k,
-                float(whole),
-                _offset(result, motion),
-            )
-            for p, v, u, seen, whole in zip(
-                table.position, table.value, table.u, flags, result.expanded[motion], strict=True
-            )
-        ]
-    for name in SQUARENESS:
-        entry, k = tables.squareness[name], factors[name]
-        seen = name not in result.not_identifiable
-        wide, whole = _expanded(k, entry.u), float(result.expanded[name][0])
-        rows.append((name, '', math.nan, entry.value, 'rad', entry.u, seen, wide, k, whole,
-                     _offset(result, name)))  # fmt: skip
-    frame = module.DataFrame(rows, columns=list(COLUMNS))
+            (name, axis, at, along, value, unit, u, seen, k * u if u > 0.0 else 0.0, k, wide,
+             offset)
+            for (at, value, u, seen), wide in zip(nodes, whole, strict=True)
+        ]  # fmt: skip
+    return rows
+
+
+def data_frame(result: CalibrationResult) -> Any:
+    """The same as a data frame; see ``CalibrationResult.to_frame``."""
+    module = _optional('pandas', 'CalibrationResult.to_frame()')
+    tables = result.tables
+    frame = module.DataFrame(table_cells(result), columns=list(COLUMNS))
     frame.attrs = {
         'machine': tables.machine.name,
         'chain': tables.machine.chain,
@@ -335,16 +335,6 @@ def data_frame(result: CalibrationResult) -> Any:
         'run_id': result.run_id,
     }
     return frame
-
-
-def _offset(result: CalibrationResult, name: str) -> tuple[float, ...] | None:
-    """Target offset at which alone a value holds, m; None: at any."""
-    bound = result.offset_bound
-    return tuple(map(float, bound.offset)) if name in bound.contains else None
-
-
-def _expanded(k: float, u: float) -> float:
-    return k * u if u > 0.0 else 0.0
 
 
 def figure(result: CalibrationResult) -> Any:
@@ -359,21 +349,21 @@ def figure(result: CalibrationResult) -> Any:
         squeeze=False,
         layout='constrained',
     )
-    for row, axis in zip(panels, names, strict=True):
-        for panel, motion in zip(row, (m for m in MOTIONS if m.axis == axis), strict=True):
-            table = tables.motions[motion]
-            panel.set_title(str(motion), fontsize='medium')
-            panel.set_xlabel(f'{axis} (mm)')
-            panel.set_ylabel('µm' if unit_of(motion) == 'm' else 'µrad')
-            if not table.identifiable:
-                panel.set(xticks=[], yticks=[])
-                panel.text(0.5, 0.5, 'not seen', ha='center', transform=panel.transAxes)
-                continue
-            wide = result.expanded[motion]
-            low, high = 1e6 * (table.value - wide), 1e6 * (table.value + wide)
-            panel.fill_between(1e3 * table.position, low, high, alpha=0.3, linewidth=0)
-            panel.plot(1e3 * table.position, 1e6 * table.value, marker='o', markersize=3)
-            panel.grid(alpha=0.3)
+    for panel, motion in zip(panels.flat, tables.machine.motions, strict=True):
+        table, axis = tables.motions[motion], tables.machine.axes[motion.axis]
+        factor, unit = axis.shown
+        panel.set_title(str(motion), fontsize='medium')
+        panel.set_xlabel(f'{motion.axis} ({unit})')
+        panel.set_ylabel('µm' if unit_of(motion) == 'm' else 'µrad')
+        if not table.identifiable:
+            panel.set(xticks=[], yticks=[])
+            panel.text(0.5, 0.5, 'not seen', ha='center', transform=panel.transAxes)
+            continue
+        wide = result.expanded[motion]
+        low, high = 1e6 * (table.value - wide), 1e6 * (table.value + wide)
+        panel.fill_between(factor * table.position, low, high, alpha=0.3, linewidth=0)
+        panel.plot(factor * table.position, 1e6 * table.value, marker='o', markersize=3)
+        panel.grid(alpha=0.3)
     label = result.headline.label
     drawn.suptitle(f'{tables.machine.name}: error motions with U ({label})', fontsize='medium')
     return drawn
@@ -383,6 +373,15 @@ GAUGE = (
     'positioning and rotations zero at axis position 0, else at the minimum; '
     'straightness zero at both ends; its slope lies in squareness and alignment'
 )
+LINES_GAUGE = (
+    'rotary axes: all six motions zero at position 0, else at the minimum; location errors are '
+    'the least-squares line over the nodes'
+)
+
+
+def gauge_of(machine: Machine) -> str:
+    """What is zero by definition in the tables of a machine."""
+    return '; '.join([GAUGE, LINES_GAUGE] if machine.location else [GAUGE])
 
 
 @dataclass(frozen=True)
@@ -425,6 +424,37 @@ class Fit:
 
 
 @dataclass(frozen=True)
+class DrivenPart:
+    """A part of a run between two places of the reflector.
+
+    Attributes
+    ----------
+    target : str
+        Name of the reflector.
+    corners : int
+        Of its path.
+    driven : float
+        Share of its path that was driven.
+    moved : tuple of str
+        Axes that moved the reflector in view of the tracker.
+    """
+
+    target: str
+    corners: int
+    driven: float
+    moved: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TargetPlace:
+    """Place of a reflector in the frame of its link, and its standard uncertainty, m, (3,)."""
+
+    link: str
+    place: Array
+    u: Array
+
+
+@dataclass(frozen=True)
 class RunResult:
     """One run of a calibration.
 
@@ -439,24 +469,28 @@ class RunResult:
         Hz, usual rate of the samples.
     lost : LostSamples
         Samples missing according to the stamps.
+    T_machine_tracker : RigidTransform
+        To the link that the tracker stands on.
     noise : NoiseModel
         Noise of single samples as the residuals show it.
     misfit : Misfit
         What the model leaves besides.
+    parts : tuple of DrivenPart
+        In driving order.
     coverage : float
         Driven share of the path length.
-    q : ndarray, shape (p, 3), m
-        Nominal position of every piece.
+    part : ndarray of int64, shape (p,)
+        Number of the part of every piece, from 0.
+    q : ndarray, shape (p, k), m and rad
+        Nominal axis positions of every piece.
+    speed : ndarray, shape (p,), m/s
+        Of the target.
     axes : ndarray, shape (c, p, 3)
         Directions in which deviations are stated: two perpendicular to the path.
     aligned : ndarray, shape (c, p), m
         Rigidly aligned measurement minus path.
     deviation, residual : ndarray, shape (c, p), m
         Measurement in the pose of the solution minus path, before and after compensation.
-    normalised : ndarray, shape (c, p)
-        Residual over the noise specified for single samples.
-    whitened : ndarray, shape (c, p)
-        Residual freed of the assumed noise covariance.
     """
 
     name: str
@@ -468,15 +502,16 @@ class RunResult:
     T_machine_tracker: RigidTransform
     noise: NoiseModel
     misfit: Misfit
+    parts: tuple[DrivenPart, ...]
     coverage: float
     pieces: Pieces
+    part: Index
     q: Array
+    speed: Array
     axes: Array
     aligned: Array
     deviation: Array
     residual: Array
-    normalised: Array
-    whitened: Array
 
 
 @dataclass(frozen=True)
@@ -488,11 +523,15 @@ class CalibrationResult:
     run_id : str
         Hash of samples, paths, machine and configuration.
     covariance : ndarray, shape (m, m)
-        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad: all sources.
+        Of ``Machine.scalars`` and the nodes of ``Machine.motions``, m and rad: all sources.
+    targets : mapping of target to TargetPlace
+        Of the reflectors whose places were sought.
     headline : Headline
         What is stated first: volumetric error and its expanded uncertainty.
     reversal : Reversal
         How the motions differ between forward and backward travel; ``tables`` hold the mean.
+    lags : tuple of AxisLag
+        Axes that are late behind the others.
     fraction : int
         Nodes of the tables stand ``table_pitch / fraction`` apart.
     table_costs : mapping of fraction to TableCost
@@ -500,7 +539,9 @@ class CalibrationResult:
     prior : mapping of motion to float
         Standard deviations of rotations that were not seen, rad: they count for another tool.
     not_identifiable : tuple of str
-        Motions and squareness errors the data cannot see.
+        Errors the data cannot see.
+    advice : mapping of name to str
+        What would show an error that the data do not show.
     typical : TypicalSystematic, optional
         What typical systematic contributions would add; None if all are declared.
     failed_gates : tuple of str
@@ -511,6 +552,10 @@ class CalibrationResult:
         Taken off the runs before the tables were solved for.
     effects_sentence : str
         Effects found and removed; empty without ``--effects``.
+    applied : tuple of tuple of AppliedEffect
+        What was taken off, run by run.
+    uncorrected : CalibrationResult, optional
+        The one without that; None where nothing was taken off.
     machine_verdict : Verdict, optional
         By the limits of machine.yaml; None without any.
     """
@@ -520,13 +565,16 @@ class CalibrationResult:
     covariance: Array
     budget: Budget
     runs: tuple[RunResult, ...]
+    targets: Mapping[str, TargetPlace]
     fit: Fit
     headline: Headline
     reversal: Reversal
+    lags: tuple[AxisLag, ...]
     fraction: int
     table_costs: Mapping[int, TableCost]
     prior: Mapping[str, float]
     not_identifiable: tuple[str, ...]
+    advice: Mapping[str, str]
     typical: TypicalSystematic | None
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
@@ -534,12 +582,41 @@ class CalibrationResult:
     origin: tuple[Origin, ...] = ()
     effects: tuple[StatedEffect, ...] = ()
     effects_sentence: str = ''
+    applied: tuple[tuple[AppliedEffect, ...], ...] = ()
+    uncorrected: CalibrationResult | None = None
     machine_verdict: Verdict | None = None
+
+    @property
+    def plain(self) -> CalibrationResult:
+        """The calibration without effects taken off."""
+        return self.uncorrected or self
+
+    @property
+    def method(self) -> str:
+        """'otf', or 'standstill': only the stops at the corners."""
+        return STANDSTILL if self.runs[0].pieces.standstill else OTF
+
+    @property
+    def needs(self) -> list[str]:
+        """What would show the errors that the data do not show, one line for those of one need."""
+        by_need: dict[str, list[str]] = {}
+        for name, need in self.advice.items():
+            by_need.setdefault(need, []).append(name)
+        return [f'{", ".join(names)}: needs {need}' for need, names in by_need.items()]
 
     @property
     def verdicts(self) -> Verdicts:
         """Is the measurement good; is the machine within its limits."""
         return Verdicts(self.failed_gates, self.machine_verdict)
+
+    @property
+    def sentence(self) -> str:
+        """The outcome."""
+        verdicts = self.verdicts
+        if not verdicts.good:
+            return verdicts.measurement_words
+        error, expected, _ = self.headline.words
+        return '; '.join([error, expected, verdicts.measurement_words, verdicts.machine_words])
 
     @cached_property
     def budget_with_typical(self) -> Budget:
@@ -548,8 +625,13 @@ class CalibrationResult:
 
     @cached_property
     def covariance_with_typical(self) -> Array:
-        """Its covariance of squareness and nodes, in the order of ``covariance``."""
-        return self.covariance if self.typical is None else self.budget_with_typical.covariance
+        """Covariance with them, in the order of ``covariance``."""
+        return covariance_with_typical(self.covariance, self.budget, self.typical)
+
+    @cached_property
+    def volume(self) -> VolumetricError:
+        """Errors over the volume of the tables, with the uncertainty of the headline."""
+        return VolumetricError(self.tables, self.covariance_with_typical)
 
     @cached_property
     def offset_bound(self) -> OffsetBound:
@@ -558,7 +640,7 @@ class CalibrationResult:
 
     @cached_property
     def expanded(self) -> dict[str, Array]:
-        """Expanded uncertainty of squareness errors (1,) and nodes (k,), m and rad.
+        """Expanded uncertainty of scalars (1,) and nodes (k,), m and rad.
 
         That of the headline: with typical values where nothing is declared; zero where a value
         is not identifiable.
@@ -577,9 +659,9 @@ class CalibrationResult:
         Returns
         -------
         pandas.DataFrame
-            ``error`` (EXX ... ECZ, C0Y, B0Z, A0Z), ``axis``, ``position`` (m; NaN for squareness),
-            ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u`` (standard
-            uncertainty of what the budget holds), ``identifiable``, ``U`` and its ``k``: as in
+            ``error`` (C0Y ... EXX ...), ``axis``, ``position`` (in ``position_unit``; NaN for
+            scalars), ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u``
+            (standard uncertainty of what the budget holds), ``identifiable``, ``U``, ``k``: as in
             error_tables.csv. ``U_with_typical`` is U with typical systematic contributions where
             none are declared, ``target_offset`` the offset (m) at which alone a value holds, None
             if at any. ``attrs`` hold machine, chain, run_id and target_offset.
@@ -618,25 +700,34 @@ class CalibrationResult:
         return figure(self)
 
     def __repr__(self) -> str:
-        return one_line(self)
+        return f'<CalibrationResult {self.tables.machine.name}: {self.sentence}>'
 
     def _repr_html_(self) -> str:
         return table_html(self)
 
 
-COUNT = 5
-"""Points per axis."""
+POSITIONS = (5, 3)
+"""Positions of every axis on the grid of ``volume_errors`` up to three axes, and of more."""
+TURN_POSITIONS = 4
+"""Positions of every rotary axis."""
 
 
 def volume_errors(
-    result: CalibrationResult, provisional: bool = False, count: int = COUNT
+    result: CalibrationResult, provisional: bool = False, count: int | None = None
 ) -> VolumeErrors:
-    """Return the errors on a grid of count**3 points over the range of the tables."""
-    tables = result.tables
-    points = driven_grid(tables, count)
-    nodes: dict[str, Array] = {name: tables.motions[name].position for name in MOTIONS}
-    u = prediction_uncertainty(tables.machine, nodes, result.covariance, points)
-    return VolumeErrors(points, displacement(tables, points), u, provisional)
+    """Return the errors on a grid over the ranges of the tables, ``count`` positions an axis."""
+    tables, machine = result.tables, result.tables.machine
+    count = count or POSITIONS[len(machine.axis_names) > 3]
+    lines = []
+    for axis, low, high in zip(machine.axis_names, *table_ranges(tables), strict=True):
+        own = machine.axes[axis]
+        number = 1 if high <= low else TURN_POSITIONS if own.rotary else count
+        lines.append(np.linspace(low, high, number, endpoint=not own.endless))  # no turn twice
+    q = np.stack([g.ravel() for g in np.meshgrid(*lines, indexing='ij')], axis=1)
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in machine.motions}
+    u = prediction_uncertainty(machine, nodes, result.covariance, q)
+    points, errors = nominal_position(machine, q), displacement(tables, q)
+    return VolumeErrors(points, errors, u, provisional, machine.axis_names, q)
 
 
 def motion_sizes(tables: ErrorTables) -> dict[str, tuple[float, float]]:
@@ -647,7 +738,7 @@ def motion_sizes(tables: ErrorTables) -> dict[str, tuple[float, float]]:
     sizes: dict[str, tuple[float, float]] = {}
     for name in tables.machine.motions:
         table = tables.motions[name]
-        seen = table.u if table.node_identifiable is None else table.u[table.node_identifiable]
+        seen = table.u[table.nodes_seen]
         known = table.identifiable and len(seen) > 0
         u = float(seen.max()) if known else float('nan')
         sizes[name] = float(np.abs(table.value).max()), u

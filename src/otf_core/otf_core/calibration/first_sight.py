@@ -95,5 +95,5 @@ def first_sight(
 
 def first_sight_of_parts(samples: Samples, track: PartsTrack) -> FirstSight:
     """Compare the parts that were driven first with their path; otherwise as ``first_sight``."""
-    matched = match(samples.in_order(), track.machine, track.parts, quick=True)
+    matched = match(samples.in_order(), track.machine, track.parts, quick=True, in_any_order=False)
     return FirstSight(matched.pose, float(np.mean(matched.distance)), matched.places)

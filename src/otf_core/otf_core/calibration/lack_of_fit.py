@@ -108,7 +108,7 @@ def find_lack_of_fit(runs: Sequence[Observed], joint: JointSolution) -> LackOfFi
     runs : sequence of Observed
         With the pieces of the solution.
     """
-    if any(run.pieces.standstill for run in runs):
+    if any(run.pieces.standstill or run.shape is None for run in runs):
         return None
     across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in joint.runs]
     residual = np.concatenate(across)
@@ -174,7 +174,11 @@ def _pairs(
         lines.append(np.rint(np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])))
         cells.append(np.floor(along / PLACE_LENGTH).astype(np.int64))
         legs.append(np.column_stack([np.full(len(q), k), run.pieces.leg]))
-        on_curves = not run.shape.straight and run.shape.curved[run.pieces.line]
+        on_curves = (
+            run.shape is not None
+            and not run.shape.straight
+            and run.shape.curved[run.pieces.stretch]
+        )
         straight.append(np.broadcast_to(np.logical_not(on_curves), len(q)))
     use = np.flatnonzero(np.concatenate(straight))
     if not len(use):

@@ -17,7 +17,7 @@ guard band is U here, the careful choice for two-sided 95 %.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -25,19 +25,15 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.budget.budget import Budget
-from otf_core.model.evaluation import lattice
 from otf_core.model.expanded import (
-    COVERAGE_FACTOR,
     micro_significant,
     micro_unit,
     micro_with_expanded,
 )
-from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
-from otf_core.model.motions import SQUARENESS, unit_of
+from otf_core.model.sections import UNCERTAINTY, VOLUMETRIC, limit_unit
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.volumetric import VolumetricError, table_places, table_values
-from otf_core.rotary.tabulation import field_rows
+from otf_core.prediction.volumetric import VolumetricError, table_places
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
 WORDS = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
@@ -210,7 +206,7 @@ def judge(
     budget : Budget
         Of the same nodes: coverage factors.
     hidden : collection of str
-        Motions and squareness errors that the data cannot see.
+        Errors that the data cannot see.
 
     Returns
     -------
@@ -229,7 +225,7 @@ def judge(
     }
     judged = []
     for name, limit in limits.values.items():
-        unit = KEYS[name][0]
+        unit = limit_unit(name)
         if name in unseen:
             judged.append(LimitVerdict(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
@@ -247,90 +243,6 @@ def judge(
 
 RANGE_COVERED = 0.98
 """Share of the range of every axis that tables must cover to judge the volume."""
-AXES_GRID = 5
-"""Points per axis of the volume of a machine with rotary axes."""
-
-
-def judge_axes(tables: ErrorTables, covariance: Array, hidden: Collection[str]) -> Verdict | None:
-    """Compare a calibration of a machine with rotary axes with its limits, U with k = 2.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (m, m), m and rad
-        Of squareness and location errors and all nodes.
-    hidden : collection of str
-        Errors that the data cannot see.
-
-    Returns
-    -------
-    Verdict or None
-        None without limits. The volume is not known where an axis did not pass its range.
-    """
-    machine = tables.machine
-    if machine.limits is None:
-        return None
-    unseen = {*hidden, *((VOLUMETRIC, UNCERTAINTY) if _partly_driven(tables) else ())}
-    judged = list[LimitVerdict]()
-    volume = {VOLUMETRIC, UNCERTAINTY} & {n for n in machine.limits.values if n not in unseen}
-    sizes = _axes_volume(tables, covariance, machine.limits.values) if volume else {}
-    for name, limit in machine.limits.values.items():
-        unit = 'm' if name in (VOLUMETRIC, UNCERTAINTY) else unit_of(name)
-        if name in unseen:
-            judged.append(LimitVerdict(name, unit, limit, 0.0, 0.0, UNKNOWN))
-            continue
-        if name in sizes:
-            value, wide = sizes[name]
-        else:
-            value, wide = size_and_expanded_of_axes(name, tables, covariance)
-        judged.append(
-            LimitVerdict(name, unit, limit, value, wide, _with_guard(value, wide, limit))
-        )
-    return Verdict(tuple(judged))
-
-
-def size_and_expanded_of_axes(
-    name: str, tables: ErrorTables, covariance: Array
-) -> tuple[float, float]:
-    """Size of a scalar, or largest less smallest value of a motion, and its U with k = 2.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (m, m), m and rad
-        Of squareness and location errors and all nodes.
-    """
-    row, place = np.zeros(len(covariance)), table_places(tables)[name]
-    if name in tables.machine.scalars:
-        row[place] = 1.0
-        value = abs(tables.scalar(name))
-    else:
-        own = tables.motions[name].value
-        row[place.start + int(own.argmax())] += 1.0
-        row[place.start + int(own.argmin())] -= 1.0
-        value = float(np.ptp(own))
-    return value, COVERAGE_FACTOR * float(np.sqrt(max(float(row @ covariance @ row), 0.0)))
-
-
-def _axes_volume(
-    tables: ErrorTables, covariance: Array, limits: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
-    """Deciding length and largest uncertainty of the error vectors, each with its U, m."""
-    machine = tables.machine
-    q = lattice(machine, AXES_GRID)
-    nodes = {a: tables.motions[f'E{a}{a}'].position for a in machine.axis_names}
-    rows = field_rows(machine, nodes, q)
-    error = (rows @ table_values(tables)).reshape(-1, 3)
-    length = np.linalg.norm(error, axis=1)
-    unit = error / np.maximum(length, np.finfo(float).tiny)[:, None]
-    along = np.einsum('nij,ni->nj', rows.reshape(len(q), 3, -1), unit)
-    wide = COVERAGE_FACTOR * np.sqrt(
-        np.maximum(np.einsum('ij,ij->i', along @ covariance, along), 0.0)
-    )
-    limit = limits.get(VOLUMETRIC, np.inf)
-    sure = length - wide
-    at = int(np.argmax(sure if sure.max() > limit else length + wide))
-    variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
-    largest = COVERAGE_FACTOR * float(np.sqrt(np.maximum(variance, 0.0).max()))
-    return {VOLUMETRIC: (float(length[at]), float(wide[at])), UNCERTAINTY: (largest, 0.0)}
 
 
 def _partly_driven(tables: ErrorTables) -> list[str]:
@@ -360,12 +272,12 @@ def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
 
 
 def size_and_expanded(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:
-    """Size of a squareness error, or largest less smallest value of a motion, and its U."""
+    """Size of a scalar, or largest less smallest value of a motion, and its U."""
     place = table_places(tables)[name]
     row = np.zeros((1, len(budget.rows)))
-    if name in SQUARENESS:
+    if name in tables.machine.scalars:
         row[0, place] = 1.0
-        return abs(tables.squareness[name].value), float(_expanded(budget, row)[0])
+        return abs(tables.scalar(name)), float(_expanded(budget, row)[0])
     table = tables.motions[name]
     high, low = int(table.value.argmax()), int(table.value.argmin())
     row[0, place.start + high] += 1.0

@@ -39,7 +39,7 @@ from otf_core.effects.state import probe_state
 from otf_core.effects.stated_effect import FILE, RemovedEffects, StatedEffect, effects_to_list
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
-from otf_core.model.machine import Machine
+from otf_core.model.machine import TOOL, Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.joint import (
@@ -62,7 +62,7 @@ from otf_core.solving.sensitivity import (
     state_at,
 )
 from otf_core.solving.solution import Positive
-from otf_core.solving.system import nominal_positions
+from otf_core.solving.system import positions_on_path
 from otf_core.threads import limit_to_one_thread
 
 MAX_ROUNDS = 6
@@ -180,7 +180,8 @@ def correct_runs(
     """
     corrected_runs = []
     for number, run in enumerate(runs):
-        q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
+        points = run.pose.apply(run.pieces.xyz)
+        q = positions_on_path(run.sight(TOOL), run.pieces, points, tables)
         places = _places(run, state_at(run, q, run.pose, nodes, tables), effects)
         moves = (places.columns(e.effect, partial(e.displacement, run=number), 1) for e in effects)
         shift = sum(moves, start=np.zeros((len(run.pieces), 3)))
@@ -328,37 +329,13 @@ def calibrate_without_effects(
     return CorrectedCalibration(result, parameters)
 
 
-@dataclass(frozen=True)
-class EffectsCalibration:
-    """A calibration with effects taken off, and the one without beside it.
-
-    Attributes
-    ----------
-    result : CalibrationResult
-        What counts: with effects taken off if there were any.
-    plain : CalibrationResult
-        Without; the same if there were none.
-    applied : tuple of tuple of AppliedEffect
-        What was taken off, run by run.
-    """
-
-    result: CalibrationResult
-    plain: CalibrationResult
-    applied: tuple[tuple[AppliedEffect, ...], ...]
-
-    @property
-    def words(self) -> str:
-        """What was done, in a sentence."""
-        return self.result.effects_sentence
-
-
 def pair_with_plain(
     plain: CalibrationResult,
     corrected: CorrectedCalibration | None,
     taking: Sequence[RemovableEffect],
     words: str,
     warnings: Sequence[str] = (),
-) -> EffectsCalibration:
+) -> CalibrationResult:
     """Put a calibration with effects taken off beside the one without.
 
     Parameters
@@ -373,18 +350,20 @@ def pair_with_plain(
         Put before those of the result.
     """
     if corrected is None:
-        result = replace(plain, warnings=(*warnings, *plain.warnings), effects_sentence=words)
-        return EffectsCalibration(result, plain, tuple(() for _ in plain.runs))
+        return replace(plain, warnings=(*warnings, *plain.warnings), effects_sentence=words)
     result = corrected.result
     of_plain = (f'of the plain calibration: {gate}' for gate in plain.failed_gates)
-    result = replace(
-        result, warnings=(*warnings, *of_plain, *result.warnings), effects_sentence=words
-    )
     applied = tuple(
         tuple(AppliedEffect(one.effect, own) for one, own in zip(taking, run, strict=True))
         for run in corrected.parameters
     )
-    return EffectsCalibration(result, plain, applied)
+    return replace(
+        result,
+        warnings=(*warnings, *of_plain, *result.warnings),
+        effects_sentence=words,
+        applied=applied,
+        uncorrected=plain,
+    )
 
 
 @limit_to_one_thread
@@ -393,7 +372,7 @@ def calibrate_with_file(
     file: str,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
-) -> EffectsCalibration:
+) -> CalibrationResult:
     """Calibrate on the fly with the effects of a file taken off.
 
     Parameters

@@ -15,7 +15,8 @@ from otf_core.arrays import Array, Index
 from otf_core.bags.bag_reading import ReceivedPoints, path_of
 from otf_core.bags.rosbag2_metadata import AXES
 from otf_core.bags.sample_order import Screening, sort_by_time
-from otf_core.calibration.axis_calibration import AxisCalibration, calibrate_axes
+from otf_core.calibration.axis_calibration import calibrate_axes
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
@@ -39,9 +40,8 @@ from otf_core.pieces.finding import COMPLETE_PATH, GATE, MIN_COVERAGE, WARNING, 
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import (
     Setup,
-    forecast_of_pieces,
+    forecast_of_runs,
     planned_systematic,
-    solution_of_pieces,
 )
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
@@ -65,7 +65,7 @@ class CheckedRecording:
         Reduced to pieces; needs a machine of linear axes.
     parts : tuple of AxisPath
         Published axis positions of a machine with rotary axes.
-    result : AxisCalibration, optional
+    result : CalibrationResult, optional
         Of a machine with rotary axes: what shows whether a recording can be used is its
         calibration, which takes seconds.
     findings : tuple of Finding
@@ -92,7 +92,7 @@ class CheckedRecording:
     alignment: Alignment | None = None
     run: Run | None = None
     parts: tuple[AxisPath, ...] = ()
-    result: AxisCalibration | None = None
+    result: CalibrationResult | None = None
     findings: tuple[Finding, ...] = ()
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
@@ -175,9 +175,11 @@ def _followed(seen: CheckedRecording, refused: _Refusals) -> CheckedRecording:
     assert samples is not None
     if machine is not None and machine.rotary_names:
         return _calibrated(seen, machine, refused)
-    if machine is not None and seen.parts:
+    if machine is not None and (seen.parts or path is not None):
         with refused.of('path', name):
-            path = driven_path(seen.parts, path, machine)[0]
+            path, parts = driven_path(seen.parts, path, machine)
+            if parts:
+                return _calibrated(seen, machine, refused)
     if path is None:
         with refused.of('stamps', name):
             check_samples(samples, None)
@@ -202,7 +204,7 @@ def _followed(seen: CheckedRecording, refused: _Refusals) -> CheckedRecording:
 
 
 def _calibrated(seen: CheckedRecording, machine: Machine, refused: _Refusals) -> CheckedRecording:
-    """Calibrate what was read of a machine with rotary axes."""
+    """Calibrate what was driven in parts."""
     assert seen.samples is not None
     with refused.of('run', seen.name):
         check_samples(seen.samples, None)
@@ -481,11 +483,9 @@ def _check_path(seen: CheckedRecording) -> CheckOutcome:
     return CheckOutcome(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
 
 
-def _check_parts(result: AxisCalibration) -> CheckOutcome:
+def _check_parts(result: CalibrationResult) -> CheckOutcome:
     """Parts of a machine with rotary axes, as far as they were driven."""
-    shares = [
-        share for one in result.matched for share in (*one.driven, *(0.0 for _ in one.missing))
-    ]
+    shares = [part.driven for run in result.runs for part in run.parts]
     missing = [k + 1 for k, share in enumerate(shares) if share < COMPLETE_PATH]
     text = ''
     if missing:
@@ -553,7 +553,7 @@ STANDSTILL = Check('standstill', _check_standstills)
 
 def _check_contradictions(seen: CheckedRecording) -> CheckOutcome:
     if seen.result is not None:
-        result, machine = seen.result, seen.result.machine
+        result, machine = seen.result, seen.result.tables.machine
         words = ', '.join(result.failed_gates) or 'no contradictions'
         problems = errors(*result.failed_gates) + warnings(*result.warnings)
         return CheckOutcome(f'{machine.name}, chain {machine.chain}: {words}', {}, problems)
@@ -576,10 +576,8 @@ def _check_forecast(seen: CheckedRecording) -> CheckOutcome:
         return CheckOutcome()
     setup = Setup.of(run.machine, run.pose.translation, run.noise)
     with one_thread():
-        outlook = forecast_of_pieces(
-            run.pieces, run.pose, dict(seen.nodes), run.path.points, setup, run.pieces.end
-        )
-        expected = planned_systematic(solution_of_pieces(run, outlook), outlook).expected
+        outlook = forecast_of_runs([run], dict(seen.nodes), setup, run.pieces.end)
+        expected = planned_systematic(outlook).expected
     unseen = outlook.not_identifiable
     facts = {
         'mean_grid_u_um': 1e6 * outlook.mean_grid_u,
@@ -599,11 +597,9 @@ def _check_forecast(seen: CheckedRecording) -> CheckOutcome:
     return CheckOutcome(words, {'forecast': facts}, warnings(doubt))
 
 
-def _known_of_axes(result: AxisCalibration) -> CheckOutcome:
+def _known_of_axes(result: CalibrationResult) -> CheckOutcome:
     """How well a calibration of this recording knows the errors, and what it does not see."""
-    tables = result.tables
-    unseen = [n for n, t in tables.motions.items() if not t.identifiable]
-    unseen += [n for n, v in tables.location.items() if not v.identifiable]
+    tables, unseen = result.tables, list(result.not_identifiable)
     mean_u = {
         name: float(np.sqrt(np.mean(table.u**2)))
         for name, table in tables.motions.items()

@@ -129,11 +129,11 @@ def add_judging_verbs(verb: AddVerb) -> None:
         help='error_tables.json, or CSV of a direct measurement with the header '
         'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad, one row per reading '
         '(direction: forward or backward; units m, mm, um, rad, urad, arcsec as in the header; '
-        'omit columns that the instrument does not measure)',
+        'of rotary axes position_deg; omit columns that the instrument does not measure)',
     )
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
-    sub.add_argument('--points', help='CSV with the header x,y,z (default: a grid)')
+    sub.add_argument('--points', help='CSV: x,y,z and rotary letters (default: a grid)')
     add_out(sub, 'folder for the results')
 
 

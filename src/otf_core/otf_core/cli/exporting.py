@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import AddVerb, add_out, output_folder, refuse_rotary
+from otf_core.cli.options import AddVerb, add_out, output_folder
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, note, report_files
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
@@ -78,7 +78,7 @@ def run_export(arguments: argparse.Namespace) -> int:
         'schema': 'otf-export/1',
         'format': chosen.name,
         'files': [str(target.path) for target, _ in targets],
-        'sign': chosen.sign_words(request),
+        'sign': chosen.sign_of(request),
         'lacks': chosen.lacks,
         'remaining': remainder.to_dict(),
         'remarks': list(export.remarks),
@@ -104,8 +104,8 @@ def _exit_code(content: TablesFile) -> int:
 
 def run_import(arguments: argparse.Namespace) -> int:
     """Error tables from a lattice of volumetric errors in CSV."""
-    from otf_core.exports.lattice import tables_from_lattice
-    from otf_core.exports.lattice_csv import read_lattice_csv
+    from otf_core.exports import export_format
+    from otf_core.exports.lattice import read_lattice_csv, tables_from_lattice
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
@@ -113,7 +113,7 @@ def run_import(arguments: argparse.Namespace) -> int:
 
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
-    refuse_rotary(machine, 'import')
+    export_format('lattice-csv').check_machine(machine, 'import')
     imported = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
     sizes = {'size_rms_um': 1e6 * imported.size_rms, 'left_rms_um': 1e6 * imported.left_rms}
     block = provenance(

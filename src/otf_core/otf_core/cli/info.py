@@ -25,12 +25,12 @@ def _of_tables(data: Data) -> str:
 
 
 def _of_plan(data: Data) -> str:
-    return f'{len(data["path"])} corner points, {data["length"]:.2f} m, {data["duration"]:.0f} s'
-
-
-def _of_rotary_plan(data: Data) -> str:
-    parts = ', '.join(f'{p["target"]} ({p["duration"]:.0f} s)' for p in data['parts'])
-    return f'parts {parts}; not shown: {", ".join(data["forecast"]["hidden"]) or "none"}'
+    parts = ', '.join(
+        f'{p["target"]} ({len(p["positions"])} corner points)' for p in data['parts']
+    )
+    hidden = [n for n, own in data['forecast']['errors'].items() if not own['identifiable']]
+    words = f'{data["length"]:.2f} m, {data["duration"]:.0f} s; parts {parts}'
+    return f'{words}; not shown: {", ".join(hidden) or "none"}'
 
 
 def _of_noise(data: Data) -> str:
@@ -52,8 +52,7 @@ KINDS: dict[str, tuple[str, Callable[[Data], str]]] = {
     'otf-error-tables/1': ('error tables', _of_tables),
     'otf-error-tables/2': ('error tables', _of_tables),
     'otf-gap/1': ('diagnosis', lambda data: f'{data["verdict"]}: {data.get("sentence", "")}'),
-    'otf-plan/1': ('plan', _of_plan),
-    'otf-rotary-plan/1': ('plan', _of_rotary_plan),
+    'otf-plan/2': ('plan', _of_plan),
     'otf-noise/1': ('noise', _of_noise),
     'otf-comparison/1': ('comparison', _of_comparison),
     'otf-comparison/2': ('comparison', _of_comparison),

@@ -5,20 +5,18 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters, reading_options, refuse_rotary
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
-from otf_core.config import CalibrationConfig, DiagnosisConfig, WritingConfig
+from otf_core.config import AUTO, CalibrationConfig, DiagnosisConfig, WritingConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
-    from otf_core.files.output_folder import OutputFolder
     from otf_core.pieces.runs import Recording
-    from otf_core.reports.calibration_facts import CalibrationFacts
 
 
 # Verbs that work on recorded bags and on tables: calibrate, diagnose, noise, predict, compare.
@@ -65,18 +63,36 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
     config = parameters(CalibrationConfig, arguments)
     writing = parameters(WritingConfig, arguments)
-    if arguments.effects:
-        return _calibrate_with_effects(arguments, config, writing)
-    from otf_core.calibration.calibrate import calibrate_runs
-    from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import facts_of, write_calibration
-
-    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
-    with progress_of('reading', CALIBRATE) as progress:
+    effects = arguments.effects
+    own = (effects,) if effects and effects != AUTO else ()
+    out = output_folder(
+        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
+    )
+    with progress_of('reading', DIAGNOSE if effects else CALIBRATE) as progress:
         recordings = read_recordings(arguments)
-        if recordings[0].machine.rotary_names:
-            return _calibrate_axes(arguments, config, writing, recordings, out, progress)
-        result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
+        if effects:
+            from otf_core.diagnosis.diagnose import calibrate_with_effects
+            from otf_core.sim.twin import twin_recording
+
+            refuse_rotary(recordings[0].machine, 'calibrate --effects')
+            result = calibrate_with_effects(
+                recordings, effects, twin_recording, config, progress, arguments.method
+            )
+        else:
+            from otf_core.calibration.calibrate import calibrate_recordings
+
+            result = calibrate_recordings(
+                recordings, config, progress, arguments.method,
+                same_station=arguments.same_station,
+            )  # fmt: skip
+        from otf_core.reports.calibration import (
+            calibration_sections,
+            facts_of,
+            write_calibration,
+        )
+        from otf_core.reports.calibration_sections.first_screen import calibration_summary
+        from otf_core.reports.page import sections_to_dict
+
         progress('writing', 0.0)
         facts = facts_of(result)
         with out.filled('calibrate') as folder:
@@ -88,98 +104,11 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 facts=facts,
                 missing=out.missing,
             )
-    _note_missing(out)
-    _answer_calibration(arguments, facts, files)
-    return result.verdicts.exit_code
-
-
-def _calibrate_axes(
-    arguments: argparse.Namespace,
-    config: CalibrationConfig,
-    writing: WritingConfig,
-    recordings: list[Recording],
-    out: OutputFolder,
-    progress: Callable[[str, float], None],
-) -> int:
-    """Error tables of a machine with rotary axes."""
-    from otf_core.calibration.axis_calibration import calibrate_axes
-    from otf_core.reports.page import sections_to_dict
-    from otf_core.reports.rotary_calibration import (
-        budget_lines_of,
-        sections,
-        summary,
-        verdicts_of,
-        write_calibration,
-    )
-
-    result = calibrate_axes(
-        recordings, config, progress, arguments.method, same_station=arguments.same_station
-    )
-    progress('writing', 0.0)
-    lines = budget_lines_of(result)
-    with out.filled('calibrate') as folder:
-        files = write_calibration(
-            result,
-            folder,
-            residuals_csv=writing.residuals_csv,
-            report=writing.report,
-            lines=lines,
-            missing=out.missing,
-        )
-    _note_missing(out)
-    report = sections_to_dict(sections(result, lines)) if arguments.json else {}
-    answer_from(arguments, summary(result), files, TABLES, report=report)
-    return verdicts_of(result).exit_code
-
-
-def _note_missing(out: OutputFolder) -> None:
-    """State which files did not fit on the disk."""
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
-
-
-def _answer_calibration(
-    arguments: argparse.Namespace, facts: CalibrationFacts, files: list[Path]
-) -> None:
-    """Print a calibration."""
-    from otf_core.reports.calibration import calibration_sections
-    from otf_core.reports.calibration_sections.first_screen import calibration_summary
-    from otf_core.reports.page import sections_to_dict
-
     report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
     answer_from(arguments, calibration_summary(facts), files, TABLES, report=report)
-
-
-def _calibrate_with_effects(
-    arguments: argparse.Namespace, config: CalibrationConfig, writing: WritingConfig
-) -> int:
-    """Error tables with effects taken off."""
-    from otf_core.diagnosis.diagnose import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import facts_of, write_with_effects
-    from otf_core.sim.twin import twin_recording
-
-    own = () if arguments.effects == AUTO else (arguments.effects,)
-    out = output_folder(
-        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
-    )
-    with progress_of('reading', DIAGNOSE) as progress:
-        recordings = read_recordings(arguments)
-        refuse_rotary(recordings[0].machine, 'calibrate --effects')
-        calibration = calibrate_with_effects(
-            recordings, arguments.effects, twin_recording, config, progress, arguments.method
-        )
-        progress('writing', 0.0)
-        with out.filled('calibrate') as folder:
-            files = write_with_effects(
-                calibration,
-                folder,
-                residuals_csv=writing.residuals_csv,
-                report=writing.report,
-                missing=out.missing,
-            )
-    _note_missing(out)
-    _answer_calibration(arguments, facts_of(calibration.result), files)
-    return calibration.result.verdicts.exit_code
+    return result.verdicts.exit_code
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
@@ -246,13 +175,19 @@ def run_noise(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _points(file: str, names: Sequence[str]) -> tuple[Any, str]:
+    """Points (n, m) of a file, a column each for these, and what its text was read as."""
+    from otf_core.inputs.path_file import read_points, read_positions
+
+    return (read_positions(file, names), '') if len(names) > 3 else read_points(file)
+
+
 def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
     from otf_core.files.output_folder import OutputFile
     from otf_core.files.writing import ends_head, write_csv
-    from otf_core.inputs.path_file import read_points, read_positions
     from otf_core.model.tables import load_tables
     from otf_core.prediction.predict import predict
 
@@ -264,11 +199,8 @@ def run_predict(arguments: argparse.Namespace) -> int:
         inputs=(arguments.tables, arguments.points),
     )
     content = load_tables(arguments.tables)
-    names = content.tables.machine.axis_names
-    if len(names) > 3:
-        points, read_as = read_positions(arguments.points, names), ''
-    else:
-        points, read_as = read_points(arguments.points)
+    names = content.tables.machine.point_names
+    points, read_as = _points(arguments.points, names)
     if read_as:
         note(f'otf predict: {read_as}')
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
@@ -290,8 +222,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
-    from otf_core.comparison.compare import compare, is_rotary, load_source
-    from otf_core.inputs.path_file import read_points
+    from otf_core.comparison.compare import compare, load_source
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
@@ -299,39 +230,21 @@ def run_compare(arguments: argparse.Namespace) -> int:
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine) if arguments.machine else None
-    points = read_points(arguments.points)[0] if arguments.points else None
-    rotary = is_rotary(arguments.a, machine) or is_rotary(arguments.b, machine)
-    if rotary and points is not None:
-        raise ConfigError('--points: for machines of three linear axes only; leave it out')
+    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
+    points = None
+    if arguments.points:
+        own = a.tables.machine
+        points = own.axis_positions(_points(arguments.points, own.point_names)[0])
     about = provenance(
         'compare',
         machines=[machine] if machine else [],
         files={'a': arguments.a, 'b': arguments.b, 'points': arguments.points},
         coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
     )
-    if rotary:
-        return _compare_rotary(arguments, out, about)
-    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
     result = compare(a, b, points)
     with progress_of('drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
     answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
-    return 0
-
-
-def _compare_rotary(
-    arguments: argparse.Namespace, out: OutputFolder, about: dict[str, Any]
-) -> int:
-    from otf_core.comparison.rotary_axes import compare_rotary
-    from otf_core.reports.rotary_comparison import (
-        format_rotary_comparison,
-        write_rotary_comparison,
-    )
-
-    result = compare_rotary(arguments.a, arguments.b)
-    with out.filled('compare') as folder:
-        files = write_rotary_comparison(result, folder, about)
-    answer_from(arguments, format_rotary_comparison(result) + '\n', files, 'comparison.json')
     return 0
 
 

@@ -1,43 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error tables of two sources in one convention, compared motion by motion and over the volume."""
+"""Error tables of several sources in one convention, and two of them compared (paper 2.3).
+
+The convention, covariance included: motions are zero at the axis' zero position, else at the
+minimum that all know, and straightness at both ends of the common range; the least-squares line
+of the motions of a rotary axis is taken off them. What these choices take out of the motions is
+squareness, location errors, or a rigid motion of the table, of no meaning. A rotation that one
+source cannot see, because it acts on the target over a lever that no axis changes which moved
+there, is a translation for it, at its own target offset and place; it is counted as that one in
+all. All of it is linear: vector = M (scalars, nodes), covariance = M C M'.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.comparison.direct_csv import read_direct_csv
+from otf_core.comparison.direct import DirectMeasurement, read_direct_csv, tables_of_measurement
 from otf_core.errors import ConfigError
-from otf_core.model.direct_measurement import (
-    DirectMeasurement,
-    motion_readings,
-    tables_of_readings,
-)
-from otf_core.model.evaluation import mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement, has_constant_lever, motion_influence
+from otf_core.model.chain import Sight, has_constant_lever, rotations, turn_as_translation
+from otf_core.model.evaluation import rigid_columns
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import ErrorTables, load_tables
-from otf_core.prediction.covariance import unpack_covariance
+from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.uncertainty import prediction_rows
-
-# Error tables of two sources brought to one convention (paper 2.3.1), covariance included.
-#
-# Positioning and rotations are zero at the axis' zero position, else at the minimum both know;
-# straightness is zero at both ends of the common range; what these choices take out of the motions
-# is squareness, or a rigid motion of no meaning. A rotation that one source cannot see, because it
-# acts on the target over a lever that no axis changes which moved there, is a translation for it,
-# at its own target offset and place; it is counted as that one in both. All of it is linear: value
-# = H nodes, covariance = H C H'.
+from otf_core.prediction.predict import Predictor
+from otf_core.prediction.volumetric import table_places, table_rows, table_values
 
 SAME_LEVER = 1e-5
 """m; levers that differ by less are one: 1 nm for 100 urad."""
+SAME_LINE = 1e-6
+"""m, or 1 for directions; nominal lines of rotary axes that differ by less are one."""
+SAME_PLACE = 1e-6
+"""m and rad; positions that differ by less are one."""
+RANK = 1e-9
+"""Relative size of singular values that count as zero."""
+COVERAGE_FACTOR = 2.0
+"""k of the expanded uncertainties."""
+GRID_POINTS, GRID_POINTS_OF_MANY = 7, 5
+"""Points per axis of the volume: up to three axes, and more."""
 
 
 @dataclass(frozen=True)
@@ -46,71 +52,77 @@ class Source:
 
     Attributes
     ----------
-    whole : ndarray, shape (3 + m, 3 + m)
-        Covariance of the squareness errors and the nodes of EXX ... ECZ in that order.
-    squareness : tuple of str
-        Squareness errors that the source knows.
+    covariance : ndarray, shape (m, m)
+        Of scalars (squareness and location errors) and the nodes of all motions.
+    hidden : frozenset of str
+        Errors that the source does not determine.
     """
 
     name: str
     tables: ErrorTables
-    whole: Array
-    squareness: tuple[str, ...]
+    covariance: Array
+    hidden: frozenset[str]
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the nodes, shape (m, m)."""
-        return self.whole[len(SQUARENESS) :, len(SQUARENESS) :]
 
-    @property
-    def all_values(self) -> Array:
-        """Values in the order of ``whole``, shape (3 + m,)."""
-        own = [self.tables.squareness[n].value for n in SQUARENESS]
-        return np.concatenate([own, self.values])
+def source_of_tables(name: str, content: TablesFile) -> Source:
+    """Source of error tables, values independent where they hold no covariance."""
+    known = Predictor.of(content)
+    return Source(name, known.tables, known.covariance, frozenset(known.not_seen))
 
-    @property
-    def starts(self) -> dict[str, int]:
-        """Place of the first node of each motion in the covariance."""
-        sizes = [len(self.tables.motions[m].position) for m in MOTIONS]
-        return dict(zip(MOTIONS, np.concatenate([[0], np.cumsum(sizes)]).tolist(), strict=False))
 
-    @property
-    def values(self) -> Array:
-        """Node values of all motions, shape (m,)."""
-        return np.concatenate([self.tables.motions[m].value for m in MOTIONS])
+def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
+    """Source of a direct measurement: means over runs and directions, u from their scatter."""
+    tables, covariance = tables_of_measurement(measurement, machine)
+    hidden = {*machine.scalars, *(m for m, t in tables.motions.items() if not t.identifiable)}
+    return Source(name, tables, covariance, frozenset(hidden))
+
+
+def load_source(path: str | Path, machine: Machine | None) -> Source:
+    """Read error_tables.json or, for the machine given, a direct measurement in CSV."""
+    path = Path(path)
+    if path.suffix.lower() == '.csv':
+        if machine is None:
+            raise ConfigError(f'{path}: a direct measurement needs --machine')
+        return source_of_measurement(path.stem, read_direct_csv(path, machine), machine)
+    name = path.parent.name if path.stem == 'error_tables' else path.stem
+    return source_of_tables(name or str(path), load_tables(path))
 
 
 @dataclass(frozen=True)
 class Lever:
-    """Where a rotation acts as a translation: target offset of a machine, place of its axes, m."""
+    """Where a rotation acts as a translation: target offset of a machine, place of its axes."""
 
     machine: Machine
     place: Array
 
-    def influence(self, motion: ErrorMotion, position: Array) -> Array:
-        """Displacement per rad at positions (k,), m, of the axis that turns, shape (k, 3)."""
+    def translations(self, motion: ErrorMotion, position: Array) -> Array:
+        """Translations per rad at positions (n,) of the axis that turns, shape (n, 3), m."""
         q = np.tile(self.place, (len(position), 1))
-        q[:, motion.place] = position
-        return motion_influence(self.machine, motion, q)
+        q[:, self.machine.column(motion.axis)] = position
+        return turn_as_translation(self.machine, motion, q)
 
 
 @dataclass(frozen=True)
 class Common:
-    """What two sources share.
+    """What sources share, as vectors: motions at common positions, then scalars.
 
     Attributes
     ----------
     machine : Machine
         That of the first, with its target offset.
-    position : mapping of axis to ndarray, m
-        Positions at which motions are compared.
+    position : mapping of axis to ndarray, m and rad
+        Positions at which motions are compared: all nodes within the range that all cover.
     folded : mapping of rotation to Lever
         Rotations counted as translations, as the source that cannot see them has them.
     apart : tuple of ErrorMotion
         Those of them that several sources cannot see, over other levers: the translations of
         these sources differ by what no source knows.
-    motions : tuple of str
-        Motions both know, folded ones left out.
+    motions : tuple of ErrorMotion
+        Motions that all know, folded ones left out.
+    scalars : tuple of str
+        Squareness and location errors that all know and the common range shows.
+    not_compared : mapping of str to str
+        All other errors, folded ones left out, and why.
     """
 
     machine: Machine
@@ -118,36 +130,142 @@ class Common:
     folded: Mapping[ErrorMotion, Lever]
     apart: tuple[ErrorMotion, ...]
     motions: tuple[ErrorMotion, ...]
+    scalars: tuple[str, ...]
+    not_compared: Mapping[str, str]
 
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Place of every motion and scalar in a vector."""
+        sizes = [*(len(self.position[m.axis]) for m in self.motions), *(1 for _ in self.scalars)]
+        ends = np.cumsum([0, *sizes]).tolist()
+        names = [*map(str, self.motions), *self.scalars]
+        return {n: slice(a, b) for n, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
 
-def _is_identifiable(source: Source, motion: str) -> bool:
-    return source.tables.motions[motion].identifiable
+    @cached_property
+    def grid(self) -> Array:
+        """Lattice over the common range, shape (n, k), m and rad."""
+        return self._lattice(lambda own, at: at)
 
+    @cached_property
+    def _node_grid(self) -> Array:
+        """The same at common positions, between which lines are bent."""
+        return self._lattice(lambda own, at: own[np.abs(own[:, None] - at).argmin(axis=0)])
 
-def _positions(sources: Sequence[Source], axis: str) -> Array:
-    """Nodes of all sources within the range that all cover."""
-    nodes = [
-        s.tables.motions[m].position for s in sources for m in MOTIONS
-        if m.axis == axis and _is_identifiable(s, m)
-    ]  # fmt: skip
-    if not nodes:
-        return np.zeros(0)
-    low, high = max(n[0] for n in nodes), min(n[-1] for n in nodes)
-    if high - low < 1e-6:
-        raise ConfigError(f'axis {axis}: the sources cover no common range')
-    inside = np.concatenate([[low, high], *[n[(n > low) & (n < high)] for n in nodes]])
-    places = np.unique(inside)
-    return np.asarray(places[np.concatenate([[True], np.diff(places) > 1e-6])])
+    def _lattice(self, chosen: Callable[[Array, Array], Array]) -> Array:
+        count = GRID_POINTS if len(self.position) <= 3 else GRID_POINTS_OF_MANY
+        along = [
+            np.unique(chosen(own, np.linspace(own[0], own[-1], count)))
+            for own in self.position.values()
+        ]
+        return np.stack([g.ravel() for g in np.meshgrid(*along, indexing='ij')], axis=1)
 
+    def rows(self, q: Array) -> Array:
+        """From a vector to the errors at positions (n, k), m and rad; shape (3 n, m)."""
+        machine, seen = self.machine, Sight.of_tool(self.machine).at(q)
+        at = machine.wrapped(q)
+        hats = {a: hat_matrix(p, at[:, machine.column(a)]) for a, p in self.position.items()}
+        found = [
+            seen.motions[m.axis][:, :, DIRECTIONS.index(m.direction), None]
+            * hats[m.axis][:, None, :]
+            for m in self.motions
+        ]
+        found += [seen.scalars[n][:, :, None] for n in self.scalars]
+        return np.concatenate(found, axis=2).reshape(3 * len(q), -1)
 
-def _span(motion: ErrorMotion, levers: Sequence[Lever]) -> float:
-    """Largest difference of the levers of a rotation that matters, m."""
-    acting = [lever.influence(motion, np.zeros(1))[0] for lever in levers]
-    return float(np.ptp(acting, axis=0).max())
+    def free_rows(self, q: Array) -> Array:
+        """The same less the rigid motion that fits the errors on the grid best."""
+        columns, on_grid = (self._rigid(at) for at in (q, self.grid))
+        rigid = np.linalg.pinv(on_grid, rcond=RANK) @ self.rows(self.grid)
+        return np.asarray(self.rows(q) - columns @ rigid)
+
+    @cached_property
+    def field_rows(self) -> Array:
+        """From a vector to the errors on the grid, rigid motion removed, shape (3 n, m)."""
+        return self.free_rows(self.grid)
+
+    def _rigid(self, q: Array) -> Array:
+        return rigid_columns(Sight.of_tool(self.machine).nominal(q)).reshape(-1, 6)
+
+    @cached_property
+    def _shapes(self) -> tuple[Array, Array]:
+        """Errors on the grid per unit of all scalars and six rigid motions, and their inverse."""
+        seen = Sight.of_tool(self.machine).at(self._node_grid).scalars
+        columns = [seen[n].reshape(-1, 1) for n in self.machine.scalars]
+        shapes = np.hstack([*columns, self._rigid(self._node_grid)])
+        return shapes, np.linalg.pinv(shapes, rcond=RANK)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Scalars that the errors on the grid show, whatever the table is moved by."""
+        shapes, inverse = self._shapes
+        resolution = np.einsum('ij,ji->i', inverse, shapes)
+        return tuple(
+            n for n, r in zip(self.machine.scalars, resolution, strict=False) if r > 1 - 1e-6
+        )
+
+    def matrix(self, source: Source) -> Array:
+        """From scalars and nodes of a source to its vector, shape (m, m of the source).
+
+        Its scalars are those that leave nothing, but a rigid motion, of what the source knows less
+        the motions of the vector.
+        """
+        places = table_places(source.tables)
+        motions = np.zeros((sum(len(self.position[m.axis]) for m in self.motions),
+                            len(source.covariance)))  # fmt: skip
+        for motion in self.motions:
+            at, rows = self.position[motion.axis], motions[self.parts[motion]]
+            rows[:, places[motion]] = hat_matrix(source.tables.motions[motion].position, at)
+            for name, lever in self.folded.items() if motion.is_translation else ():
+                if name.axis == motion.axis and name not in source.hidden:
+                    hat = hat_matrix(source.tables.motions[name].position, at)
+                    arm = lever.translations(name, at)[:, motion.along]
+                    rows[:, places[name]] += arm[:, None] * hat
+        self._apply_convention(motions)
+        known = table_rows(source.tables.on(self.machine), self._node_grid)
+        known = known.reshape(-1, known.shape[2])
+        for name in self.machine.motions:
+            if name not in self.motions and name not in self.folded:
+                known[:, places[name]] = 0.0
+        rest = known - self.rows(self._node_grid)[:, : len(motions)] @ motions
+        wanted = [self.machine.scalars.index(n) for n in self.scalars]
+        return np.vstack([motions, (self._shapes[1] @ rest)[wanted]])
+
+    def _apply_convention(self, rows: Array) -> None:
+        """Bring rows (m, any) of all motions to the convention, in place."""
+        for axis, spec in self.machine.axes.items():
+            for letters in (DIRECTIONS[:3], DIRECTIONS[3:]) if spec.rotary else ():
+                self._take_line_off(axis, letters, rows)
+        for motion in self.motions:
+            at, own = self.position[motion.axis], rows[self.parts[motion]]
+            if motion.is_straightness:
+                share = ((at - at[0]) / (at[-1] - at[0]))[:, None]
+                own -= (1.0 - share) * own[0] + share * own[-1]
+            else:
+                reference = np.zeros(1) if at[0] <= 0.0 <= at[-1] else at[:1]
+                own -= hat_matrix(at, reference) @ own
+
+    def _take_line_off(self, axis: str, letters: Sequence[str], rows: Array) -> None:
+        """Take the least-squares line off the translations, or rotations, of a rotary axis.
+
+        A displacement D of the line is the motion D - R D of an axis on the target side, of one on
+        the table side R^-1 D - D, with R the rotation by the axis (docs/conventions.md).
+        """
+        own = [m for m in self.motions if m.axis == axis and m.direction in letters]
+        if not own:
+            return
+        at, sign = self.position[axis], -1.0 if axis in self.machine.chain.table_side else 1.0
+        turn = rotations(sign * at, np.array(self.machine.axes[axis].direction))
+        free = [letters.index(n[0]) for n in location_names(axis) if n[0] in letters]
+        moved = sign * (np.eye(3) - turn)[:, :, free]
+        shapes = np.concatenate([moved[:, m.along] for m in own])
+        constant = np.kron(np.eye(len(own)), np.ones((len(at), 1)))
+        line = np.linalg.pinv(np.hstack([shapes, constant]), rcond=RANK)[: len(free)]
+        values = slice(self.parts[own[0]].start, self.parts[own[-1]].stop)
+        rows[values] -= shapes @ (line @ rows[values])
 
 
 def common_ground(sources: Sequence[Source]) -> Common:
-    """Find what two sources share.
+    """Find what sources share.
 
     Raises
     ------
@@ -155,140 +273,100 @@ def common_ground(sources: Sequence[Source]) -> Common:
         If they describe different machines or share nothing.
     """
     machine = sources[0].tables.machine
-    for source in sources[1:]:
-        if str(source.tables.machine.chain) != str(machine.chain):
-            raise ConfigError(
-                f'{source.name}: chain {source.tables.machine.chain}, but {sources[0].name} has '
-                f'{machine.chain}; these are different machines'
-            )
-    rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
+    _check_one_machine(sources)
     levers: dict[ErrorMotion, list[Lever]] = {}
     for source in sources:
         own, (low, high) = source.tables.machine, table_ranges(source.tables)
-        for m in rotations:
-            if not _is_identifiable(source, m) and has_constant_lever(own, m, low, high):
+        for m in own.motions:
+            turns = m in source.hidden and not m.is_translation
+            if turns and has_constant_lever(own, m, low, high):
                 levers.setdefault(m, []).append(Lever(own, low))
-    folded = {m: own[-1] for m, own in levers.items()}
-    apart = tuple(m for m, own in levers.items() if _span(m, own) > SAME_LEVER)
-    motions = tuple(m for m in MOTIONS if all(_is_identifiable(s, m) for s in sources))
+    reasons = {
+        n: f'{source.name} does not determine it'
+        for source in sources[::-1]
+        for n in map(str, (*machine.scalars, *machine.motions))
+        if n in source.hidden and n not in levers
+    }
+    motions = tuple(m for m in machine.motions if m not in reasons and m not in levers)
     if not motions:
         raise ConfigError('the sources have no error motion in common')
-    return Common(
-        machine, {a: _positions(sources, a) for a in machine.axis_names}, folded, apart, motions
+    common = Common(
+        machine,
+        _positions(sources, {m.axis for m in motions}),
+        {m: own[-1] for m, own in levers.items()},
+        tuple(m for m, own in levers.items() if _span(m, own) > SAME_LEVER),
+        motions,
+        (),
+        reasons,
     )
+    unseen = [n for n in machine.scalars if n not in common.shown and n not in reasons]
+    reasons |= dict.fromkeys(unseen, 'the common range does not show it')
+    return replace(common, scalars=tuple(n for n in machine.scalars if n not in reasons))
 
 
-def _zeroed(motion: ErrorMotion, position: Array, rows: Array) -> Array:
-    """Rows with the convention applied: zero at the reference, or at both ends."""
-    if motion.is_straightness:
-        share = ((position - position[0]) / (position[-1] - position[0]))[:, None]
-        return np.asarray(rows - (1.0 - share) * rows[0] - share * rows[-1])
-    reference = np.zeros(1) if position[0] <= 0.0 <= position[-1] else position[:1]
-    return np.asarray(rows - hat_matrix(position, reference) @ rows)
+def _check_one_machine(sources: Sequence[Source]) -> None:
+    """Refuse tables of another machine, or of other nominal lines."""
+    first = sources[0].tables.machine
+    for source in sources[1:]:
+        machine = source.tables.machine
+        if str(machine.chain) != str(first.chain):
+            raise ConfigError(
+                f'{source.name}: chain {machine.chain}, but {sources[0].name} has '
+                f'{first.chain}; these are different machines'
+            )
+        for axis in first.rotary_names:
+            lines = [
+                (*(m.axes[axis].direction or ()), *m.axes[axis].centre) for m in (machine, first)
+            ]
+            if not np.allclose(lines[0], lines[1], atol=SAME_LINE, rtol=0):
+                raise ConfigError(
+                    f'{source.name}: direction or centre of {axis} is not that of '
+                    f'{sources[0].name}; location errors count from these, so calibrate both with '
+                    f'the same ones'
+                )
 
 
-def operator(source: Source, common: Common) -> Array:
-    """Matrix from the nodes of a source to the common motions at the common positions."""
-    starts, width = source.starts, source.covariance.shape[0]
-    blocks = []
-    for motion in common.motions:
-        axis = motion.axis
-        position = common.position[axis]
-        rows = np.zeros((len(position), width))
-
-        def add(name: str, factor: Array, rows: Array = rows, position: Array = position) -> None:
-            nodes = source.tables.motions[name].position
-            place = slice(starts[name], starts[name] + len(nodes))
-            rows[:, place] += factor[:, None] * hat_matrix(nodes, position)
-
-        add(motion, np.ones(len(position)))
-        if unit_of(motion) == 'm':
-            for name, lever in common.folded.items():
-                if name.axis == axis and _is_identifiable(source, name):
-                    add(name, lever.influence(name, position)[:, motion.along])
-        blocks.append(_zeroed(motion, position, rows))
-    return np.concatenate(blocks)
+def _positions(sources: Sequence[Source], compared: set[str]) -> dict[str, Array]:
+    """Nodes of all sources within the range that all cover, by axis."""
+    lows, highs = zip(*(table_ranges(s.tables) for s in sources), strict=True)
+    positions = {}
+    for axis, low, high in zip(
+        sources[0].tables.machine.axis_names, np.max(lows, 0), np.min(highs, 0), strict=True
+    ):
+        if high - low < SAME_PLACE and axis in compared:
+            raise ConfigError(f'axis {axis}: the sources cover no common range')
+        nodes = [
+            s.tables.motions[m].position
+            for s in sources
+            for m in s.tables.machine.motions
+            if m.axis == axis and m not in s.hidden
+        ]
+        inside = [n[(n > low) & (n < high)] for n in nodes]
+        at = np.unique(np.concatenate([[low, max(low, high)], *inside]))
+        positions[axis] = at[np.concatenate([[True], np.diff(at) > SAME_PLACE])]
+    return positions
 
 
-def vector_rows(common: Common, q: Array) -> Array:
-    """From common motions at their positions, and squareness errors, to errors at positions.
-
-    Parameters
-    ----------
-    q : ndarray, shape (n, 3), m
-
-    Returns
-    -------
-    ndarray, shape (n, 3, m + 3)
-        Derivatives by the m values of all motions, then by C0Y, B0Z, A0Z.
-    """
-    nodes = {m: common.position[m.axis] for m in common.motions}
-    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
-    rows = prediction_rows(common.machine, padded, q)
-    keep: list[int] = []
-    start = len(SQUARENESS)
-    for motion in MOTIONS:
-        if motion in nodes:
-            keep += range(start, start + len(padded[motion]))
-        start += len(padded[motion])
-    keep += range(len(SQUARENESS))
-    return np.asarray(rows[:, :, np.array(keep)])
+def _span(motion: ErrorMotion, levers: Sequence[Lever]) -> float:
+    """Largest difference of the levers of a rotation that matters, m."""
+    acting = [lever.translations(motion, np.zeros(1))[0] for lever in levers]
+    return float(np.ptp(acting, axis=0).max())
 
 
-def squareness_rows(source: Source, common: Common, q: Array) -> Array:
-    """Squareness errors of a source in the gauge of the common motions.
-
-    What the convention takes out of the common motions is linear in the positions: slopes of
-    straightness, constants of rotations over their levers. Together with the squareness errors
-    that a source states it is a shear and a rigid motion; the shear is the squareness.
-
-    Parameters
-    ----------
-    q : ndarray, shape (n, 3), m
-        Points that span the common range.
-
-    Returns
-    -------
-    ndarray, shape (3, 3 + m)
-        From the values in the order of ``Source.whole`` to C0Y, B0Z, A0Z.
-    """
-    first = len(SQUARENESS)
-    nodes: dict[str, Array] = {m: source.tables.motions[m].position for m in MOTIONS}
-    rows = prediction_rows(common.machine, nodes, q)
-    shear = rows[:, :, :first].copy()
-    for motion, start in source.starts.items():
-        if motion not in common.motions and motion not in common.folded:
-            rows[:, :, first + start : first + start + len(nodes[motion])] = 0.0
-    rows[:, :, first:] -= vector_rows(common, q)[:, :, :-first] @ operator(source, common)
-    x, y, z = (q - q.mean(axis=0)).T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    rigid = np.stack(
-        [[one, zero, zero, zero, z, -y], [zero, one, zero, -z, zero, x],
-         [zero, zero, one, y, -x, zero]]
-    ).transpose(2, 0, 1)  # fmt: skip
-    basis = np.concatenate([shear, rigid], axis=2).reshape(-1, first + 6)
-    return np.asarray((np.linalg.pinv(basis) @ rows.reshape(len(basis), -1))[:first])
-
-
-# Comparison of error tables motion by motion and over the volume (paper 2.3.1 and 2.3.2).
-#
-# The normalised error E_n = |a - b| / sqrt(U_a^2 + U_b^2), with U = 2 u (ISO 13528), is below 1
-# where two sources agree within their stated uncertainties.
-
-COVERAGE_FACTOR = 2.0
-"""k of the expanded uncertainties."""
-GRID_POINTS = 7
-"""points per axis."""
+# Two sources. The normalised error E_n = |a - b| / sqrt(U_a^2 + U_b^2), with U = 2 u (ISO 13528),
+# is below 1 where they agree within their stated uncertainties.
 
 
 @dataclass(frozen=True)
-class MotionComparison:
-    """One error motion of two sources in one convention.
+class ErrorPair:
+    """One error of two sources in one convention, or their error vectors.
 
     Attributes
     ----------
-    position : ndarray, shape (k,), m
-    a, b, u_a, u_b : ndarray, shape (k,), m or rad
+    position : ndarray
+        (k,), m or rad, of the axis of a motion; empty for an error that is one number; (k, 3), m,
+        for error vectors: nominal places of the target in the frame of the table.
+    a, b, u_a, u_b : ndarray, shape (k,), (1,) or (k, 3), m or rad
         Values and standard uncertainties.
     """
 
@@ -300,68 +378,13 @@ class MotionComparison:
 
     @property
     def difference(self) -> Array:
-        """Value of b less that of a, shape (k,)."""
-        return self.b - self.a
-
-    @property
-    def normalised(self) -> Array:
-        """E_n, shape (k,); nan where the convention fixes both values."""
-        return normalised_error(self.difference, np.hypot(self.u_a, self.u_b))
-
-
-@dataclass(frozen=True)
-class SquarenessComparison:
-    """A squareness error of two sources in the gauge of the common motions, rad; u: k = 1."""
-
-    a: float
-    b: float
-    u_a: float
-    u_b: float
-
-    @property
-    def difference(self) -> float:
         """Value of b less that of a."""
         return self.b - self.a
 
     @property
-    def normalised(self) -> float:
-        """E_n; nan where no uncertainty is known."""
-        u = np.array([np.hypot(self.u_a, self.u_b)])
-        return float(normalised_error(np.array([self.difference]), u)[0])
-
-
-@dataclass(frozen=True)
-class VolumeComparison:
-    """Error vectors of two sources on points.
-
-    Attributes
-    ----------
-    q : ndarray, shape (n, 3), m
-    a, b : ndarray, shape (n, 3), m
-        Motions in one convention, squareness left out as in the paper.
-    u : ndarray, shape (n, 3), m
-        Standard uncertainty of the difference.
-    squareness : tuple of float, or None
-        Mean lengths of a, b and b - a with everything the sources know, squareness included and
-        the rigid motion removed, both at the target offset of a; None if one of them lacks
-        squareness.
-    """
-
-    q: Array
-    a: Array
-    b: Array
-    u: Array
-    squareness: tuple[float, float, float] | None
-
-    @property
-    def difference(self) -> Array:
-        """Vectors of b less those of a, shape (n, 3), m."""
-        return self.b - self.a
-
-    @property
     def normalised(self) -> Array:
-        """E_n of every component, shape (n, 3)."""
-        return normalised_error(self.difference, self.u)
+        """E_n; nan where the convention fixes both values, or no uncertainty is known."""
+        return normalised_error(self.difference, np.hypot(self.u_a, self.u_b))
 
 
 @dataclass(frozen=True)
@@ -372,26 +395,24 @@ class Comparison:
     ----------
     offsets : tuple of ndarray, shape (3,), m
         Target offsets.
-    motions : mapping of motion to MotionComparison
-    squareness : mapping of name to SquarenessComparison
-        Those that both know.
+    errors : mapping of str to ErrorPair
+        Motions, then squareness and location errors.
+    volume : ErrorPair
+        Error vectors at the target offset of the first: all that both know, rigid motion removed.
     """
 
     names: tuple[str, str]
     offsets: tuple[Array, Array]
     common: Common
-    motions: Mapping[str, MotionComparison]
-    squareness: Mapping[str, SquarenessComparison]
-    volume: VolumeComparison
+    errors: Mapping[str, ErrorPair]
+    volume: ErrorPair
 
     @property
     def without_u(self) -> tuple[str, ...]:
         """Which of 'a' and 'b' state no uncertainty of any motion: they count as exact in E_n."""
-        sides = {
-            'a': [m.u_a for m in self.motions.values()],
-            'b': [m.u_b for m in self.motions.values()],
-        }
-        return tuple(side for side, u in sides.items() if not np.concatenate(u).any())
+        pairs = [p for p in self.errors.values() if p.position.size]
+        stated = {'a': any(p.u_a.any() for p in pairs), 'b': any(p.u_b.any() for p in pairs)}
+        return tuple(side for side, known in stated.items() if not known)
 
 
 def normalised_error(difference: Array, u: Array) -> Array:
@@ -401,95 +422,10 @@ def normalised_error(difference: Array, u: Array) -> Array:
     return np.asarray(np.where(known, np.abs(difference) / np.where(known, limit, 1.0), np.nan))
 
 
-def source_of_tables(
-    name: str, tables: ErrorTables, covariance: Array | None, hidden: Collection[str] = ()
-) -> Source:
-    """Source of error tables.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (3 + m, 3 + m), optional
-        Of squareness errors and nodes; independent values if not given.
-    hidden : collection of str
-        Squareness errors that are not known.
-    """
-    known = tuple(n for n in SQUARENESS if n not in hidden)
-    if covariance is None:
-        square = [tables.squareness[n].u for n in SQUARENESS]
-        u = np.concatenate([square, *(tables.motions[m].u for m in MOTIONS)])
-        covariance = np.diag(u**2)
-    return Source(name, tables, covariance, known)
-
-
-def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
-    """Source of a direct measurement: means over runs and directions, u from their scatter."""
-    motions = motion_readings(measurement, machine)
-    at = machine
-    if measurement.target_offset is not None:
-        at = replace(machine, target_offset=measurement.target_offset)
-    tables, covariance = tables_of_readings(motions, at, measurement.u_length_scale)
-    whole = np.zeros((len(SQUARENESS) + len(covariance),) * 2)
-    whole[len(SQUARENESS) :, len(SQUARENESS) :] = covariance
-    return Source(name, tables, whole, ())
-
-
-def is_rotary(path: str | Path, machine: Machine | None) -> bool:
-    """Return whether tables, or a direct measurement of a machine, are of one with rotary axes."""
-    if Path(path).suffix.lower() == '.csv':
-        return machine is not None and bool(machine.rotary_names)
-    return bool(load_tables(path).tables.machine.rotary_names)
-
-
-def load_source(path: str | Path, machine: Machine | None) -> Source:
-    """Read error_tables.json or, for the machine given, a direct measurement in CSV."""
-    if Path(path).suffix.lower() == '.csv':
-        if machine is None:
-            raise ConfigError(f'{path}: a direct measurement needs --machine')
-        return source_of_measurement(Path(path).stem, read_direct_csv(path, machine), machine)
-    content = load_tables(path)
-    size = len(SQUARENESS) + sum(len(content.tables.motions[m].position) for m in MOTIONS)
-    covariance = unpack_covariance(content.extra.get('covariance'), size)
-    name = Path(path).parent.name if Path(path).stem == 'error_tables' else Path(path).stem
-    hidden = content.extra.get('not_identifiable') or ()
-    return source_of_tables(name or str(path), content.tables, covariance, hidden)
-
-
-def _common_grid(sources: Sequence[Source]) -> Array:
-    """Points over the common range; in the plane or line that a source did not leave."""
-    lows, highs = zip(*(table_ranges(s.tables) for s in sources), strict=True)
-    low = np.max(lows, axis=0)
-    high = np.maximum(low, np.min(highs, axis=0))
-    axes = (np.unique(np.linspace(a, b, GRID_POINTS)) for a, b in zip(low, high, strict=True))
-    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
-
-
-def _with_squareness(
-    a: Source, b: Source, machine: Machine, q: Array
-) -> tuple[float, float, float] | None:
-    if not (a.squareness and b.squareness):
-        return None
-    tables = (replace(s.tables, machine=machine) for s in (a, b))
-    fields = [without_rigid_motion(displacement(own, q), q) for own in tables]
-    return mean_length(fields[0]), mean_length(fields[1]), mean_length(fields[1] - fields[0])
-
-
-def _squareness(a: Source, b: Source, common: Common, q: Array) -> dict[str, SquarenessComparison]:
-    """Squareness errors that both know, between axes that moved in both."""
-    moved = {axis for axis, p in common.position.items() if len(p) > 1}
-    pairs = {'C0Y': {'X', 'Y'}, 'B0Z': {'X', 'Z'}, 'A0Z': {'Y', 'Z'}}
-    names = [n for n in a.squareness if n in b.squareness and pairs[n] <= moved]
-    if not names:
-        return {}
-    values, spreads = [], []
-    for source in (a, b):
-        rows = squareness_rows(source, common, q)
-        values.append(rows @ source.all_values)
-        spreads.append(np.sqrt(np.maximum(np.diag(rows @ source.whole @ rows.T), 0.0)))
-    at = [SQUARENESS.index(n) for n in names]
-    return {
-        n: SquarenessComparison(*(float(part[k]) for part in (*values, *spreads)))
-        for n, k in zip(names, at, strict=True)
-    }
+def agreement(normalised: Array) -> float:
+    """Share of normalised errors that do not exceed 1; nan without any uncertainty."""
+    known = normalised[np.isfinite(normalised)]
+    return float(np.mean(known <= 1.0)) if known.size else float('nan')
 
 
 def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
@@ -497,45 +433,33 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
 
     Parameters
     ----------
-    points : ndarray, shape (n, 3), m, optional
-        Where error vectors are compared; a regular grid over the common ranges if not given.
+    points : ndarray, shape (n, k), m and rad, optional
+        Axis positions at which error vectors are compared; a regular grid over the common ranges
+        if not given.
 
     Raises
     ------
     ConfigError
         If they share no range or no motion.
     """
-    common = common_ground([a, b])
-    matrices = [operator(s, common) for s in (a, b)]
-    values = [h @ s.values for h, s in zip(matrices, (a, b), strict=True)]
-    covariances = [h @ s.covariance @ h.T for h, s in zip(matrices, (a, b), strict=True)]
-    u = [np.sqrt(np.maximum(np.diag(c), 0.0)) for c in covariances]
-    motions: dict[str, MotionComparison] = {}
-    start = 0
-    for motion in common.motions:
-        position = common.position[motion.axis]
-        part = slice(start, start + len(position))
-        motions[motion] = MotionComparison(
-            position, values[0][part], values[1][part], u[0][part], u[1][part]
+    common, sides = common_ground([a, b]), []
+    q = common.grid if points is None else points
+    rows = common.free_rows(q)
+    for source in (a, b):
+        matrix = common.matrix(source)
+        covariance = matrix @ source.covariance @ matrix.T
+        value = matrix @ table_values(source.tables)
+        variances = np.diag(covariance), np.einsum('ij,ij->i', rows @ covariance, rows)
+        sides.append((value, rows @ value, *(np.sqrt(np.maximum(v, 0.0)) for v in variances)))
+    (a_own, a_field, u_own, u_field), (b_own, b_field, v_own, v_field) = sides
+    errors = {
+        name: ErrorPair(
+            np.zeros(0) if name in common.scalars else common.position[name[-1]],
+            *(v[part] for v in (a_own, b_own, u_own, v_own)),
         )
-        start = part.stop
-    q = _common_grid((a, b)) if points is None else points
-    rows = vector_rows(common, q)[:, :, : -len(SQUARENESS)]
-    flat = rows.reshape(-1, rows.shape[2])
-    variance = np.einsum('ij,ij->i', flat @ (covariances[0] + covariances[1]), flat)
-    volume = VolumeComparison(
-        q,
-        rows @ values[0],
-        rows @ values[1],
-        np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3),
-        _with_squareness(a, b, common.machine, q),
-    )
+        for name, part in common.parts.items()
+    }
+    fields = (v.reshape(-1, 3) for v in (a_field, b_field, u_field, v_field))
+    volume = ErrorPair(Sight.of_tool(common.machine).nominal(q), *fields)
     offsets = a.tables.machine.target_offset, b.tables.machine.target_offset
-    squareness = _squareness(a, b, common, _common_grid((a, b)))
-    return Comparison((a.name, b.name), offsets, common, motions, squareness, volume)
-
-
-def agreement(normalised: Array) -> float:
-    """Share of normalised errors that do not exceed 1; nan without any uncertainty."""
-    known = normalised[np.isfinite(normalised)]
-    return float(np.mean(known <= 1.0)) if known.size else float('nan')
+    return Comparison((a.name, b.name), offsets, common, errors, volume)

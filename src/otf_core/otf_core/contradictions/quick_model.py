@@ -21,13 +21,12 @@ import numpy as np
 from scipy import linalg, sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.model.machine import Chain, Machine
+from otf_core.model.chain import Sight
+from otf_core.model.machine import TOOL, Chain, Machine
 from otf_core.noise.noise_model import beam_shares, noise_covariance
 from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import Run
-from otf_core.solving.design import AxisPart, cross_product, six_motions
-from otf_core.solving.design import Design as Motions
-from otf_core.solving.system import components, nominal_positions, row_directions
+from otf_core.solving.system import components, positions_on_path, row_directions
 from otf_core.solving.unknowns import Unknowns, layout, linear
 
 MIN_SIGMA = 1e-7
@@ -116,7 +115,8 @@ def _sigma(run: Run, shares: Array) -> Array:
 def _of_run(run: Run, number: int) -> dict[str, Array]:
     pieces = run.pieces
     points = run.pose.apply(pieces.xyz)
-    q, axes = nominal_positions(pieces, points, None), row_directions(pieces, run.pose)
+    q = positions_on_path(run.sight(TOOL), pieces, points, None)
+    axes = row_directions(pieces, run.pose)
     return {
         'run': np.full(len(pieces), number),
         'piece': np.arange(len(pieces)),
@@ -146,7 +146,7 @@ def build_rows(runs: Sequence[Run]) -> Rows:
 
 def pose_columns(rows: Rows) -> Array:
     """Rows per unit of a rigid motion of the measured points, shape (c p, 6), 1 and m/rad."""
-    turned = cross_product(rows.points, rows.axes)  # a . (e x point) = e . (point x a)
+    turned = np.cross(rows.points, rows.axes)  # a . (e x point) = e . (point x a)
     return np.concatenate([rows.axes, turned], axis=2).reshape(-1, 6)
 
 
@@ -230,17 +230,6 @@ class AxisTables:
     hat: Array
     influence: Array
 
-    @classmethod
-    def of(cls, parts: Sequence[AxisPart], axes: Array) -> AxisTables:
-        """Tables of what an axis does in each run, for the directions (c, p, 3) of all rows."""
-        arm = np.concatenate([part.lever for part in parts])
-        return cls(
-            parts[0].size,
-            np.concatenate([part.first for part in parts]),
-            np.concatenate([part.weight for part in parts]).T.copy(),
-            np.stack([six_motions(own, arm)[:, :, 0].T for own in axes]),
-        )
-
     @property
     def columns(self) -> Index:
         """Columns that are not zero at every piece, shape (6, w, p)."""
@@ -288,18 +277,23 @@ class Design:
     @classmethod
     def of(cls, rows: Rows, usual: Array, machines: Sequence[Machine]) -> Design:
         """Set up squareness and tables for machines of the runs, as in ``rows`` or others."""
-        unknowns = table_unknowns(rows)
-        motions = []
-        for run, machine in enumerate(machines):
-            own = np.flatnonzero(rows.run == run)
-            motions.append(
-                Motions(machine, unknowns, 0, rows.q[own], rows.points[own], rows.axes[:, own],
-                        (np.zeros(3),), rows.direction[own], rows.side[own])
-            )  # fmt: skip
-        squareness = np.concatenate([m.squareness_rows() for m in motions], axis=1)
+        bases, machine = table_unknowns(rows).bases, machines[0]
+        six = {axis: np.empty((len(rows), 3, 6)) for axis in bases}
+        scalars = np.empty((len(rows), 3, len(machine.squareness)))
+        for run, own_machine in enumerate(machines):
+            own = rows.run == run
+            seen = Sight.of_tool(own_machine).at(rows.q[own])
+            for axis, motions in seen.motions.items():
+                six[axis][own] = motions
+            scalars[own] = np.stack([seen.scalars[n] for n in machine.squareness], axis=2)
+        squareness = np.einsum('cpi,pik->cpk', rows.axes, scalars)
         usual = np.concatenate([usual, squareness.reshape(len(usual), -1)], axis=1)
-        parts = zip(*(m.parts_of_motions() for m in motions), strict=True)
-        return cls(usual, tuple(AxisTables.of(of_axis, rows.axes) for of_axis in parts))
+        tables = []
+        for (axis, basis), q in zip(bases.items(), rows.q.T, strict=True):
+            first, weight = basis.places(q)
+            influence = np.einsum('cpi,pik->ckp', rows.axes, six[axis])
+            tables.append(AxisTables(basis.size, first, weight.T.copy(), influence))
+        return cls(usual, tuple(tables))
 
     @cached_property
     def tables(self) -> sparse.csr_array:

@@ -10,15 +10,12 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.evaluation import rigid_columns
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, Finding
-from otf_core.pieces.runs import Run
-from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.pieces.runs import Observed
+from otf_core.prediction.volumetric import VolumetricError
 
 _log = logging.getLogger(__name__)
 
@@ -71,51 +68,11 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
     return words
 
 
-LATTICE_POINTS = 4
-"""Points per axis of the lattice that is evaluated."""
 MAX_U_OF_GOOD_MACHINE = 5.0
 """Uncertainty over the noise of a sample below which small errors mean a good machine."""
 
 
-def lattice_of(tables: ErrorTables) -> Array:
-    """Lattice over the range of the tables, shape (n, 3), m."""
-    lines = []
-    for axis in tables.machine.axis_names:
-        position = tables.motions[f'E{axis}{axis}'].position
-        lines.append(
-            position[np.unique(np.linspace(0, len(position) - 1, LATTICE_POINTS).astype(int))]
-        )
-    grids = np.meshgrid(*lines, indexing='ij')
-    return np.stack([g.ravel() for g in grids], axis=1)
-
-
-def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
-    """Error that the tables state and its uncertainty, m.
-
-    Root mean square of the length, and median over the volume; the rigid motion is taken out of
-    both.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (m, m)
-        Of squareness and nodes in the order of ``tables.MOTIONS``.
-    """
-    q = lattice_of(tables)
-    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
-    columns = prediction_rows(tables.machine, nodes, q).reshape(3 * len(q), -1)
-    basis, _ = np.linalg.qr(rigid_columns(q).reshape(-1, 6))
-
-    def free(values: Array) -> Array:
-        return np.asarray(values - basis @ (basis.T @ values))
-
-    columns = free(columns)
-    variance = np.sum((columns @ covariance) * columns, axis=1).reshape(-1, 3).sum(axis=1)
-    error = free(displacement(tables, q).ravel())
-    typical = float(np.median(np.maximum(variance, 0.0)))
-    return float(np.sqrt(error @ error / len(q))), float(np.sqrt(typical))
-
-
-def sample_noise(runs: Sequence[Run]) -> float:
+def sample_noise(runs: Sequence[Observed]) -> float:
     """Largest standard deviation of single samples among runs, m."""
     levels = []
     for run in runs:
@@ -134,7 +91,9 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
     noise : float
         m; of a sample.
     """
-    error, u = volumetric(tables, covariance)
+    volume = VolumetricError(tables, covariance)
+    error = float(np.sqrt(np.mean(volume.length**2)))
+    u = float(np.sqrt(np.median(volume.u_size**2)))
     if u < error:
         return []
     text = (

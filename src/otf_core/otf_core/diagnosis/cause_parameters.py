@@ -24,9 +24,8 @@ from otf_core.effects.inputs import (
     unscaled_input,
 )
 from otf_core.effects.sizes import Coefficients, Size
-from otf_core.model.expanded import COVERAGE_FACTOR
+from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import Machine
-from otf_core.model.quantities import quantity
 from otf_core.solving.residuals import leg_numbers
 
 FREE = 3.0

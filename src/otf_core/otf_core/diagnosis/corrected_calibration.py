@@ -10,7 +10,6 @@ from otf_core.calibration.calibrate import ExaminedRecordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import (
     CorrectedCalibration,
-    EffectsCalibration,
     calibrate_without_effects,
     effect_names,
     pair_with_plain,
@@ -106,7 +105,7 @@ def pair_with_corrected(
     causes: CausesToRemove,
     config: CalibrationConfig,
     sentence: str,
-) -> EffectsCalibration:
+) -> CalibrationResult:
     """Put the calibration with causes taken off beside the one without.
 
     Parameters

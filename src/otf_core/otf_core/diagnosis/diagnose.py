@@ -17,7 +17,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import Aside
-from otf_core.calibration.axis_calibration import calibrate_axes
+from otf_core.calibration.axis_calibration import assemble_axes, solve_axes
 from otf_core.calibration.calibrate import (
     ExaminedRecordings,
     SolvedRecordings,
@@ -25,8 +25,8 @@ from otf_core.calibration.calibrate import (
     solve_recordings,
 )
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
-from otf_core.config import CalibrationConfig
+from otf_core.calibration.with_effects import calibrate_with_file
+from otf_core.config import AUTO, CalibrationConfig
 from otf_core.contradictions.examine import WARNING_LEFT_OUT, share_in_whole_pieces
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, qualify_moves, sentence_of
 from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
@@ -52,7 +52,7 @@ from otf_core.diagnosis.engine.search import (
 )
 from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
-from otf_core.diagnosis.result import AxisEffects, Diagnosis, FigureData, Gap, NamedCause
+from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.rotary_rows import rows_of_axes, simulated_um
 from otf_core.diagnosis.weighing import (
     Explanation,
@@ -66,8 +66,8 @@ from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding, incomplete_path
 from otf_core.pieces.runs import Recording, Run, reduce_recording
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
@@ -122,7 +122,7 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     progress = progress or silent
-    if recordings[0].machine.rotary_names:
+    if recordings[0].axis_paths:
         return _diagnose_axes(
             recordings, exclude, config, progress, own, same_station=same_station
         )
@@ -162,11 +162,11 @@ def _diagnose_axes(
     Simulated is what the solution leaves of the noise of the standstills alone.
     """
     machine = recordings[0].machine
-    plain = calibrate_axes(
-        recordings, replace(config, reversal='none'), progress, same_station=same_station
-    )
+    without = replace(config, reversal='none')
+    solved = solve_axes(recordings, without, progress, same_station=same_station)
+    plain = assemble_axes(solved, without)
     progress('diagnosing', 0.0)
-    rows = rows_of_axes(recordings, plain)
+    rows = rows_of_axes(solved, without)
     offered = catalogue(machine)
     # of reversal that changes along an axis the constant part is named
     exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
@@ -182,10 +182,10 @@ def _diagnose_axes(
         'machine': machine.name,
         'chain': str(machine.chain),
         'samples': ', '.join(str(len(r.samples)) for r in recordings),
-        'path pieces': ', '.join(str(len(s.run.pieces)) for s in plain.solution.runs),
+        'path pieces': ', '.join(str(len(run.pieces)) for run in plain.runs),
         'tracker noise, as measured in standstills': str(rows.observed[0].noise),
     }
-    return _stated(recordings, search, weighed, AxisEffects(plain), (), conditions=conditions)
+    return _stated(recordings, search, weighed, plain, (), conditions=conditions)
 
 
 @dataclass(frozen=True)
@@ -367,7 +367,7 @@ def _answer(
     examined: ExaminedRecordings,
     found: SearchResult,
     weighed: _Weighed,
-    beside: Callable[[str], EffectsCalibration],
+    beside: Callable[[str], CalibrationResult],
 ) -> Diagnosis:
     """Put everything into words; ``beside`` makes the calibration for a sentence."""
     calibration = beside(_sentence(weighed))
@@ -397,7 +397,7 @@ def _stated(
     recordings: Sequence[Recording],
     found: SearchResult,
     weighed: _Weighed,
-    calibration: EffectsCalibration | AxisEffects,
+    calibration: CalibrationResult,
     contradictions: tuple[Finding, ...] = (),
     table_change_um: float = 0.0,
     conditions: Mapping[str, str] = MappingProxyType({}),
@@ -449,8 +449,8 @@ def _not_visible(
     return tuple((n, EVERY[n].needs) for n in hidden)
 
 
-def _table_change_um(calibration: EffectsCalibration) -> float:
-    tables, other = calibration.plain.tables, calibration.result.tables
+def _table_change_um(calibration: CalibrationResult) -> float:
+    tables, other = calibration.plain.tables, calibration.tables
     points = lattice(tables.machine)
     change = displacement(other, points) - displacement(tables, points)
     return 1e6 * mean_length(without_rigid_motion(change, points))
@@ -468,9 +468,6 @@ def _conditions(examined: ExaminedRecordings, plain: CalibrationResult) -> dict[
     }
 
 
-AUTO, NONE = 'auto', 'none'
-
-
 def calibrate_with_effects(
     recordings: Sequence[Recording],
     effects: str,
@@ -478,7 +475,7 @@ def calibrate_with_effects(
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
     method: str = 'otf',
-) -> EffectsCalibration:
+) -> CalibrationResult:
     """Calibrate on the fly with effects taken off.
 
     Parameters
@@ -511,8 +508,7 @@ def calibrate_with_effects(
         return calibrate_with_file(recordings, effects, config, progress)
     diagnosis = diagnose(recordings, twin, (), config, progress)
     calibration = diagnosis.calibration
-    assert isinstance(calibration, EffectsCalibration)
     if diagnosis.verdict != 'unknown':
         return calibration
-    warned = (calibration.words, *calibration.result.warnings)
-    return replace(calibration, result=replace(calibration.result, warnings=warned))
+    warned = (calibration.effects_sentence, *calibration.warnings)
+    return replace(calibration, warnings=warned)

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from otf_core.calibration.axis_calibration import AxisCalibration
-from otf_core.calibration.with_effects import EffectsCalibration
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import Where
@@ -17,20 +16,6 @@ from otf_core.model.machine import Machine
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
 from otf_core.solving.reversal import Reversal
-
-
-@dataclass(frozen=True)
-class AxisEffects:
-    """Calibrations of a machine with rotary axes beside its diagnosis.
-
-    Attributes
-    ----------
-    plain : AxisCalibration
-        Without reversal, which is a cause like any other.
-    """
-
-    plain: AxisCalibration
-
 
 FORMULA, FREE = 'formula', 'free'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
@@ -135,7 +120,7 @@ class Diagnosis:
     applied : tuple of tuple of AppliedEffect
         For every run the causes, or the one without a name, with their fitted parameters, ready
         for a simulation.
-    calibration : EffectsCalibration
+    calibration : CalibrationResult
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
@@ -157,7 +142,7 @@ class Diagnosis:
     contradictions: tuple[Finding, ...]
     table_change_um: float
     applied: tuple[tuple[AppliedEffect, ...], ...]
-    calibration: EffectsCalibration | AxisEffects
+    calibration: CalibrationResult
     origin: tuple[Origin, ...]
     shown: FigureData
     unnamed: Unnamed | None = None
@@ -168,8 +153,6 @@ class Diagnosis:
         return self.calibration.plain.tables.machine
 
     @property
-    def reversal(self) -> Reversal | None:
-        """Reversal tables of the calibration; None of a machine with rotary axes."""
-        if isinstance(self.calibration, AxisEffects):
-            return None
+    def reversal(self) -> Reversal:
+        """Reversal tables of the calibration."""
         return self.calibration.plain.reversal

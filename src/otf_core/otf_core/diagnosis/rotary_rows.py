@@ -8,17 +8,16 @@ places of the tracker and of the targets, location errors and motions are projec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array
-from otf_core.calibration.axis_budget import ObservedParts
-from otf_core.calibration.axis_calibration import AxisCalibration
+from otf_core.calibration.axis_calibration import SolvedAxes
+from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.residual_rows import NOISE_RANGE, Rows
-from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import (
     MIN_TOTAL,
@@ -27,33 +26,34 @@ from otf_core.noise.standstill import (
     noise_model,
     standstill_noise,
 )
-from otf_core.pieces.runs import Recording
-from otf_core.rotary.axis_solution import SolvedAxisRun, tables_of
-from otf_core.rotary.rows import AxisRows, piece_state
-from otf_core.solving.joint import SolvedRun
+from otf_core.pieces.runs import Observed, Recording
+from otf_core.solving.joint import SolvedRun, tables_of
 from otf_core.solving.residuals import fold_of, leg_numbers
+from otf_core.solving.sensitivity import piece_state
 from otf_core.solving.solution import free_columns, identifiable_blocks
 from otf_core.solving.whitener import Whitener
 
 
-def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Rows:
-    """Set up the rows.
+@dataclass(frozen=True)
+class ObservedRecording(Observed):
+    """A run with the recording that its noise is looked up in."""
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    result : AxisCalibration
-        Of these recordings, without reversal.
-    """
-    nodes = table_nodes(result.machine, *result.driven)
-    joint, limit = result.solution, result.config.unidentifiable_above
-    speed = result.config.rest_speed
+    recording: Recording | None = None
+
+
+def rows_of_axes(found: SolvedAxes, config: CalibrationConfig) -> Rows:
+    """Set up the rows of recordings that were solved without reversal."""
+    recordings, joint, nodes = found.recordings, found.joint, found.nodes
+    limit, speed = config.unidentifiable_above, config.rest_speed
     observed = [
-        ObservedParts(
-            recording,
-            recording.machine,
-            solved.run.pieces,
-            _floor(recording, speed, solved),
+        ObservedRecording(
+            **{
+                **{f.name: getattr(solved.run, f.name) for f in fields(Observed)},
+                'machine': recording.machine,
+                'noise': _floor(recording, speed, solved),
+                'fitted': None,
+                'recording': recording,
+            }
         )
         for recording, solved in zip(recordings, joint.runs, strict=True)
     ]
@@ -61,7 +61,7 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
         Whitener.of(cast(Any, solved.system), cast(Any, one.pieces), one.noise)
         for solved, one in zip(joint.runs, observed, strict=True)
     ]
-    tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
+    tables = tables_of(joint.machine, joint.unknowns, joint.solution)
     seen = identifiable_blocks(joint.normal, joint.unknowns, limit)
     numbers = leg_numbers(cast(Any, joint))
     return Rows(
@@ -69,7 +69,7 @@ def rows_of_axes(recordings: Sequence[Recording], result: AxisCalibration) -> Ro
         done=cast(Any, joint),
         whiteners=tuple(whiteners),
         tables=tables,
-        states=tuple(piece_state(s.run, s.system.q, nodes, tables) for s in joint.runs),
+        states=tuple(piece_state(s.run, s, nodes, tables) for s in joint.runs),
         plain_deviation=np.concatenate([s.system.deviation.reshape(-1) for s in joint.runs]),
         fold=np.concatenate(
             [
@@ -92,7 +92,7 @@ def _noise_range(recordings: Sequence[Recording], speed: float) -> tuple[float, 
     return low, high
 
 
-def _floor(recording: Recording, speed: float, solved: SolvedAxisRun) -> NoiseModel:
+def _floor(recording: Recording, speed: float, solved: SolvedRun) -> NoiseModel:
     """Noise that the simulation of a recording has.
 
     That of the standstills where they are louder than specified, however little; or less where all
@@ -105,10 +105,11 @@ def _floor(recording: Recording, speed: float, solved: SolvedAxisRun) -> NoiseMo
     if measured is not None:
         pairs = zip(noise, measured.noise, strict=True)
         noise = NoiseModel(*(max(pair, key=lambda c: c.level) for pair in pairs))
-    noise = with_slow_part(noise, solved.noise, mean)
+    fitted = solved.run.noise_and_misfit[0]
+    noise = with_slow_part(noise, fitted, mean)
     expected = Whitener.of(cast(Any, solved.system), cast(Any, solved.run.pieces), noise).expected
     less = np.sum(solved.whitener.expected**2) < np.sum(expected**2)
-    return at_most(noise, solved.noise) if less else noise
+    return at_most(noise, fitted) if less else noise
 
 
 def with_slow_part(noise: NoiseModel, fitted: NoiseModel, length: float) -> NoiseModel:
@@ -153,5 +154,4 @@ def simulated_um(rows: Rows) -> float:
 
 def _dense(solved: SolvedRun) -> Array:
     """All rows of a run, shape (c, p, full)."""
-    rows = cast(AxisRows, solved.system.rows)
-    return rows.dense(slice(None))
+    return solved.system.rows.dense(slice(None))

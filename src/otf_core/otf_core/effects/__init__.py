@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.effects.applied_effect import AppliedEffect, total_displacement
+from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.catalogue.axis_clamping import AxisClamping
 from otf_core.effects.catalogue.backlash import Backlash
@@ -31,6 +31,7 @@ from otf_core.effects.catalogue.tracker_range_offset import TrackerRangeOffset
 from otf_core.effects.catalogue.tracker_scale import TrackerScale
 from otf_core.effects.catalogue.vibration import Vibration
 from otf_core.model.machine import Machine
+from otf_core.model.motions import AXES
 
 REGISTRY: dict[str, Effect] = {
     effect.name: effect
@@ -74,10 +75,14 @@ EVERY: dict[str, Effect] = {**REGISTRY, **ROTARY}
 
 
 def catalogue(machine: Machine) -> dict[str, Effect]:
-    """Effects that a machine may have: of rotary axes only where it has some."""
-    if not machine.rotary_names:
+    """Effects that a machine may have: of rotary axes only where it has some.
+
+    All others need three linear axes and no other, but for those whose formula is for any axes.
+    """
+    if machine.axis_names == AXES:
         return REGISTRY
-    return {n: e for n, e in EVERY.items() if n in ROTARY or e.any_axes}
+    own = ROTARY if machine.rotary_names else {}
+    return {n: e for n, e in EVERY.items() if n in own or e.any_axes}
 
 
 def names_of(part: BelongsTo) -> frozenset[str]:
@@ -97,5 +102,4 @@ __all__ = [
     'Terms',
     'catalogue',
     'names_of',
-    'total_displacement',
 ]

@@ -3,13 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from otf_core.arrays import Array
-from otf_core.effects.base import Effect, Shape, State
+from otf_core.effects.base import Effect, Shape
 
 
 @dataclass(frozen=True)
@@ -25,11 +21,3 @@ class AppliedEffect:
 
     effect: Effect
     parameters: Shape
-
-
-def total_displacement(state: State, applied: Iterable[AppliedEffect]) -> Array:
-    """Sum of the displacements of several effects, shape (n, 3), m."""
-    total = np.zeros((len(state), 3))
-    for one in applied:
-        total += one.effect.displacement(state, one.parameters)
-    return total

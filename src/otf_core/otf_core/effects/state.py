@@ -14,12 +14,12 @@ from otf_core.effects.base import State
 from otf_core.effects.history import joint_history, path_history
 from otf_core.effects.terms import Turning
 from otf_core.model.axis_path import travel_per_unit
-from otf_core.model.courses import Courses
+from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform
-from otf_core.model.joints import Sight
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
+from otf_core.model.signals import Courses
 from otf_core.model.tables import ErrorTables
 from otf_core.tracking.curves import Lines, PathShape, straight_shape
 
@@ -179,7 +179,7 @@ def _turning(
         velocity[own] = np.einsum('nij,nj->ni', seen.velocity, rates[own])
         if seen.inner is not None:
             link[own] = seen.inner
-        to_tracker = pose.translation - seen.position[0]
+        to_tracker = pose.translation - point[own][0]
         axis = link[own][0].T @ (to_tracker / np.linalg.norm(to_tracker))
         facing[own] = link[own] @ axis
         for letter, six in seen.motions.items():
@@ -221,20 +221,7 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
 
 def probe_state(machine: Machine) -> State:
-    """One point in the middle of the volume: for names and units of terms."""
-    if machine.rotary_names:
-        return _probe_in_parts(machine)
-    corners = np.stack([machine.lower, machine.upper])
-    middle = corners.mean(axis=0)
-    place = middle - np.array([1.0, 0.0, 0.0])
-    pose = RigidTransform(np.eye(3), place)
-    leg, ones = np.zeros(1, dtype=np.int64), np.ones(1)
-    nodes = {a: axis_nodes(machine.axes[a]) for a in machine.axis_names}
-    return state_on_path(machine, corners, leg, middle[None], ones, ones, pose, nodes)
-
-
-def _probe_in_parts(machine: Machine) -> State:
-    """The same of a machine with rotary axes, every axis moving."""
+    """Targets in the middle of all ranges, every axis moving: for names and units of terms."""
     names, axes = list(machine.targets), range(len(machine.axis_names))
     middle = np.tile(0.5 * (machine.lower + machine.upper), (len(names), 1))
     ones = np.ones((len(names), len(axes)))

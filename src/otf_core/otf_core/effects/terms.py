@@ -10,8 +10,8 @@ from enum import Enum
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.model.courses import Part
 from otf_core.model.machine import Machine
+from otf_core.model.signals import Part
 from otf_core.model.tables import ErrorTables
 
 Shape = Mapping[str, float]

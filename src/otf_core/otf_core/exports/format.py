@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,37 +12,16 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.evaluation import covered_grid, lattice, without_rigid_motion
+from otf_core.model.chain import displacement, nominal_position
+from otf_core.model.evaluation import covered_grid, driven_positions, without_rigid_motion
 from otf_core.model.expanded import figure
-from otf_core.model.kinematics import displacement, nominal_position
 from otf_core.model.machine import Machine
-from otf_core.model.motions import unit_of
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness, TablesFile
+from otf_core.model.motions import AXES
+from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.absorbed import offset_bound
 from otf_core.prediction.driven_volume import table_ranges
-
-# Tables as a text file of mm and rad holds them.
-
-LENGTH, ANGLE = 9, 9
-"""Decimals of lengths in m (1 nm: six decimals of a mm) and of angles in rad."""
-
-
-def rounded_tables(tables: ErrorTables) -> ErrorTables:
-    """Return tables with lengths to 1e-6 mm and angles to 1e-9 rad."""
-    motions: dict[str, MotionTable] = {
-        m: replace(
-            tables.motions[m],
-            value=tables.motions[m].value.round(LENGTH if m.is_translation else ANGLE),
-        )
-        for m in tables.machine.motions
-    }
-    square = {k: Squareness(round(s.value, ANGLE), s.u) for k, s in tables.squareness.items()}
-    location = {
-        k: replace(v, value=round(v.value, LENGTH if unit_of(k) == 'm' else ANGLE))
-        for k, v in tables.location.items()
-    }
-    return replace(tables, motions=motions, squareness=square, location=location)
-
+from otf_core.prediction.predict import Predictor
+from otf_core.prediction.volumetric import VOLUME_PLACES
 
 # What an export is: the bytes of its files, and the error that its values hold.
 
@@ -55,11 +33,11 @@ MARK = 'otf export'
 MARK_BYTES = 4000
 """Bytes at either end of a file in which the mark stands."""
 ERROR, CORRECTION = 'error', 'correction'
-SIGNS = (ERROR, CORRECTION)
 
 
-ROTARY_FORMATS = ('isg', 'etalon', 'sinumerik-enc', 'linuxcnc', 'pivot')
-"""Formats to name where one cannot hold rotary axes."""
+ANY_AXES, THREE_AXES, LINES = 'any axes', 'three linear axes', 'lines of rotary axes'
+"""What a format can hold: something of every axis, a volume over X, Y and Z, or where rotary axes
+lie."""
 
 
 @dataclass(frozen=True)
@@ -90,19 +68,10 @@ class Request:
     @property
     def unseen_words(self) -> tuple[str, ...]:
         """Which errors are zero because the calibration could not see them; empty if none."""
-        listed = self.content.extra.get('not_identifiable')
-        tables = self.content.tables
-        machine = tables.machine
-        scalars = [
-            n for n in machine.scalars
-            if (isinstance(listed, list) and n in listed)
-            or (n in tables.location and not tables.location[n].identifiable)
-        ]  # fmt: skip
-        motions = (m for m in machine.motions if not tables.motions[m].identifiable)
-        names = [*scalars, *motions]
+        names = Predictor.of(self.content).not_seen
         if not names:
             return ()
-        bound = '' if machine.rotary_names else offset_bound(machine, names).sentence
+        bound = offset_bound(self.content.tables.machine, names).sentence
         return (
             f'zero because the calibration does not determine them: {", ".join(names)}; their '
             f'influence with another tool is unknown',
@@ -119,7 +88,7 @@ class Request:
         lines = [
             f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
             f'measured at the target offset {offset_words(machine)}',
-            f'sign: {fmt.sign_words(self)}',
+            f'sign: {fmt.sign_of(self)}',
             f'values: {fmt.value_words}',
             f'not in this file: {fmt.lacks}',
             *self.unseen_words,
@@ -146,54 +115,58 @@ class ExportedFiles:
     remarks: tuple[str, ...] = ()
 
 
-class Format(ABC):
+@dataclass(frozen=True)
+class Format:
     """How one control or program takes error tables.
 
     Attributes
     ----------
     name : str
         As given on the command line.
-    lacks : str
-        What of the tables the format cannot hold, in words.
-    sign_is_asked : bool
-        True where the manual does not say whether values are errors or corrections.
+    make : callable
+        Makes the files of a request that was checked; ConfigError if the format cannot hold it.
     value_words : str
         What a value is: that of a table, or a mean over the volume.
+    sign_words : str
+        What the sign of the values is; what follows the sign that the user names, if it is asked.
+    lacks : str
+        What of the tables the format cannot hold, in words.
+    holds : str
+        ``ANY_AXES``, ``THREE_AXES`` or ``LINES``.
+    sign_is_asked : bool
+        True where the manual does not say whether values are errors or corrections.
     takes_points : bool
         True where it samples the tables anew, with as many points per axis as are asked for.
-    takes_rotary : bool
-        True where it holds rotary axes, or says what of them it leaves out.
     """
 
     name: str
-    lacks: str
+    make: Callable[[Format, Request], ExportedFiles]
     value_words: str
+    sign_words: str
+    lacks: str
+    holds: str = ANY_AXES
     sign_is_asked: bool = False
     takes_points: bool = False
-    takes_rotary: bool = False
 
-    @abstractmethod
-    def sign_words(self, request: Request) -> str:
+    def sign_of(self, request: Request) -> str:
         """State what the values are, as a sentence."""
+        if not self.sign_is_asked:
+            return self.sign_words
+        meaning = 'errors (actual minus nominal)'
+        if request.sign == CORRECTION:
+            meaning = 'corrections (nominal minus actual)'
+        return f'values are {meaning}, as named by --sign {request.sign}{self.sign_words}'
 
-    @abstractmethod
     def export(self, request: Request) -> ExportedFiles:
-        """Make the files; ConfigError if the format cannot hold these tables."""
-
-    def check(self, request: Request) -> None:
-        """Refuse rotary axes it cannot hold, a missing or needless sign, points that mean nothing.
+        """Make the files.
 
         Raises
         ------
         ConfigError
-            Says what to give.
+            For a machine that the format cannot hold, a missing or needless sign, points that mean
+            nothing; says what to give.
         """
-        rotary = request.content.tables.machine.rotary_names
-        if rotary and not self.takes_rotary:
-            raise ConfigError(
-                f'--format {self.name}: holds three linear axes only, and the machine has '
-                f'{", ".join(rotary)}; use {" or ".join(ROTARY_FORMATS)}'
-            )
+        self.check_machine(request.content.tables.machine, f'--format {self.name}')
         if self.sign_is_asked and request.sign is None:
             raise ConfigError(
                 f'--sign: {self.name} needs it: its manual does not state whether the control '
@@ -210,6 +183,17 @@ class Format(ABC):
             )
         if request.points is not None and request.points < 2:
             raise ConfigError(f'--points: {request.points}; at least 2')
+        return self.make(self, request)
+
+    def check_machine(self, machine: Machine, asked: str) -> None:
+        """Refuse a machine that the format cannot hold; ConfigError begins with what was asked."""
+        if self.holds == THREE_AXES and machine.axis_names != AXES:
+            raise ConfigError(
+                f'{asked}: holds three linear axes only, and the machine has '
+                f'{", ".join(machine.axis_names)}; use isg, etalon, linuxcnc or sinumerik-enc'
+            )
+        if self.holds == LINES and not machine.rotary_names:
+            raise ConfigError(f'{asked}: the chain {machine.chain} has no rotary axis')
 
 
 LINE_WORDS = (
@@ -220,11 +204,14 @@ LINE_WORDS = (
 """What a value is of formats that hold one course per axis."""
 POINT_WORDS = 'error vector of the target at the point, rotations with their lever arms in it'
 TABLE_WORDS = 'nodes of the error tables themselves'
+POSITION_WORDS = (
+    'only the position of the tool is corrected, by the linear axes; its orientation keeps its '
+    'error'
+)
 WORKPIECE_WORDS = (
     'no table contains a rigid displacement of the workpiece: set the workpiece zero anew with '
     'the compensation switched on; an error of the target offset is also an error of the centres'
 )
-"""What the user of a machine with rotary axes has to set."""
 
 
 def offset_words(machine: Machine) -> str:
@@ -232,22 +219,18 @@ def offset_words(machine: Machine) -> str:
     return f'({", ".join(f"{1e3 * v:.6f}" for v in machine.target_offset)}) mm'
 
 
-def lever_words(machine: Machine) -> str:
-    """State what rotations of motions act about, for formats that hold them."""
-    whose = ' of linear axes' if machine.rotary_names else ''
-    return (
-        f'rotations{whose} act about the machine zero carried along by the axes; target at '
+def frame_words(machine: Machine) -> list[str]:
+    """Lines that say how errors of motions act, for formats that hold them."""
+    linear = ' of linear axes' if machine.rotary_names else ''
+    levers = (
+        f'rotations{linear} act about the machine zero carried along by the axes; target at '
         f"{offset_words(machine)} from it at the axes' zero"
     )
-
-
-def rotary_words(machine: Machine) -> list[str]:
-    """Lines that say how errors of rotary axes act; none without any."""
     if not machine.rotary_names:
-        return []
+        return [levers]
     lines = [
-        'only the position of the tool is corrected, by the linear axes; its orientation keeps '
-        'its error',
+        levers,
+        POSITION_WORDS,
         'errors are those of the target relative to the table, at the programmed angle, in the '
         'directions X, Y, Z of the side of the axis towards the bed, and act about the centre',
         'location errors move the line of the axis: X0C along X, A0C about X through the centre',
@@ -269,16 +252,14 @@ def rotary_words(machine: Machine) -> list[str]:
     return lines
 
 
+def workpiece_remarks(machine: Machine) -> tuple[str, ...]:
+    """What the user of formats that hold motions of rotary axes has to do."""
+    return (POSITION_WORDS, WORKPIECE_WORDS) if machine.rotary_names else ()
+
+
 def printable(text: str) -> str:
     """Text in one line: a blank for whatever cannot be printed."""
     return ''.join(c if c.isprintable() else ' ' for c in text)
-
-
-def named_sign_words(request: Request) -> str:
-    """State the sign that the user has named."""
-    if request.sign == CORRECTION:
-        return 'values are corrections (nominal minus actual), as named by --sign correction'
-    return 'values are errors (actual minus nominal), as named by --sign error'
 
 
 def is_export(path: Path) -> bool:
@@ -293,10 +274,9 @@ def is_export(path: Path) -> bool:
 
 # The volumetric error that remains when a control takes off what a format holds.
 
-POINTS_BETWEEN = 13
-"""Points per axis between those of the volumetric error; they share few positions with nodes."""
-ROTARY_BETWEEN = 6
-"""The same of machines with rotary axes, whose lattice grows by the power of the axes."""
+POINTS_BETWEEN, FEWER_POINTS = 13, 6
+"""Points per axis between those of the volumetric error, few of them at nodes: up to three axes,
+and more."""
 
 
 @dataclass(frozen=True)
@@ -306,17 +286,15 @@ class RemainingError:
     Attributes
     ----------
     points : int
-        Of the grid over the whole volume.
+        Those of the calibration.
     before_mean, before_max : float
-        m; length of the error vectors by the tables: the figures of the calibration of three axes.
+        m; length of the error vectors by the tables: the figures of the calibration.
     after_mean, after_max : float
         m; the same less what the file holds.
     between_max : float
         m; largest remainder on a finer grid over the range of the tables, between the nodes too.
     wide : float
         m; expanded uncertainty that the calibration states for the mean; zero if unknown.
-    rotary : bool
-        The machine has rotary axes.
     """
 
     points: int
@@ -326,7 +304,6 @@ class RemainingError:
     after_max: float
     between_max: float
     wide: float = 0.0
-    rotary: bool = False
 
     @property
     def words(self) -> str:
@@ -339,9 +316,8 @@ class RemainingError:
             if share < -0.5
             else ''
         )
-        whose = 'over the ranges of all axes' if self.rotary else 'as in the calibration'
         return (
-            f'volumetric error by the tables, {self.points} points {whose}: mean '
+            f'volumetric error by the tables, {self.points} points as in the calibration: mean '
             f'{self._um(self.before_mean)}, largest {self._um(self.before_max)}; this file leaves '
             f'mean {self._um(self.after_mean)} ({change}), largest '
             f'{self._um(self.after_max)}, between these points up to {self._um(self.between_max)}'
@@ -354,7 +330,7 @@ class RemainingError:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, um."""
-        sizes = {k: v for k, v in asdict(self).items() if k not in ('points', 'wide', 'rotary')}
+        sizes = {k: v for k, v in asdict(self).items() if k not in ('points', 'wide')}
         return {'points': self.points, **{f'{k}_um': 1e6 * v for k, v in sizes.items()}}
 
 
@@ -371,26 +347,17 @@ def remaining_error(
         Entry of error_tables.json; decides how many digits are stated.
     """
     machine = tables.machine
-    q = lattice(machine)
-    count = ROTARY_BETWEEN if machine.rotary_names else POINTS_BETWEEN
-    finer = covered_grid(machine, np.array(table_ranges(tables)), count)
+    q, few = driven_positions(tables, VOLUME_PLACES), len(machine.axis_names) <= 3
+    ends = np.array(table_ranges(tables))
+    finer = covered_grid(machine, ends, POINTS_BETWEEN if few else FEWER_POINTS)
 
     def lengths(field: Array, q: Array) -> Array:
         rest = without_rigid_motion(field, nominal_position(machine, q))
         return np.asarray(np.linalg.norm(rest, axis=1))
 
     error = displacement(tables, q)
-    before = lengths(error, q)
-    after = lengths(error - held(q), q)
+    before, after = lengths(error, q), lengths(error - held(q), q)
     between = lengths(displacement(tables, finer) - held(finer), finer)
     wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
-    return RemainingError(
-        len(q),
-        float(before.mean()),
-        float(before.max()),
-        float(after.mean()),
-        float(after.max()),
-        float(between.max()),
-        float(wide),
-        bool(machine.rotary_names),
-    )
+    sizes = (before.mean(), before.max(), after.mean(), after.max(), between.max(), wide)
+    return RemainingError(len(q), *map(float, sizes))

@@ -12,7 +12,7 @@ location error any more: the numbers follow from the tables alone, their names f
   ($TC_CARR1-6, 15-20), vectors of the axes V1, V2 ($TC_CARR7-12), reversed of axes that carry the
   workpiece.
 
-HEIDENHAIN and FANUC get plain numbers: no description of their keys could be checked.
+Other controls get plain numbers: no description of their keys could be checked.
 """
 
 from __future__ import annotations
@@ -22,10 +22,8 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.errors import ConfigError
-from otf_core.exports.format import ExportedFiles, Format, Request, rounded_tables
-from otf_core.model.joints import rotations
-from otf_core.model.kinematics import displacement
+from otf_core.exports.format import LINES, ExportedFiles, Format, Request
+from otf_core.model.chain import displacement, rotations
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
@@ -36,61 +34,38 @@ TCARR = {'I1': 1, 'I2': 4, 'V1': 7, 'V2': 10, 'I3': 15, 'I4': 18}
 """First of three system variables $TC_CARRn of a vector."""
 
 
-class Pivot(Format):
-    """Centres and directions of rotary axes, as they are to stand in the control."""
-
-    name = 'pivot'
-    value_words = 'centre and direction of the average line of each rotary axis'
-    lacks = (
-        'error motions of the axes, squareness; orientation is corrected only where a control '
-        'takes the directions'
+def _make(fmt: Format, request: Request) -> ExportedFiles:
+    """Make the text."""
+    tables = request.content.tables
+    machine = tables.machine
+    moved = correct_axis_lines(tables)
+    lines = [f'# {line}' for line in (*request.header(fmt), *UNCHECKED)]
+    lines += ['', *_numbers(machine, moved, tables)]
+    for words in (_linuxcnc, _sinumerik):
+        lines += ['', *words(machine, moved)]
+    none = MotionTable(np.zeros(1), np.zeros(1), np.zeros(1))
+    only = replace(
+        tables,
+        motions=dict.fromkeys(machine.motions, none),
+        squareness={k: Squareness() for k in tables.squareness},
     )
-    takes_rotary = True
-
-    def sign_words(self, request: Request) -> str:
-        """State what the values are."""
-        return (
-            'new = old + location error; mm, machine coordinates with all axes at zero, without '
-            'the target offset; changes stand beside the new values'
-        )
-
-    def export(self, request: Request) -> ExportedFiles:
-        """Make the text.
-
-        Raises
-        ------
-        ConfigError
-            If the machine has no rotary axis.
-        """
-        self.check(request)
-        tables = rounded_tables(request.content.tables)
-        machine = tables.machine
-        if not machine.rotary_names:
-            raise ConfigError(f'--format pivot: the chain {machine.chain} has no rotary axis')
-        moved = correct_axis_lines(tables)
-        lines = [f'# {line}' for line in request.header(self)]
-        lines += [f'# {line}' for line in UNCHECKED]
-        lines += ['', *_numbers(machine, moved, tables)]
-        for words in (_linuxcnc, _sinumerik, _heidenhain, _fanuc):
-            lines += ['', *words(machine, moved)]
-        only = _location_only(tables)
-        return ExportedFiles(
-            {request.name: ('\n'.join(lines) + '\n').encode()},
-            lambda q: displacement(only, q),
-            (
-                'compare the old values with those in the control first: where they differ, add '
-                'the change to what stands there; never load location errors by another file too',
-                *request.unseen_words,
-            ),
-        )
+    return ExportedFiles(
+        {request.name: ('\n'.join(lines) + '\n').encode()},
+        lambda q: displacement(only, q),
+        (
+            'compare the old values with those in the control first: where they differ, add '
+            'the change to what stands there; never load location errors by another file too',
+            *request.unseen_words,
+        ),
+    )
 
 
 UNCHECKED = (
     'LinuxCNC: xyzac-trt-kins was driven with such pins; xyzbc-trt-kins checked in its source',
     'SINUMERIK: names of the vectors and closure of the chain checked in the manual; their signs, '
     'and which table axis is the first, not tried on a control',
-    'HEIDENHAIN, FANUC: not checked in a manual which keys and parameters hold these numbers, nor '
-    'their sign; test with one change of 0.1 mm',
+    'HEIDENHAIN, FANUC: take the numbers under [all controls]; not checked in a manual which keys '
+    'and parameters hold them, nor their sign; test with one change of 0.1 mm',
 )
 
 
@@ -111,15 +86,6 @@ def correct_axis_lines(tables: ErrorTables) -> Machine:
         cx, cy, cz = (float(v) for v in np.array(axes[name].centre) + shift)
         axes[name] = replace(axes[name], direction=(x, y, z), centre=(cx, cy, cz))
     return replace(machine, axes=axes)
-
-
-def _location_only(tables: ErrorTables) -> ErrorTables:
-    none = MotionTable(np.zeros(1), np.zeros(1), np.zeros(1))
-    return replace(
-        tables,
-        motions=dict.fromkeys(tables.machine.motions, none),
-        squareness={k: Squareness() for k in tables.squareness},
-    )
 
 
 def _vector(values: Array, digits: int = 6) -> str:
@@ -260,31 +226,15 @@ def _swivel(machine: Machine) -> tuple[str, dict[str, Array]]:
     return 'M', {'I1': -one, 'I2': one, 'I3': two, 'I4': -two, **vectors}
 
 
-def _heidenhain(old: Machine, new: Machine) -> list[str]:
-    """Changes of the description of the kinematics."""
-    lines = [
-        '[HEIDENHAIN description of the kinematics]',
-        '# add these to the translations (mm) and rotations (deg) that stand before the axis',
-    ]
-    for axis in old.rotary_names:
-        shift = _centre(new, axis) - _centre(old, axis)
-        tilt = np.cross(_direction(old, axis), _direction(new, axis))
-        lines += [
-            *(f'{axis}: {d}0{axis} {v + 0.0:+.6f} mm' for d, v in zip('XYZ', shift, strict=True)),
-            *(
-                f'{axis}: {d}0{axis} {np.degrees(v) + 0.0:+.7f} deg'
-                for d, v in zip('ABC', tilt, strict=True)
-            ),
-        ]
-    return lines
-
-
-def _fanuc(old: Machine, new: Machine) -> list[str]:
-    lines = ['[FANUC]', '# position of the rotary axes in the parameters of the machine, mm']
-    for axis in old.rotary_names:
-        shift = _centre(new, axis) - _centre(old, axis)
-        lines.append(f'centre of {axis}: add {_vector(shift)}')
-    return lines
-
-
-FORMAT = Pivot()
+FORMATS = (
+    Format(
+        'pivot',
+        _make,
+        'centre and direction of the average line of each rotary axis',
+        'new = old + location error; mm, machine coordinates with all axes at zero, without the '
+        'target offset; changes stand beside the new values',
+        'error motions of the axes, squareness; orientation is corrected only where a control '
+        'takes the directions',
+        holds=LINES,
+    ),
+)

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -305,14 +305,12 @@ def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, JobResul
         Jobs at once: a thread each that waits for the process of its job.
     """
     with ThreadPoolExecutor(workers) as pool:
-        waiting: dict[Future[JobResult], Job] = {pool.submit(run_job, job): job for job in jobs}
+        futures = {pool.submit(run_job, job): job for job in jobs}
         try:
-            while waiting:
-                ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    yield waiting.pop(future), future.result()
+            for future in as_completed(futures):
+                yield futures[future], future.result()
         finally:
-            for future in waiting:
+            for future in futures:
                 future.cancel()
 
 
@@ -328,7 +326,8 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobRe
         If Dask distributed is missing, or nothing answers at the address.
     """
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
+        from distributed import as_completed as completed
     except ImportError:
         raise ConfigError(
             '--scheduler: needs Dask distributed on this computer and on the workers: '
@@ -341,7 +340,7 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobRe
         raise ConfigError(f'--scheduler: {address}: no workers there ({error})') from None
     with client:
         futures = {client.submit(run_job, job, pure=False): job for job in jobs}
-        for future in as_completed(futures):
+        for future in completed(futures):
             lost = future.exception()
             if lost is not None:
                 yield futures[future], JobResult(1, f'lost by its workers: {lost}', None)

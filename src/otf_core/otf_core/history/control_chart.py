@@ -55,11 +55,17 @@ class Change:
 
 def chi_square(difference: Array, covariance: Array) -> tuple[float, int]:
     """Chi-square of a difference and its degrees of freedom."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    weight, rank = _inverse(covariance)
+    return float(difference @ weight @ difference), rank
+
+
+def _inverse(matrix: Array) -> tuple[Array, int]:
+    """Pseudo-inverse of a symmetric matrix, and its rank."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     seen = values > SINGULAR_VALUE_RATIO * max(float(values[-1]), 1e-300)
-    parts = vectors[:, seen].T @ (difference / scale)
-    return float(np.sum(parts**2 / values[seen])), int(seen.sum())
+    root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
+    return root @ root.T, int(seen.sum())
 
 
 def probability(chi2: float, dof: int) -> float:
@@ -86,14 +92,14 @@ def change_of(difference: Array, covariance: Array, tests: int = 1) -> Change:
 
 
 def changes(series: Series, a: int, b: int) -> dict[str, Change]:
-    """What changed from run a to run b, by motion and squareness error."""
+    """What changed from run a to run b, by motion, squareness and location error."""
     difference = series.values[b] - series.values[a]
     return by_motion(series, difference, series.covariances[a] + series.covariances[b])
 
 
 def by_motion(series: Series, difference: Array, covariance: Array) -> dict[str, Change]:
     """Judge a difference of vectors of a series, motion by motion."""
-    parts = series.parts
+    parts = series.common.parts
     return {n: change_of(difference[p], covariance[p, p], len(parts)) for n, p in parts.items()}
 
 
@@ -101,11 +107,15 @@ def volume_change(series: Series, a: int, b: int) -> Change:
     """The same over the volume: mean length of the error vectors, best rigid motion removed."""
     difference = series.values[b] - series.values[a]
     covariance = series.covariances[a] + series.covariances[b]
-    whole = change_of(difference, covariance)
-    rows = series.field_rows
+    size = float(series.lengths(difference).mean())
+    return Change(size, field_u(series, covariance), change_of(difference, covariance).p)
+
+
+def field_u(series: Series, covariance: Array) -> float:
+    """Mean standard uncertainty of the error vectors on the grid, m."""
+    rows = series.common.field_rows
     variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
-    expected = float(np.mean(np.sqrt(np.maximum(variance, 0.0))))
-    return Change(float(series.lengths(difference).mean()), expected, whole.p)
+    return float(np.mean(np.sqrt(np.maximum(variance, 0.0))))
 
 
 # How fast a machine drifts, and until when its tables hold.
@@ -209,7 +219,7 @@ def drift_of(series: Series) -> Drift | None:
     covariance = np.einsum('r,rij->ij', weight**2, series.covariances)
     birge = _scatter(series, rate, spread)
     covariance = covariance * birge**2
-    rows = series.field_rows
+    rows = series.common.field_rows
     field = (rows @ rate).reshape(-1, 3)
     length = np.linalg.norm(field, axis=1)
     unit = field / np.maximum(length, 1e-300)[:, None]
@@ -226,19 +236,10 @@ def drift_of(series: Series) -> Drift | None:
     )
 
 
-def _inverse(matrix: Array) -> tuple[Array, int]:
-    """Pseudo-inverse of a symmetric matrix, and its rank."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    seen = values > SINGULAR_VALUE_RATIO * max(float(values[-1]), 1e-300)
-    root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
-    return root @ root.T, int(seen.sum())
-
-
 def _line_probabilities(series: Series) -> dict[str, float]:
     if len(series.runs) < 3:
         return {}
-    return {name: _line_probability(series, part) for name, part in series.parts.items()}
+    return {name: _line_probability(series, part) for name, part in series.common.parts.items()}
 
 
 def _line_probability(series: Series, part: slice) -> float:
@@ -421,13 +422,6 @@ def _between(store: Store, series: Series, run: int) -> tuple[StoredEvent, ...]:
     return tuple(e for e in store.events if low < e.at <= high)
 
 
-def uncertainty(series: Series, run: int) -> float:
-    """Mean standard uncertainty of the tables of a run over the grid, m."""
-    rows = series.field_rows
-    variance = np.einsum('ij,ij->i', rows @ series.covariances[run], rows)
-    return float(np.mean(np.sqrt(np.maximum(variance.reshape(-1, 3).sum(axis=1), 0.0))))
-
-
 def history_of(store: Store, machine: str, limit: float | None = None) -> History:
     """Judge the runs of one machine.
 
@@ -449,7 +443,7 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
     drift = drift_of(series.since(reference))
     last = None if drift is None else drift_of(series.since(count - 2)) or drift
     error = np.array([series.lengths(v).mean() for v in series.values])
-    u_error = np.array([uncertainty(series, k) for k in range(count)])
+    u_error = np.array([field_u(series, c) for c in series.covariances])
     allowed = 2.0 * float(u_error[-1]) if limit is None else limit
     events = tuple(e for e in own.events if e.at > series.runs[0].at)
     open_ = any(e.at > series.runs[-1].at for e in events)

@@ -15,27 +15,12 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.comparison.compare import (
-    GRID_POINTS,
-    Common,
-    Source,
-    common_ground,
-    operator,
-    source_of_tables,
-    vector_rows,
-)
-from otf_core.comparison.rotary_axes import check_one_machine, not_compared, whole_vector
+from otf_core.comparison.compare import Common, common_ground, source_of_tables
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.evaluation import free_rows, lattice
-from otf_core.model.joints import Sight
-from otf_core.model.kinematics import nominal_position
-from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS
-from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import TablesFile, load_tables, tables_from_dict
-from otf_core.prediction.covariance import unpack_covariance
-from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.prediction.volumetric import table_values
 
 # A folder of calibrations and events: one plain JSON file each, named by its hash.
 #
@@ -229,11 +214,8 @@ def _read_entry(path: Path) -> dict[str, Any]:
     return entry
 
 
-# Calibrations of one machine in one convention: vectors over time with their covariances.
-#
-# A vector holds the motions that all runs know, at their common positions (see
-# ``comparison.convention``), then C0Y, B0Z, A0Z: with the slopes that the convention takes out of
-# the motions of a run, so that the vector is the errors that the run knows but for a rigid motion.
+# Calibrations of one machine in one convention: vectors over time with their covariances
+# (``comparison.compare.Common``), each the errors that the run knows but for a rigid motion.
 
 DAY = 86400.0
 SAME_OFFSET = 1e-3
@@ -263,18 +245,6 @@ class Series:
         first = self.runs[0].at
         return np.array([(run.at - first).total_seconds() / DAY for run in self.runs])
 
-    @cached_property
-    def parts(self) -> dict[str, slice]:
-        """Place of every motion and squareness error in the vectors."""
-        parts, start = {}, 0
-        for motion in self.common.motions:
-            stop = start + len(self.common.position[motion.axis])
-            parts[str(motion)] = slice(start, stop)
-            start = stop
-        for k, name in enumerate(SQUARENESS):
-            parts[name] = slice(start + k, start + k + 1)
-        return parts
-
     @property
     def warnings(self) -> list[str]:
         """Runs that cannot be brought to the target offset of the latest, in words."""
@@ -293,23 +263,10 @@ class Series:
                 )
         return words
 
-    @cached_property
-    def grid(self) -> Array:
-        """Lattice over the common range, shape (n, 3), m."""
-        return _grid(self.common)
-
-    @cached_property
-    def field_rows(self) -> Array:
-        """From a vector to the errors on the grid without rigid motion, shape (3 n, m)."""
-        return free_rows(self.rows(self.grid).reshape(3 * len(self.grid), -1), self.grid)
-
-    def rows(self, q: Array) -> Array:
-        """From a vector to the errors at positions (n, 3), m; shape (n, 3, m)."""
-        return vector_rows(self.common, q)
-
     def lengths(self, vector: Array) -> Array:
         """Lengths of the error vectors on the grid, shape (n,), m."""
-        return np.asarray(np.linalg.norm((self.field_rows @ vector).reshape(-1, 3), axis=1))
+        field = self.common.field_rows @ vector
+        return np.asarray(np.linalg.norm(field.reshape(-1, 3), axis=1))
 
     def since(self, first: int) -> Series:
         """The runs from one on."""
@@ -322,179 +279,17 @@ def _millimetres(offset: Array) -> str:
     return f'({", ".join(f"{1e3 * v:.1f}" for v in offset)}) mm'
 
 
-def _grid(common: Common) -> Array:
-    ends = [np.linspace(*_ends(common, a), GRID_POINTS) for a in common.machine.axis_names]
-    return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
-
-
-def _ends(common: Common, axis: str) -> tuple[float, float]:
-    position, limits = common.position[axis], common.machine.axes[axis]
-    if len(position):
-        return float(position[0]), float(position[-1])
-    return limits.min, limits.max
-
-
-def _to_common(source: Source, common: Common) -> Array:
-    """From squareness and nodes of a source to the vector of a series, shape (m, 3 + nodes).
-
-    The squareness errors of the vector are those that leave nothing, but a rigid motion, of what
-    the source knows less the motions of the vector.
-    """
-    first = len(SQUARENESS)
-    motions = operator(source, common)
-    matrix = np.hstack([np.zeros((len(motions), first)), motions])
-    q = _grid(common)
-    nodes: dict[str, Array] = {m: source.tables.motions[m].position for m in MOTIONS}
-    own = prediction_rows(common.machine, nodes, q).reshape(3 * len(q), -1)
-    start = first
-    for motion in MOTIONS:
-        stop = start + len(nodes[motion])
-        if motion not in (*common.motions, *common.folded):
-            own[:, start:stop] = 0.0
-        start = stop
-    parts = vector_rows(common, q).reshape(3 * len(q), -1)
-    remainder = own - parts[:, :-first] @ matrix
-    angles = free_rows(parts[:, -first:], q)
-    return np.vstack([matrix, np.linalg.lstsq(angles, free_rows(remainder, q), rcond=None)[0]])
-
-
 def series_of(runs: Sequence[StoredRun]) -> Series:
-    """Bring runs of one machine to one convention.
+    """Bring runs of one machine to one convention, at the target offset of the latest.
 
     Raises
     ------
     ConfigError
         If they are of different machines or share nothing.
     """
-    if any(run.content.tables.machine.rotary_names for run in runs):
-        return _axis_series(runs)
-    packed = []
-    for run in runs:
-        tables = run.content.tables
-        size = len(SQUARENESS) + sum(len(tables.motions[m].position) for m in MOTIONS)
-        packed.append(unpack_covariance(run.content.extra.get('covariance'), size))
-    sources = [
-        source_of_tables(run.name, run.content.tables, known)
-        for run, known in zip(runs, packed, strict=True)
-    ]
-    common = common_ground(sources[::-1])  # at the target offset of the latest
-    values, covariances = [], []
-    for run, source, known in zip(runs, sources, packed, strict=True):
-        square = run.content.tables.squareness
-        full = _to_common(source, common)
-        if known is None:
-            known = np.zeros((full.shape[1], full.shape[1]))
-            known[:3, :3] = np.diag([square[k].u ** 2 for k in SQUARENESS])
-            known[3:, 3:] = source.covariance
-        vector = np.concatenate([[square[k].value for k in SQUARENESS], source.values])
-        values.append(full @ vector)
-        covariances.append(full @ known @ full.T)
-    return Series(tuple(runs), common, np.array(values), np.array(covariances))
-
-
-# Machines with rotary axes: motions and scalars as they stand, in the gauge of our tables.
-
-AXIS_GRID_POINTS = 4
-"""Points per axis of the volume over which errors of a machine with rotary axes are judged."""
-
-
-@dataclass(frozen=True)
-class AxisSeries(Series):
-    """Runs of one machine with rotary axes.
-
-    A vector holds the motions that all runs know at the nodes of the latest, then squareness and
-    location errors that all know.
-
-    Attributes
-    ----------
-    scalars : tuple of str
-    """
-
-    scalars: tuple[str, ...] = ()
-
-    @cached_property
-    def parts(self) -> dict[str, slice]:
-        """Place of every motion, squareness and location error in the vectors."""
-        ends = [len(self.common.position[m.axis]) for m in self.common.motions]
-        names = [*map(str, self.common.motions), *self.scalars]
-        bounds = np.cumsum([0, *ends, *(1 for _ in self.scalars)]).tolist()
-        return {n: slice(a, b) for n, a, b in zip(names, bounds[:-1], bounds[1:], strict=True)}
-
-    @cached_property
-    def grid(self) -> Array:
-        """Lattice over the common range, shape (n, k), m and rad."""
-        machine = self.common.machine
-        low, high = (np.array([self.common.position[a][k] for a in machine.axis_names])
-                     for k in (0, -1))  # fmt: skip
-        share = (lattice(machine, AXIS_GRID_POINTS) - machine.lower) / (
-            machine.upper - machine.lower
-        )
-        return np.asarray(low + share * (high - low))
-
-    @cached_property
-    def field_rows(self) -> Array:
-        """From a vector to the errors on the grid without rigid motion, shape (3 n, m)."""
-        points = nominal_position(self.common.machine, self.grid)
-        return free_rows(self.rows(self.grid).reshape(3 * len(points), -1), points)
-
-    def rows(self, q: Array) -> Array:
-        """From a vector to the errors at positions (n, k), m and rad; shape (n, 3, m)."""
-        machine = self.common.machine
-        seen = Sight.of_tool(machine).at(q)
-        found = [
-            seen.motions[m.axis][:, :, DIRECTIONS.index(m[1]), None]
-            * hat_matrix(
-                self.common.position[m.axis],
-                machine.axes[m.axis].wrapped(q[:, machine.column(m.axis)]),
-            )[:, None, :]
-            for m in self.common.motions
-        ]
-        found += [seen.scalars[n][:, :, None] for n in self.scalars]
-        return np.concatenate(found, axis=2)
-
-    def since(self, first: int) -> AxisSeries:
-        """The runs from one on."""
-        return replace(
-            self,
-            runs=self.runs[first:],
-            values=self.values[first:],
-            covariances=self.covariances[first:],
-        )
-
-
-def _axis_series(runs: Sequence[StoredRun]) -> AxisSeries:
-    """Runs of a machine with rotary axes; as ``series_of``."""
-    latest = runs[-1].content.tables
-    for run in runs[:-1]:
-        check_one_machine((run.name, runs[-1].name), run.content.tables.machine, latest.machine)
-    contents = [run.content for run in runs]
-    reasons: dict[str, str] = {}
-    for run in runs:
-        reasons |= not_compared((run.name, runs[-1].name), run.content, runs[-1].content)
-    machine = latest.machine
-    motions = tuple(m for m in machine.motions if str(m) not in reasons)
-    scalars = tuple(n for n in machine.scalars if n not in reasons)
-    if not motions:
-        raise ConfigError(
-            f'the runs of {machine.name} share nothing: {next(iter(reasons.values()))}'
-        )
-    position = {a: latest.motions[f'EX{a}'].position for a in machine.axis_names}
-    values, covariances = [], []
-    for content in contents:
-        vector, covariance = whole_vector(content)
-        full = np.zeros((0, len(vector)))
-        start = len(machine.scalars)
-        place = {}
-        for motion in machine.motions:
-            place[motion] = slice(start, start + len(content.tables.motions[motion].position))
-            start = place[motion].stop
-        for motion in motions:
-            rows = np.zeros((len(position[motion.axis]), len(vector)))
-            own = content.tables.motions[motion].position
-            rows[:, place[motion]] = hat_matrix(own, position[motion.axis])
-            full = np.vstack([full, rows])
-        full = np.vstack([full, np.eye(len(vector))[[machine.scalars.index(n) for n in scalars]]])
-        values.append(full @ vector)
-        covariances.append(full @ covariance @ full.T)
-    common = Common(machine, position, {}, (), motions)
-    return AxisSeries(tuple(runs), common, np.array(values), np.array(covariances), scalars)
+    sources = [source_of_tables(run.name, run.content) for run in runs]
+    common = common_ground(sources[::-1])
+    matrices = [common.matrix(source) for source in sources]
+    both = list(zip(matrices, sources, strict=True))
+    values = np.array([h @ table_values(s.tables) for h, s in both])
+    return Series(tuple(runs), common, values, np.array([h @ s.covariance @ h.T for h, s in both]))

@@ -24,13 +24,11 @@ from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_
 from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.motions import AXES, LETTERS, ROTARY
-from otf_core.model.path import NominalPath
-from otf_core.model.plan import AxisPlan, Plan
+from otf_core.model.plan import Part, Plan
 
-# Reads what ``otf plan`` wrote: plan.json (``otf-plan/1``) with feed of every leg and dwells.
+# Reads what ``otf plan`` wrote: plan.json (``otf-plan/2``) with parts, feeds and dwells.
 
-SCHEMA = 'otf-plan/1'
-ROTARY_SCHEMA = 'otf-rotary-plan/1'
+SCHEMA = 'otf-plan/2'
 MAX_HEADER = 10_000
 """Characters of a first line that are read to see what a file is."""
 
@@ -47,30 +45,13 @@ class PlanFile:
 
     Attributes
     ----------
-    tracker_place : ndarray, shape (3,), m, optional
-        Beam origin in the machine frame that the forecast assumed.
-    """
-
-    plan: Plan
-    tracker_place: Array | None
-
-
-@dataclass(frozen=True)
-class AxisPlanFile:
-    """Content of the plan.json of a machine with rotary axes.
-
-    Attributes
-    ----------
-    end_dwell : float
-        s, standstill at start and end of every part.
     link : str
         On what the tracker stands.
     tracker_place : ndarray, shape (3,), m
         Beam origin in the frame of that link that the forecast assumed.
     """
 
-    plan: AxisPlan
-    end_dwell: float
+    plan: Plan
     link: str
     tracker_place: Array
 
@@ -115,24 +96,29 @@ def read_plan(path: str | Path) -> PlanFile:
     ConfigError
         Names the file and what is wrong with it.
     """
-    data = read_json(path)
-    where = str(path)
+    data, where = read_json(path), str(path)
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
-        if isinstance(data, Mapping) and data.get('schema') == ROTARY_SCHEMA:
-            raise ConfigError(f'{where}: {ROTARY_WORDS}')
         raise ConfigError(f"{where}: not a plan; expected the schema '{SCHEMA}' of otf plan")
-    points = _numbers(data, 'path', (-1, 3), where)
-    feed = _numbers(data, 'feed', (len(points) - 1,), where)
-    dwell = _numbers(data, 'dwell', (len(points),), where)
-    try:
-        plan = Plan(NominalPath(points), feed, dwell)
-    except InputError as error:
-        raise ConfigError(f'{where}: {error}') from None
-    assumed = data.get('assumed')
-    place = None
-    if isinstance(assumed, Mapping) and 'tracker_place' in assumed:
-        place = _numbers(assumed, 'tracker_place', (3,), f'{where}: assumed')
-    return PlanFile(plan, place)
+    axes, parts, assumed = (data.get(key) for key in ('axes', 'parts', 'assumed'))
+    if not isinstance(axes, list) or not isinstance(parts, list) or not parts:
+        raise ConfigError(f'{where}: axes, parts: expected lists as otf plan writes them')
+    read = []
+    for k, entry in enumerate(parts, start=1):
+        here = f'{where}: parts: {k}'
+        if not isinstance(entry, Mapping) or not isinstance(entry.get('target'), str):
+            raise ConfigError(f'{here}: target: missing')
+        positions = _numbers(entry, 'positions', (-1, len(axes)), here)
+        feed = _numbers(entry, 'feed', (len(positions) - 1,), here)
+        dwell = _numbers(entry, 'dwell', (len(positions),), here)
+        try:
+            drive = AxisPath(tuple(map(str, axes)), positions, entry['target'])
+            read.append(Part(drive, feed, dwell, str(entry.get('words', ''))))
+        except InputError as error:
+            raise ConfigError(f'{here}: {error}') from None
+    if not isinstance(assumed, Mapping) or not isinstance(assumed.get('tracker_link'), str):
+        raise ConfigError(f'{where}: assumed: tracker_link: missing')
+    place = _numbers(assumed, 'tracker_place', (3,), f'{where}: assumed')
+    return PlanFile(Plan(tuple(read)), assumed['tracker_link'], place)
 
 
 # Points from a text: CSV in m with the header x,y,z, or any table that says what it holds.
@@ -166,16 +152,18 @@ def read_points(name: str | Path) -> tuple[Array, str]:
 
 
 def holds_axis_positions(name: str | Path) -> bool:
-    """Return whether a file is a plan.json or a CSV with positions of rotary axes."""
+    """Return whether a file is a plan.json or a CSV of axis positions, not of points.
+
+    A CSV is one if it has rotary axes or names targets.
+    """
     if looks_like_json(name):
-        data = read_json(name)
-        return isinstance(data, Mapping) and data.get('schema') == ROTARY_SCHEMA
+        return not read_plan(name).plan.is_plain
     try:
         with open(name, encoding='utf-8-sig') as file:
             head = {word.strip().lower() for word in file.readline(MAX_HEADER).split(',')}
     except (OSError, UnicodeDecodeError):
         return False
-    return _are_axes(head)
+    return _are_axes(head) or (head == {'target', *map(str.lower, AXES)})
 
 
 def _are_axes(names: Set[str]) -> bool:
@@ -186,7 +174,7 @@ def _are_axes(names: Set[str]) -> bool:
 
 
 def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath]:
-    """Parts of a run of a machine with rotary axes: its plan.json, or a CSV of axis positions.
+    """Parts of a run: a plan.json, or a CSV of axis positions.
 
     The header holds the letters of the axes. A column ``target`` names the reflector in view;
     where it changes, another part begins.
@@ -202,63 +190,12 @@ def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath
         If the file cannot be read, has another header, or a line is no position.
     """
     if looks_like_json(name):
-        return _parts_in(name, read_json(name))
+        return [part.path for part in read_plan(name).plan.parts]
     letters, positions, targets = _axis_rows(name, axes, target=True)
     if not targets:
         return [AxisPath(letters, positions)]
     ends = [0, *(k for k in range(1, len(targets)) if targets[k] != targets[k - 1]), len(targets)]
     return [AxisPath(letters, positions[a:b], targets[a]) for a, b in pairwise(ends)]
-
-
-def read_axis_plan(name: str | Path) -> AxisPlanFile:
-    """Read the plan.json of a machine with rotary axes.
-
-    Raises
-    ------
-    ConfigError
-        Names the file and what is wrong with it.
-    """
-    data, where = read_json(name), str(name)
-    paths = _parts_in(name, data)
-    given: dict[str, Array] = {}
-    for key in ('feed', 'dwell', 'end_dwell', 'stops', 'duration'):
-        each = [_numbers(part, key, (), f'{where}: parts: {k}')
-                for k, part in enumerate(data['parts'], start=1)]  # fmt: skip
-        given[key] = np.array(each)
-    end_dwell = float(given['end_dwell'].max())
-    if end_dwell < 0.0:
-        raise ConfigError(f'{where}: end_dwell: must not be negative, got {end_dwell:g}')
-    feed, dwell, duration = (tuple(given[key].tolist()) for key in ('feed', 'dwell', 'duration'))
-    stops = tuple(bool(v) for v in given['stops'])
-    try:
-        plan = AxisPlan(tuple(paths), feed, dwell, stops, sum(duration))
-    except InputError as error:
-        raise ConfigError(f'{where}: {error}') from None
-    tracker = data.get('tracker')
-    if not isinstance(tracker, Mapping) or not isinstance(tracker.get('link'), str):
-        raise ConfigError(f'{where}: tracker: link: missing')
-    place = _numbers(tracker, 'place', (3,), f'{where}: tracker')
-    return AxisPlanFile(plan, end_dwell, tracker['link'], place)
-
-
-def _parts_in(name: str | Path, data: Any) -> list[AxisPath]:
-    """Parts of the plan.json of a machine with rotary axes."""
-    if not isinstance(data, Mapping) or data.get('schema') != ROTARY_SCHEMA:
-        raise ConfigError(
-            f"{name}: not a plan for rotary axes; expected the schema '{ROTARY_SCHEMA}' of otf "
-            f'plan, or a CSV of axis positions'
-        )
-    axes, parts = data.get('axes'), data.get('parts')
-    if not isinstance(axes, list) or not isinstance(parts, list) or not parts:
-        raise ConfigError(f'{name}: axes, parts: expected lists as otf plan writes them')
-    paths = []
-    for k, part in enumerate(parts):
-        where = f'{name}: parts: {k + 1}'
-        if not isinstance(part, Mapping) or not isinstance(part.get('target'), str):
-            raise ConfigError(f'{where}: target: missing')
-        positions = _numbers(part, 'positions', (-1, len(axes)), where)
-        paths.append(AxisPath(tuple(map(str, axes)), positions, part['target']))
-    return paths
 
 
 def read_positions(name: str | Path, axes: Sequence[str]) -> Array:
@@ -353,7 +290,10 @@ def read_path(name: str | Path) -> tuple[Array, str]:
         If the text holds no points.
     """
     if looks_like_json(name):
-        return read_plan(name).plan.path.points, ''
+        plan = read_plan(name).plan
+        if not plan.is_plain:
+            raise ConfigError(f'{name}: {ROTARY_WORDS}')
+        return plan.parts[0].path.points, ''
     if is_program(name):
         program = read_program(name)
         return program.points, f'{name}: {program.said}'

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from otf_core.bags.bag import BagContent, content_of
 from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.bag_signals import read_signals
@@ -16,8 +18,9 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import holds_axis_positions, read_axis_paths, read_path
 from otf_core.inputs.text_points import TextReading, is_text
 from otf_core.model.axis_path import AxisPath, nominal_track
-from otf_core.model.machine import TOOL, Machine, load_machine
-from otf_core.model.path import NominalPath
+from otf_core.model.machine import BED, TOOL, Machine, load_machine
+from otf_core.model.motions import AXES as LINEAR
+from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.pieces.runs import Recording, errors_of
 
 AnyReading = BagReading | TextReading
@@ -166,10 +169,21 @@ def read_recording(
     )
 
 
+def _check_missing_axes(path: NominalPath, machine: Machine) -> None:
+    """Refuse a path that moves along what the machine has no axis for."""
+    for name, travel in zip(machine.point_names, np.ptp(path.points, axis=0), strict=True):
+        if name not in machine.axis_names and travel > MIN_LEG:
+            raise InputError(
+                f'the path moves {1e3 * travel:.4g} mm along {name}, which the chain '
+                f'{machine.chain} of {machine.name} does not; is machine.yaml that of the '
+                f'recorded machine?'
+            )
+
+
 def driven_path(
     axis_paths: Sequence[AxisPath], path: NominalPath | None, machine: Machine
 ) -> tuple[NominalPath, tuple[AxisPath, ...]]:
-    """Path, and the parts of a machine with rotary axes, whose track it is then.
+    """Path, and the parts whose track it is, unless three linear axes carry one target past it.
 
     Raises
     ------
@@ -177,26 +191,22 @@ def driven_path(
         If what was published is not that of such a machine.
     """
     parts = tuple(part.of(machine) for part in axis_paths)
-    if machine.rotary_names:
-        if not parts:
-            letters = ','.join(machine.axis_names).lower()
-            other = (
-                '; the path found is that of a machine with three linear axes: is machine.yaml '
-                'that of the recorded machine?'
-                if path is not None
-                else ''
-            )
-            raise InputError(
-                f'axis positions are missing: {machine.name} has rotary axes '
-                f'({", ".join(machine.rotary_names)}); record {AXES.name} ({AXES.type}), or give '
-                f'--path plan.json or a CSV target,{letters}{other}'
-            )
-        return nominal_track(machine, parts), parts
-    if path is not None:
-        return path, ()
-    if len(parts) != 1 or parts[0].target != TOOL:
-        raise InputError(
-            f'{AXES.name} has {len(parts)} parts; of a machine without rotary axes one part with '
-            f"the target '{TOOL}' is expected, or several bags"
+    if not parts and path is not None and not machine.rotary_names:
+        _check_missing_axes(path, machine)
+        parts = (AxisPath(machine.axis_names, machine.axis_positions(path.points)),)
+    if not parts:
+        letters = ','.join(machine.axis_names).lower()
+        other = (
+            '; the path found is that of a machine with three linear axes: is machine.yaml that '
+            'of the recorded machine?'
+            if path is not None
+            else ''
         )
-    return NominalPath(parts[0].positions), ()
+        raise InputError(
+            f'axis positions are missing: {machine.name} has the chain {machine.chain}; record '
+            f'{AXES.name} ({AXES.type}), or give --path plan.json or a CSV target,{letters}{other}'
+        )
+    from_bed = machine.tracker.link == BED and machine.chain.table_side
+    if machine.axis_names != LINEAR or from_bed or [p.target for p in parts] != [TOOL]:
+        return nominal_track(machine, parts), parts
+    return path if path is not None else NominalPath(parts[0].positions), ()

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import MIN_LEG, NominalPath
-from otf_core.model.volume import VolumeErrors
 
 # The measured track of a run: thinned to a few hundred points, and its distance from the path.
 

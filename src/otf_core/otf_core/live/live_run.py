@@ -13,9 +13,9 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.live.layers import Track, driven_part, enlargement, size_of, thin
+from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
-from otf_core.model.volume import VolumeErrors
 
 # A run under way as its viewers know it: what was driven, what is known so far, its numbers.
 

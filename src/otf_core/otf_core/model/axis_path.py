@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import InputError, ShapeError
-from otf_core.model.joints import Sight
-from otf_core.model.machine import FULL_TURN, Machine
+from otf_core.model.chain import Sight
+from otf_core.model.machine import FULL_TURN, TOOL, Machine
+from otf_core.model.motions import AXES, ROTARY
 from otf_core.model.path import NominalPath
 
 MIN_MOTION = 1e-9
@@ -62,7 +63,7 @@ class AxisPath:
 
     axes: tuple[str, ...]
     positions: Array
-    target: str = 'tool'
+    target: str = TOOL
 
     def __post_init__(self) -> None:
         """Check shape and content."""
@@ -75,6 +76,33 @@ class AxisPath:
             raise InputError(f'axis positions: corner {first} is not finite')
         if len(q) < 2 or np.abs(np.diff(q, axis=0)).max() <= MIN_MOTION:
             raise InputError(f'axis positions: {len(q)} corners without any motion between them')
+
+    @classmethod
+    def of_points(cls, machine: Machine, points: Array) -> AxisPath:
+        """Path of the tool of a machine without rotary axes, from points (n, 3), m.
+
+        Raises
+        ------
+        InputError
+            If the points move along an axis that the machine does not have.
+        """
+        points = NominalPath(points).points
+        for k, axis in enumerate(AXES):
+            if axis not in machine.axes and np.ptp(points[:, k]) > MIN_MOTION:
+                raise InputError(f'path: moves along {axis}; {machine.name} has no such axis')
+        return cls(machine.axis_names, points[:, [AXES.index(a) for a in machine.axis_names]])
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is one of the tool on linear axes, which its points describe."""
+        return self.target == TOOL and not set(self.axes) & set(ROTARY)
+
+    @property
+    def points(self) -> Array:
+        """X, Y and Z at the corners, shape (n, 3), m; 0 for an axis that does not exist."""
+        own = [self.positions[:, self.axes.index(a)] if a in self.axes
+               else np.zeros(len(self.positions)) for a in AXES]  # fmt: skip
+        return np.stack(own, axis=1)
 
     def of(self, machine: Machine) -> AxisPath:
         """The same in the order of the axes of a machine, without repeated corners.
@@ -118,12 +146,12 @@ def driven_length(machine: Machine, positions: Array) -> float:
     return float(travel_of_legs(machine, positions).sum())
 
 
-def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
+def seconds_of_legs(machine: Machine, q: Array, feed: float | Array) -> Array:
     """Times (n - 1,) of the legs between corners, s: none is faster than feed and ``TURN_RATE``.
 
     Parameters
     ----------
-    feed : float
+    feed : float or ndarray, shape (n - 1,)
         m/s, of the linear axes.
     """
     legs = np.abs(np.diff(q, axis=0))
@@ -131,47 +159,6 @@ def seconds_of_legs(machine: Machine, q: Array, feed: float) -> Array:
     travel = np.linalg.norm(legs[:, ~turning], axis=1)
     angle = legs[:, turning].max(axis=1, initial=0.0)
     return np.asarray(np.maximum(travel / feed, angle / TURN_RATE))
-
-
-@dataclass(frozen=True)
-class Stretches:
-    """Smooth stretches of a part, driven with trapezoidal speed from standstill to standstill.
-
-    Attributes
-    ----------
-    reach : ndarray, shape (n,), m
-        Way to every corner: its time at full speed times the feed.
-    low, size : ndarray, shape (s,), m
-        Way to the start of every stretch, and its own.
-    peak : ndarray, shape (s,), m/s
-        Highest speed.
-    moving : ndarray, shape (s,), s
-        Duration.
-    """
-
-    reach: Array
-    low: Array
-    size: Array
-    peak: Array
-    moving: Array
-
-    @classmethod
-    def of(
-        cls, machine: Machine, q: Array, feed: float, acceleration: float, *, stops: bool
-    ) -> Stretches:
-        """Stretches between corners (n, k) that are not driven through; with ``stops`` all legs.
-
-        Parameters
-        ----------
-        feed, acceleration : float
-            m/s and m/s^2, of the linear axes.
-        """
-        reach = np.append(0.0, feed * np.cumsum(seconds_of_legs(machine, q, feed)))
-        halted = np.full(len(q) - 2, stops) | ~driven_through(machine, q)
-        ends = reach[np.concatenate([[True], halted, [True]])]
-        size = np.diff(ends)
-        peak = np.minimum(feed, np.sqrt(size * acceleration))
-        return cls(reach, ends[:-1], size, peak, size / peak + peak / acceleration)
 
 
 def driven_through(machine: Machine, positions: Array) -> NDArray[np.bool_]:
@@ -204,14 +191,15 @@ def _check_ranges(machine: Machine, q: Array) -> None:
             )
 
 
-def along_legs(positions: Array, step: float, turn: float, linear: int = 3) -> Array:
+def along_legs(positions: Array, step: float | Array, turn: float, linear: int = 3) -> Array:
     """Places on a path, in legs from its first corner, close to each other and all corners.
 
     Parameters
     ----------
     positions : ndarray, shape (n, k), m and rad
     step, turn : float
-        Most that linear axes travel (m) and rotary ones turn (rad) between two places.
+        Most that linear axes travel (m) and rotary ones turn (rad) between two places; ``step``
+        may be of every leg.
     linear : int
         Number of linear axes, which come first.
 

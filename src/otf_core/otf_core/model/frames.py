@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigid transforms between frames.
+"""Rigid transforms between frames, and the frame of the beam of a tracker.
 
 ``T_machine_tracker`` takes tracker coordinates to machine coordinates; inner names cancel.
 """
@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,10 @@ class RigidTransform:
         """Rotate free vectors of shape (n, 3)."""
         return np.asarray(vectors @ self.rotation.T)
 
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return it as plain data."""
+        return {'rotation': self.rotation.tolist(), 'translation': self.translation.tolist()}
+
     def moved_by(self, translation: Array, rotation_vector: Array) -> RigidTransform:
         """Apply a further small motion: rotation about the target frame's origin, then shift.
 
@@ -72,3 +77,27 @@ def rigid_fit(source: Array, target: Array) -> RigidTransform:
     turn = np.diag([1.0, 1.0, np.linalg.det(u @ v)])
     rotation = u @ turn @ v
     return RigidTransform(rotation, centre_target - rotation @ centre_source)
+
+
+def beam_frame(xyz: Array) -> tuple[Array, Array, Array, Array]:
+    """Range and the three unit vectors at every point.
+
+    Parameters
+    ----------
+    xyz : ndarray, shape (n, 3), m
+        Points in the tracker frame.
+
+    Returns
+    -------
+    distance : ndarray, shape (n,), m
+    along, horizontal, vertical : ndarray, shape (n, 3)
+        Right-handed; straight up or down the azimuth counts as zero.
+    """
+    distance = np.linalg.norm(xyz, axis=1)
+    along = xyz / distance[:, None]
+    level = np.hypot(xyz[:, 0], xyz[:, 1])
+    upright = level < 1e-9 * distance
+    horizontal = np.stack([-xyz[:, 1], xyz[:, 0], np.zeros_like(level)], axis=1)
+    horizontal /= np.where(upright, 1.0, level)[:, None]
+    horizontal[upright] = [0.0, 1.0, 0.0]
+    return distance, along, horizontal, np.cross(along, horizontal)

@@ -20,10 +20,6 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, parse_yaml, read_yaml_bytes
-from otf_core.model.circumstances import Circumstances, circumstances_from_fields
-from otf_core.model.declared import TARGET_OFFSET, DeclaredUncertainty, declared_from_fields
-from otf_core.model.declared_signals import SignalSpec, signals_from_fields
-from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.motions import (
     AXES,
     DIRECTIONS,
@@ -34,6 +30,17 @@ from otf_core.model.motions import (
     location_names,
 )
 from otf_core.model.presets import TRACKERS, chosen
+from otf_core.model.sections import (
+    TARGET_OFFSET,
+    Circumstances,
+    DeclaredUncertainty,
+    Limits,
+    SignalSpec,
+    circumstances_from_fields,
+    declared_from_fields,
+    limits_from_fields,
+    signals_from_fields,
+)
 from otf_core.model.surroundings import Surroundings, surroundings_from_fields
 
 KEYS = (
@@ -96,6 +103,11 @@ class Axis:
     def unit(self) -> str:
         """Of its positions: m or rad."""
         return 'rad' if self.rotary else 'm'
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """Factor and unit of its positions for people: mm or degrees."""
+        return (180.0 / math.pi, 'deg') if self.rotary else (1e3, 'mm')
 
     def wrapped(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Positions (any shape) at which errors are known: an endless axis within one turn."""
@@ -191,17 +203,26 @@ class Chain:
         """Return the chain of a string like ``w-Y-b-X-Z-t``; ConfigError if it is none."""
         parts = text.split('-')
         inner = parts[1:-1]
-        axes = sorted(p for p in inner if p != 'b' and p not in ROTARY)
-        turning = [p for p in inner if p in ROTARY]
-        if parts[0] != 'w' or parts[-1] != 't' or inner.count('b') != 1 or axes != list(AXES):
+        axes = [p for p in inner if p != 'b']
+        wrong = [p for p in axes if p not in LETTERS]
+        twice = [p for p in dict.fromkeys(axes) if axes.count(p) > 1]
+        turning = [p for p in axes if p in ROTARY]
+        reason = ''
+        if parts[0] != 'w' or parts[-1] != 't' or inner.count('b') != 1:
+            reason = 'it runs from w over the base b, once, to t'
+        elif wrong:
+            reason = f"'{wrong[0]}' is no axis; axes are {', '.join(LETTERS)}"
+        elif twice:
+            reason = f'{twice[0]} stands there more than once'
+        elif not axes:
+            reason = 'it has no axis'
+        elif len(turning) > MOST_ROTARY:
+            reason = f'it has {len(turning)} rotary axes, {MOST_ROTARY} at most'
+        if reason:
             raise ConfigError(
-                f"chain: '{text}' is not a kinematic chain; write w, the axes X, Y, Z once each "
-                f"and the base b between them, then t, as in 'w-Y-b-X-Z-t'"
-            )
-        if len(turning) > len(set(turning)) or len(turning) > MOST_ROTARY:
-            raise ConfigError(
-                f"chain: '{text}' has the rotary axes {', '.join(turning)}; each stands there "
-                f'once, and there are at most {MOST_ROTARY}'
+                f"chain: '{text}' is not a kinematic chain: {reason}; write w, the axes (X, Y, Z, "
+                f'up to {MOST_ROTARY} of A, B, C) and the base b between them, then t, as in '
+                f"'w-Y-b-X-Z-t'"
             )
         base = inner.index('b')
         return cls(tuple(inner[:base]), tuple(inner[base + 1 :]))
@@ -216,6 +237,23 @@ class Chain:
         own = (*self.table_side, *self.target_side)
         return tuple(a for a in LETTERS if a in own)
 
+    @property
+    def motions(self) -> tuple[ErrorMotion, ...]:
+        """Error motions of all axes: EXX, EYX ... ECX, EXY ..."""
+        return tuple(ErrorMotion(d, axis) for axis in self.axis_names for d in DIRECTIONS)
+
+    @property
+    def squareness(self) -> tuple[str, ...]:
+        """Squareness errors of its linear axes; fewer than two have none."""
+        about = {n: AXES[ROTARY.index(n[0])] for n in SQUARENESS}
+        return tuple(n for n in SQUARENESS if {*AXES} - {about[n]} <= {*self.axis_names})
+
+    @property
+    def location(self) -> tuple[str, ...]:
+        """Location errors of its rotary axes, such as X0C."""
+        rotary = (a for a in self.axis_names if a in ROTARY)
+        return tuple(n for axis in rotary for n in location_names(axis))
+
     def lever_axes(self, axis: str) -> tuple[str, ...]:
         """Axes whose travel is part of the lever arm L of an axis (docs/conventions.md)."""
         if axis in self.target_side:
@@ -225,7 +263,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine with three linear axes, up to two rotary ones, and its tracker.
+    """One machine: its chain of one to three linear and up to two rotary axes, and its tracker.
 
     Attributes
     ----------
@@ -274,22 +312,34 @@ class Machine:
     @cached_property
     def motions(self) -> tuple[ErrorMotion, ...]:
         """Error motions of all axes: EXX, EYX ... ECX, EXY ..."""
-        return tuple(ErrorMotion(d, axis) for axis in self.axis_names for d in DIRECTIONS)
+        return self.chain.motions
 
     @property
     def squareness(self) -> tuple[str, ...]:
-        """Squareness errors of its linear axes."""
-        return SQUARENESS
+        """Squareness errors of its linear axes; fewer than two have none."""
+        return self.chain.squareness
 
-    @cached_property
+    @property
     def location(self) -> tuple[str, ...]:
         """Location errors of its rotary axes, such as X0C."""
-        return tuple(n for axis in self.rotary_names for n in location_names(axis))
+        return self.chain.location
 
     @property
     def scalars(self) -> tuple[str, ...]:
         """Squareness and location errors in the order of a covariance."""
         return (*self.squareness, *self.location)
+
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """Columns of points in files: X, Y, Z, whether there is such an axis or not, and A, B, C.
+
+        Positions along what is no axis are zero.
+        """
+        return (*AXES, *self.rotary_names)
+
+    def axis_positions(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Axis positions (n, k), m and rad, of points with the columns ``point_names``."""
+        return points[:, [self.point_names.index(a) for a in self.axis_names]]
 
     @cached_property
     def targets(self) -> dict[str, Target]:
@@ -406,14 +456,16 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
             'target_offset',
             f'{offset.tolist()} m is not a plausible tool length; unit is m, not mm',
         )
-    spec = _tracker(top.mapping('tracker'), chain)
+    spec = _tracker(top.mapping('tracker'))
     declared = None
     if top.has('uncertainty'):
         declared = declared_from_fields(top.mapping('uncertainty'), spec.preset)
     elif spec.preset is not None:
         declared = declared_from_fields(Fields({}, where), spec.preset)
-    turning = [a for a in chain.axis_names if a in ROTARY]
-    limits = limits_from_fields(top.mapping('limits'), turning) if top.has('limits') else None
+    limits = None
+    if top.has('limits'):
+        names = (*chain.motions, *chain.squareness, *chain.location)
+        limits = limits_from_fields(top.mapping('limits'), names)
     instrument, conditions, certificate = (
         top.mapping(key) if top.has(key) else Fields({}, where)
         for key in ('instrument', 'conditions', 'certificate')
@@ -424,7 +476,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         section = top.mapping('signals')
         signals = signals_from_fields(section, section.keys)
     targets = _targets(top.mapping('targets'), offset) if top.has('targets') else {}
-    if turning and declared is not None:
+    if chain.location and declared is not None:
         declared, targets = _with_stated_offset(declared, targets, data, offset)
     about = Surroundings()
     if top.has('surroundings'):
@@ -501,7 +553,7 @@ def _with_stated_offset(
     return replace(declared, values=values), targets
 
 
-def _tracker(fields: Fields, chain: Chain) -> TrackerSpec:
+def _tracker(fields: Fields) -> TrackerSpec:
     preset = fields.text('preset') if fields.has('preset') else None
     values: dict[str, float] = {}
     if preset is not None:
@@ -512,12 +564,6 @@ def _tracker(fields: Fields, chain: Chain) -> TrackerSpec:
     link = fields.text('link') if fields.has('link') else TABLE
     if link not in (TABLE, BED):
         fields.fail('link', f"expected 'w' (on the table) or 'b' (on the bed), got '{link}'")
-    if link == BED and chain.table_side and not set(chain.axis_names) & set(ROTARY):
-        fields.fail(
-            'link',
-            f"'b': seen from the bed {', '.join(chain.table_side)} do not move the target; place "
-            f'the tracker on the table',
-        )
     fields.done(known=('preset', 'u_range', 'u_angle', 'link'))
     return TrackerSpec(values['u_range'], values['u_angle'], preset, link)
 

@@ -81,6 +81,7 @@ class ErrorMotion(str):
 MOTIONS = tuple(ErrorMotion(direction, axis) for axis in AXES for direction in DIRECTIONS)
 """Of three linear axes; those of a machine are ``Machine.motions``."""
 SQUARENESS = ('C0Y', 'B0Z', 'A0Z')
+"""Of three linear axes; those of a machine are ``Machine.squareness``."""
 
 
 def location_names(axis: str) -> tuple[str, ...]:

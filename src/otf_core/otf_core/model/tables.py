@@ -7,8 +7,8 @@ A table is linear between its nodes and constant outside them; of an endless axi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import read_json, value_text
 from otf_core.model.machine import Machine, machine_from_dict
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
+from otf_core.model.motions import AXES, ErrorMotion, unit_of
 
-SCHEMA, ROTARY_SCHEMA = 'otf-error-tables/1', 'otf-error-tables/2'
-"""The second one of machines with a rotary axis."""
+SCHEMA, FIRST_SCHEMA = 'otf-error-tables/2', 'otf-error-tables/1'
+"""The first one, of three linear axes, is read alone."""
 FIT_COUNTS = ('samples', 'used', 'unknowns', 'rank')
 FIT_LENGTHS = ('path_mae_before', 'path_mae_after', 'residual_rms')
 ORTHONORMAL = 1e-4
@@ -60,6 +60,13 @@ class MotionTable:
         """Return the error at axis positions q (any shape, m); constant outside the nodes."""
         return np.interp(q, self.position, self.value)
 
+    @property
+    def nodes_seen(self) -> NDArray[np.bool_]:
+        """Which nodes the data determine, shape (k,); all where a file does not say."""
+        if self.node_identifiable is None:
+            return np.full(len(self.position), self.identifiable)
+        return self.node_identifiable
+
 
 @dataclass(frozen=True)
 class Squareness:
@@ -86,6 +93,7 @@ class ErrorTables:
     ----------
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
+        As far as both axes are there.
     location : mapping of name, such as X0C, to LocationError
         Of the rotary axes; empty without any.
 
@@ -106,6 +114,10 @@ class ErrorTables:
     def scalar(self, name: str) -> float:
         """Value of a squareness or location error, m or rad."""
         return (self.squareness[name] if name in self.squareness else self.location[name]).value
+
+    def scalar_u(self, name: str) -> float:
+        """Its standard uncertainty."""
+        return (self.squareness[name] if name in self.squareness else self.location[name]).u
 
     def scaled(self, factor: float) -> ErrorTables:
         """Return the same tables with every error multiplied by a factor."""
@@ -143,11 +155,12 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
     machine = tables.machine
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     squareness = {
-        name: replace(tables.squareness[name], u=float(u[k])) for k, name in enumerate(SQUARENESS)
+        name: replace(tables.squareness[name], u=float(u[k]))
+        for k, name in enumerate(machine.squareness)
     }
     location = {
         name: replace(own, u=float(u[k]) * own.identifiable)
-        for k, name in enumerate(machine.location, start=len(SQUARENESS))
+        for k, name in enumerate(machine.location, start=len(machine.squareness))
         for own in [tables.location[name]]
     }
     motions: dict[str, MotionTable] = {}
@@ -169,7 +182,7 @@ class TablesFile:
     extra : mapping of str to object
         All other top-level keys.
     without_value : tuple of str
-        Squareness errors of which the file says nothing; they are zero in the tables.
+        Squareness and location errors of which the file says nothing; they are zero.
     without_u : tuple of str
         What the file gives without an uncertainty; it is zero in the tables.
     """
@@ -182,15 +195,13 @@ class TablesFile:
 
 def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
     """Return the tables as plain data in the layout of error_tables.json."""
-    motions = {}
-    machine = tables.machine
+    machine, motions = tables.machine, {}
     for name in machine.motions:
         table = tables.motions[name]
-        turning = {'position_unit': machine.axes[name.axis].unit} if machine.rotary_names else {}
         motions[name] = {
             'axis': name.axis,
             'unit': unit_of(name),
-            **turning,
+            'position_unit': machine.axes[name.axis].unit,
             'position': table.position.tolist(),
             'value': table.value.tolist(),
             'u': table.u.tolist(),
@@ -198,22 +209,13 @@ def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
         }
         if table.node_identifiable is not None:
             motions[name]['node_identifiable'] = table.node_identifiable.tolist()
-    data: dict[str, Any] = {
-        'schema': ROTARY_SCHEMA if machine.rotary_names else SCHEMA,
+    return {
+        'schema': SCHEMA,
         'machine': machine.to_dict(),
         'motions': motions,
-        'squareness': {
-            k: {'value': tables.squareness[k].value, 'u': tables.squareness[k].u}
-            for k in SQUARENESS
-        },
+        'squareness': {k: asdict(tables.squareness[k]) for k in machine.squareness},
+        'location': {k: asdict(tables.location[k]) for k in machine.location},
     }
-    if machine.rotary_names:
-        data['location'] = {
-            k: {'value': own.value, 'u': own.u, 'identifiable': own.identifiable}
-            for k in machine.location
-            for own in [tables.location[k]]
-        }
-    return data
 
 
 def _number(value: Any, where: str) -> float:
@@ -315,7 +317,8 @@ def _named(
     unknown = sorted(set(mapping) - set(names))
     if unknown:
         raise ConfigError(
-            f'{where}: {key}: {shortened(unknown[0])}: unknown; known: {", ".join(names)}'
+            f'{where}: {key}: {shortened(unknown[0])}: unknown; known for this chain: '
+            f'{", ".join(names) or "none"}'
         )
     return mapping
 
@@ -331,42 +334,34 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
     ConfigError
         Names the file, the motion and what is wrong with it.
     """
-    schemas = (SCHEMA, ROTARY_SCHEMA)
-    if not isinstance(data, Mapping) or data.get('schema') not in schemas:
+    if not isinstance(data, Mapping) or data.get('schema') not in (SCHEMA, FIRST_SCHEMA):
         raise ConfigError(f"{where}: not error tables; expected schema '{SCHEMA}'")
-    if data['schema'] == SCHEMA:
-        _complete(_named(data, 'motions', MOTIONS, where), MOTIONS, where)
     machine = machine_from_dict(data.get('machine'), f'{where}: machine')
-    own = SCHEMA if not machine.rotary_names else ROTARY_SCHEMA
-    if data['schema'] != own:
-        raise ConfigError(f"{where}: schema: must be '{own}' for the chain {machine.chain}")
+    if data['schema'] == FIRST_SCHEMA and machine.axis_names != AXES:
+        raise ConfigError(f"{where}: schema: must be '{SCHEMA}' for the chain {machine.chain}")
     motions = _named(data, 'motions', machine.motions, where)
-    _complete(motions, machine.motions, where)
-    squareness = _named(data, 'squareness', SQUARENESS, where)
-    location = _named(data, 'location', machine.location, where) if machine.location else {}
+    missing = [name for name in machine.motions if name not in motions]
+    if missing:
+        raise ConfigError(f'{where}: motions: {missing[0] if motions else "all"} missing')
+    squareness = _named(data, 'squareness', machine.squareness, where)
+    location = _named(data, 'location', machine.location, where)
     tables = ErrorTables(
         machine,
         {name: _motion(motions[name], name, machine, f'{where}: {name}')
          for name in machine.motions},
-        {name: _squareness(squareness, name, f'{where}: squareness') for name in SQUARENESS},
+        {name: _squareness(squareness, name, f'{where}: squareness')
+         for name in machine.squareness},
         {name: _location(location, name, f'{where}: location') for name in machine.location},
     )  # fmt: skip
     _check_alignment(_mapping(data, 'alignment', where), f'{where}: alignment')
     _check_fit(_mapping(data, 'fit', where), f'{where}: fit')
     known = tables_to_dict(tables)
     extra = {k: v for k, v in data.items() if k not in known}
-    angles = {name: _mapping(squareness, name, where) for name in SQUARENESS}
+    angles = {name: _mapping(squareness, name, where) for name in machine.squareness}
     angles |= {name: _mapping(location, name, where) for name in machine.location}
     silent = tuple(name for name, entry in angles.items() if 'value' not in entry)
     given = {**{n: e for n, e in angles.items() if n not in silent}, **motions}
     return TablesFile(tables, extra, silent, tuple(n for n, e in given.items() if 'u' not in e))
-
-
-def _complete(motions: Mapping[str, Any], names: Sequence[str], where: str) -> None:
-    """Refuse tables that lack a motion."""
-    missing = [name for name in names if name not in motions]
-    if missing:
-        raise ConfigError(f'{where}: motions: {missing[0] if motions else "all"} missing')
 
 
 def _check_alignment(entry: Mapping[str, Any], where: str) -> None:

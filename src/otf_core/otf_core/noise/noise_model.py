@@ -25,8 +25,7 @@ import numpy as np
 from otf_core.arrays import Array, Index
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import read_json, value_text
-from otf_core.model.beam_frame import beam_frame
-from otf_core.model.frames import RigidTransform
+from otf_core.model.frames import RigidTransform, beam_frame
 from otf_core.model.machine import TrackerSpec
 
 Windows = tuple[Array, Array, Index]
@@ -97,7 +96,7 @@ class NoiseModel:
     range : NoiseComponent
         m, along the beam.
     horizontal, vertical : NoiseComponent
-        rad, of the beam itself about the two axes across it (``model.beam_frame``).
+        rad, of the beam itself about the two axes across it (``frames.beam_frame``).
     """
 
     range: NoiseComponent

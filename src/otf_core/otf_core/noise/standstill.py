@@ -20,7 +20,7 @@ from scipy.special import gammaln
 from otf_core.arrays import Array, Index
 from otf_core.blocks import blocks
 from otf_core.model.axis_path import BREAK
-from otf_core.model.beam_frame import beam_frame
+from otf_core.model.frames import beam_frame
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import fit_colour

@@ -21,7 +21,7 @@ from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.observation import Samples
-from otf_core.model.path import MIN_LEG, NominalPath, sides_of_travel
+from otf_core.model.path import MIN_LEG, NominalPath, leg_bounds, sides_of_travel
 from otf_core.noise.standstill import find_standstills, noise_model
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import (
@@ -34,6 +34,7 @@ from otf_core.pieces.runs import (
     prepare_runs,
 )
 from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.curves import STANDS, PathShape
 from otf_core.tracking.matching import OFF_PATH, find_match
 from otf_core.tracking.measured_track import Track
 
@@ -41,8 +42,8 @@ MIN_STOP = 0.05
 """s; shortest part of a stop, settling left out, that is averaged."""
 MIN_STOPS = 4
 """Fewer stops do not determine the tracker pose."""
-SAME_PLACE = 1e-4
-"""m; successive stops at one point that lie closer together are one stop."""
+SAME_PLACE, SAME_STOP = 1e-4, 0.5
+"""m and s; successive standstills that lie closer together are one stop."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,13 @@ def _without_outliers(xyz: Array, limit: float) -> NDArray[np.bool_]:
     return np.asarray(distance <= limit * max(float(np.median(distance)), 1e-9))
 
 
-def find_stops(samples: Samples, config: CalibrationConfig) -> Stops:
+def find_stops(samples: Samples, config: CalibrationConfig, margin: float = 0.0) -> Stops:
     """Recognise and average standstills; parts of one stop are joined.
+
+    Parameters
+    ----------
+    margin : float
+        s; left out at both ends beside what the speed leaves out.
 
     Raises
     ------
@@ -82,19 +88,25 @@ def find_stops(samples: Samples, config: CalibrationConfig) -> Stops:
     place = [np.median(samples.xyz[a:b], axis=0) for a, b in span]
     joined: list[list[int]] = []
     for k, (first, last) in enumerate(span.tolist()):
-        if joined and np.linalg.norm(place[k] - place[k - 1]) < SAME_PLACE:
+        if (
+            joined
+            and np.linalg.norm(place[k] - place[k - 1]) < SAME_PLACE
+            and samples.time[first] - samples.time[joined[-1][1] - 1] < SAME_STOP
+        ):
             joined[-1][1] = last
         else:
             joined.append([first, last])
-    if len(joined) < MIN_STOPS:
+    less = round(margin / samples.step)
+    inner = [(a + less, b - less) for a, b in joined if b - a > 2 * less + 2]
+    if len(inner) < MIN_STOPS:
         raise InputError(
-            f'{len(joined)} standstills in the recording; the standstill method needs a stop at '
+            f'{len(inner)} standstills in the recording; the standstill method needs a stop at '
             f'every point of the path (use the method otf for a run without stops)'
         )
     limit = config.outlier_limit
-    used = tuple(a + np.flatnonzero(_without_outliers(samples.xyz[a:b], limit)) for a, b in joined)
+    used = tuple(a + np.flatnonzero(_without_outliers(samples.xyz[a:b], limit)) for a, b in inner)
     mean = np.array([samples.xyz[places].mean(axis=0) for places in used])
-    return Stops(np.array(joined, dtype=np.int64), mean, used)
+    return Stops(np.array(inner, dtype=np.int64), mean, used)
 
 
 def _distinct_points(path: NominalPath) -> Array:
@@ -184,33 +196,56 @@ def align_stops(
     )
 
 
-def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Index) -> Pieces:
+def stop_pieces(samples: Samples, shape: PathShape, stops: Stops, point: Index) -> Pieces:
     """Return the stops at points of the path as pieces, each with a leg number of its own.
 
-    Their direction is that of approach from the point before; zero, as unknown, at the first.
+    Their direction is that of approach from the point before; zero, as unknown, at the first of a
+    part.
+
+    Parameters
+    ----------
+    shape : PathShape
+        Whose corners are the points.
+    point : ndarray of int64, shape (k,)
+        Point of every stop or ``OFF_PATH``.
     """
-    use = np.flatnonzero(point != OFF_PATH)
-    approach = np.diff(alignment.corners, axis=0, prepend=alignment.corners[:1])
-    approach[1:] /= np.linalg.norm(approach[1:], axis=1, keepdims=True)
-    span, time = stops.span[use], samples.time
+    use, part = np.flatnonzero(point != OFF_PATH), shape.part_of_corners
+    at, begins = point[use], np.append(True, np.diff(part) != 0)
+    approach, moved = (
+        np.where(begins[:, None], 0.0, np.diff(own, axis=0, prepend=own[:1]))
+        for own in (shape.corners, shape.positions)
+    )
+    size = np.linalg.norm(approach, axis=1, keepdims=True)
+    approach /= np.where(size > 0.0, size, np.inf)
+    moved /= np.maximum(np.abs(moved).max(axis=1, keepdims=True), STANDS)
+    side = np.concatenate([sides_of_travel(moved[a:b]) for a, b in leg_bounds(part)])
+    span, time, count = stops.span[use], samples.time, len(use)
     averaged = [stops.samples[k] for k in use]
-    count = np.array([len(a) for a in averaged])
+    samples_of = np.array([len(a) for a in averaged])
     return Pieces(
+        q=shape.positions[at],
+        step=moved[at],
+        spread=np.zeros(count),
         xyz=stops.xyz[use],
-        leg=np.arange(len(use)),
-        origin=alignment.corners[point[use]],
-        direction=approach[point[use]],
-        side=sides_of_travel(approach)[point[use]],
-        count=count,
+        nominal=shape.corners[at],
+        direction=approach[at],
+        origin=shape.corners[at],
+        part=part[at],
+        leg=np.arange(count),
+        stretch=np.arange(count),
+        side=side[at],
+        rate=np.zeros_like(shape.positions[at]),
+        speed=np.zeros(count),
+        count=samples_of,
         time=0.5 * (time[span[:, 0]] + time[span[:, 1] - 1]),
         duration=time[span[:, 1] - 1] - time[span[:, 0]],
-        speed=np.zeros(len(use)),
-        samples=np.concatenate(averaged),
-        piece=np.repeat(np.arange(len(use)), count),
-        used=int(count.sum()),
-        outliers=int((span[:, 1] - span[:, 0] - count).sum()),
+        used=int(samples_of.sum()),
+        outliers=int((span[:, 1] - span[:, 0] - samples_of).sum()),
         end=float(time[-1]),
         standstill=True,
+        samples=np.concatenate(averaged),
+        piece=np.repeat(np.arange(count), samples_of),
+        stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),
     )
 
 
@@ -222,12 +257,13 @@ def prepare_stops(
     aligned, pieces, ranges = [], [], []
     for recording in recordings:
         with errors_of(recording.name):
-            aligned.append(align_stops(recording.samples, recording.path, config))
-            pieces.append(stop_pieces(recording.samples, *aligned[-1]))
-            ranges.append(covered_range(aligned[-1][0], recording))
+            alignment, stops, point = align_stops(recording.samples, recording.path, config)
+            aligned.append(alignment)
+            pieces.append(stop_pieces(recording.samples, alignment.shape, stops, point))
+            ranges.append(covered_range(alignment, recording))
     nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
-    for recording, (alignment, _, _), part in zip(recordings, aligned, pieces, strict=True):
+    for recording, alignment, part in zip(recordings, aligned, pieces, strict=True):
         with errors_of(recording.name):
             samples, spec = recording.samples, recording.machine.tracker
             noise = noise_model(samples, spec, config.standstill_speed)

@@ -10,7 +10,7 @@ leg. Curves have pieces of their own kind, see ``tracking.curves``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,12 @@ from otf_core.arrays import Array, Index
 from otf_core.blocks import blocks
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
+from otf_core.model.tables import ErrorTables
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.curves import SHORT_CURVE, Lines, curve_boundaries
+from otf_core.tracking.curves import SHORT_CURVE, STANDS, Lines, PathShape, piece_boundaries
 from otf_core.tracking.matching import OFF_PATH
 
 
@@ -165,135 +167,91 @@ def off_their_line(
     return out
 
 
-MAX_PARTS_OF_LEG = 200
-"""Equal parts of one leg: long legs are those of large machines, whose functions are as long."""
-
-
-def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
-    """Piece boundaries along one leg, m from its start: node crossings, then equal parts.
-
-    Parts are ``size`` long, on legs of more than ``MAX_PARTS_OF_LEG`` of them longer.
-    """
-    step = corners[leg + 1] - corners[leg]
-    length = float(np.linalg.norm(step))
-    size = max(size, length / MAX_PARTS_OF_LEG)
-    cuts = [np.array([0.0, length])]
-    for axis in range(3):
-        if abs(step[axis]) > 1e-9:
-            cuts.append((nodes[axis] - corners[leg, axis]) / step[axis] * length)
-    marks = np.unique(np.concatenate(cuts))
-    marks = marks[(marks >= 0) & (marks <= length)]
-    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
-    span = np.diff(marks)
-    parts = np.maximum(np.ceil(span / size), 1.0).astype(np.int64)
-    place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
-    return np.append(inner, length)
-
-
-def all_boundaries(
-    lines: Lines, first: Index, nodes: tuple[Array, ...], size: float
-) -> list[Array]:
-    """Piece boundaries of every leg or part of a curve, m from its start.
-
-    Parameters
-    ----------
-    first : ndarray of int64, shape (k,)
-        First leg of each.
-    nodes : three ndarrays, m
-        Table nodes of the axes.
-    size : float
-        m.
-    """
-    corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
-    known: dict[bytes, Array] = {}  # laps drive the same lines
-
-    def boundaries(a: int, b: int) -> Array:
-        driven = corners[a : b + 1]
-        key = driven.tobytes()
-        if key not in known:
-            known[key] = (
-                piece_boundaries(driven, 0, nodes, size)
-                if b == a + 1
-                else curve_boundaries(driven, nodes, size)
-            )
-        return known[key]
-
-    return [boundaries(a, b) for a, b in zip(first.tolist(), ends.tolist(), strict=True)]
-
-
 Small = NDArray[np.int32]
 
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pieces:
-    """Means over path pieces, in driving order.
+    """Means over pieces of the path, or stops, in driving order; p of them, of k axes.
 
     Attributes
     ----------
+    q : ndarray, shape (p, k), m and rad
+        Axis positions at the mean place of the samples on the path; at a stop those of its point.
+    step : ndarray, shape (p, k)
+        Change of the axis positions per unit of place: on a straight line the unit direction, so
+        that places are in m, on a curve the change over one leg of the path; at stops that of
+        the approach.
+    spread : ndarray, shape (p,)
+        Standard deviation of the places of the samples: q +- spread step are two Gauss points.
     xyz : ndarray, shape (p, 3), m
-        Mean measured point in the tracker frame.
+        Mean measured point, tracker frame.
+    nominal : ndarray, shape (p, 3), m
+        Mean nominal point at the places of the samples, in the frame that the pose leads to.
+    direction : ndarray, shape (p, 3)
+        Unit direction of travel in that frame, on a curve the mean one; at stops the direction
+        of approach, zero where unknown.
+    origin : ndarray, shape (p, 3), m
+        Start of the straight line of a piece, which tells lines apart; else the nominal point.
+    part : ndarray of int64, shape (p,)
+        Part of the run: what is driven with one reflector in view.
     leg : ndarray of int64, shape (p,)
-        Leg of the path; on a curve the first chord of the part of it that shares slow noise.
-    origin, direction : ndarray, shape (p, 3)
-        Start point (m) and unit direction of that leg, machine frame; on a curve the mean foot
-        and direction of the samples; at standstill the point itself and the direction of
-        approach, zero where unknown.
-    side : ndarray, shape (p, 3)
-        Sign of the travel of each axis, see ``path.sides_of_travel``.
+        Pieces that share slow noise.
+    stretch : ndarray of int64, shape (p,)
+        Straight line of the path (on a curve of chords that on which the piece begins), or smooth
+        stretch in the axes.
+    side : ndarray, shape (p, k)
+        Sense of the last travel of every axis, see ``path.sides_of_travel``.
+    rate : ndarray, shape (p, k), m/s and rad/s
+        Speeds of the axes.
+    speed : ndarray, shape (p,), m/s
+        Of the reflector along the path.
     count : ndarray of int64, shape (p,)
         Samples averaged.
-    time : ndarray, shape (p,), s
+    time, duration : ndarray, shape (p,), s
         Mean time since the first sample of the recording.
-    duration : ndarray, shape (p,), s
-    speed : ndarray, shape (p,), m/s
-    used : int
-        Samples in all pieces.
-    outliers : int
-        Samples left out as outliers.
+    used, outliers : int
+        Samples in all pieces, and left out as outliers.
     end : float
         s, since the first sample, of the end of the recording; 0 stands for the last piece.
     standstill : bool
-        True if the pieces are standstills at ``origin``, where all three directions count.
-    samples : ndarray of int32, shape (u,)
-        Places in the recording of the samples averaged; empty if not kept.
-    piece : ndarray of int32, shape (u,)
-        Piece of each of them.
-    chord : ndarray of int64, shape (p,)
-        Chord of the path on which the piece begins; empty if that is its leg.
-    spread : ndarray, shape (p,), m
-        Standard deviation of the samples along the line; empty if pieces are points.
+        True if the pieces are stops, where all three directions count.
+    samples, piece : ndarray of int32, shape (u,)
+        Places in the recording of the samples averaged, and the piece of each; empty if not kept.
     far : ndarray of int32, shape (o,)
         Places in the recording of samples on the lines that are in no piece as they are far from
         those around them.
+    stamps : tuple of int, ns
+        Of the first and last sample of the recording.
     """
 
+    q: Array
+    step: Array
+    spread: Array
     xyz: Array
-    leg: Index
-    origin: Array
+    nominal: Array
     direction: Array
+    origin: Array
+    part: Index
+    leg: Index
+    stretch: Index
     side: Array
+    rate: Array
+    speed: Array
     count: Index
     time: Array
     duration: Array
-    speed: Array
-    used: int
-    outliers: int
+    used: int = 0
+    outliers: int = 0
     end: float = 0.0
     standstill: bool = False
     samples: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     piece: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    spread: Array = field(default_factory=lambda: np.zeros(0))
     far: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-
-    @property
-    def line(self) -> Index:
-        """Straight line of the path on which each piece begins, shape (p,)."""
-        return self.chord if len(self.chord) else self.leg
+    stamps: tuple[int, int] = (0, 0)
 
     def __len__(self) -> int:
         """Return the number of pieces."""
@@ -303,27 +261,12 @@ class Pieces:
         """Return the pieces that are not marked in ``drop``, shape (p,)."""
         if not drop.any():
             return self
-        arrays = (
-            'xyz',
-            'leg',
-            'origin',
-            'direction',
-            'side',
-            'count',
-            'time',
-            'duration',
-            'speed',
-        )
-        fields = {name: getattr(self, name)[~drop] for name in arrays}
-        stays = ~drop[self.piece]
-        lost = int(self.count[drop].sum())
+        stays, lost = ~drop[self.piece], int(self.count[drop].sum())
         return replace(
             self,
-            **fields,
+            **{name: getattr(self, name)[~drop] for name in OF_EACH},
             samples=self.samples[stays],
             piece=(np.cumsum(~drop, dtype=self.piece.dtype) - 1)[self.piece[stays]],
-            chord=self.chord[~drop] if len(self.chord) else self.chord,
-            spread=self.spread[~drop] if len(self.spread) else self.spread,
             used=self.used - lost,
             outliers=self.outliers + lost,
         )
@@ -338,6 +281,10 @@ class Pieces:
                 total = np.zeros((len(self), *values.shape[1:]))
             np.add.at(total, piece[first], np.add.reduceat(values, first, axis=0))
         return np.asarray(total / self.count.reshape(-1, *([1] * (total.ndim - 1))))
+
+
+OF_EACH = tuple(f.name for f in fields(Pieces) if f.default is f.default_factory is MISSING)
+"""Names of the arrays with a row for every piece."""
 
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
@@ -369,20 +316,54 @@ class _Means:
         return np.asarray(sums / np.maximum(self.count, 1))
 
 
-def samples_on_lines(
-    samples: Samples, alignment: Alignment, config: CalibrationConfig
-) -> tuple[Index, Array, Array, Index]:
+LEAST_CHORD = 0.9
+"""Length of a chord over its arc of 4 mm; where a curve turns back more sharply, as that of a
+reflector which almost stands while the axes turn, the closest place is ambiguous."""
+LEAST_DIRECTION = 0.5
+"""Length of the mean of the unit directions in a piece; below there is no direction of travel."""
+
+
+@dataclass(frozen=True)
+class _Steady:
     """Samples in steady motion on the lines of the path.
 
-    Returns
-    -------
+    Attributes
+    ----------
     index : ndarray of int64, shape (n,)
-        Neither near corners nor standing still nor outliers.
+        Places in the recording.
+    chord : ndarray, shape (n,)
     along : ndarray, shape (n,), m
-        From the start of the leg or chord.
+        From the start of the chord.
     speed : ndarray, shape (n,), m/s
-    far : ndarray of int64, shape (o,)
-        Those left out as outliers.
+        Of the travel of the axes.
+    nominal, tangent : ndarray, shape (n, 3), optional
+        Nominal point, m, and direction of travel where chords stand for curves, else zero; None
+        if none does.
+    """
+
+    index: Index
+    chord: Index
+    along: Array
+    speed: Array
+    nominal: Array | None = None
+    tangent: Array | None = None
+
+    def at(self, keep: NDArray[np.bool_]) -> _Steady:
+        """Return some of the samples."""
+        arrays: dict[str, Any] = {
+            n: own if own is None else own[keep] for n, own in vars(self).items()
+        }
+        return replace(self, **arrays)
+
+
+def _steady_samples(
+    samples: Samples,
+    alignment: Alignment,
+    lines: Lines,
+    config: CalibrationConfig,
+    tables: ErrorTables | None,
+) -> tuple[_Steady, Index]:
+    """Samples on lines, neither near corners nor standing still nor outliers; and the outliers.
 
     Raises
     ------
@@ -390,15 +371,14 @@ def samples_on_lines(
         If there is none.
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
-    pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
-    seen = lines.seen_from(pose)
+    pose, shape = alignment.T_machine_tracker, lines.shape
+    seen, per_length = lines.seen_from(pose), lines.travel_per_length
     on_chord, along = np.empty((2, len(samples)))
     for part in blocks(len(samples)):
-        on_chord[part] = seen.along(samples.xyz[part], leg[part])
-        along[part] = lines.start[leg[part]] + on_chord[part]
-    stretch = np.where(
-        alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch.astype(leg.dtype)[leg]
-    )
+        here = leg[part]
+        on_chord[part] = seen.along(samples.xyz[part], here)
+        along[part] = lines.start[here] + on_chord[part] * per_length[here]
+    stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, shape.stretch.astype(leg.dtype)[leg])
     speed = _moving(samples, along, stretch, config)
     margin = _margin(lines, config)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
@@ -406,125 +386,231 @@ def samples_on_lines(
         here, own = leg[part], along[part]
         keep[part] &= (own > margin[here]) & (own < lines.total[here] - margin[here])
     chosen = np.flatnonzero(keep)
-    if not len(chosen):
-        raise InputError('no sample is left on the lines of the path away from corners and stops')
     del keep
-    curved = lines.shape.curved
+    steady = _Steady(chosen, leg[chosen], on_chord[chosen], speed[chosen])
+    if shape.sights:
+        steady = _on_curves(samples, pose, lines, steady, tables)
+    if not len(steady.index):
+        raise InputError('no sample is left on the lines of the path away from corners and stops')
+    curved = shape.curved
 
     def offset_of(part: slice) -> Array:
-        here = chosen[part]
-        line = leg[here]
-        offset = pose.apply(samples.xyz.take(here, axis=0))
-        offset -= on_chord[here, None] * lines.unit.take(line, axis=0)
+        line = steady.chord[part]
+        offset = pose.apply(samples.xyz.take(steady.index[part], axis=0))
+        offset -= steady.along[part, None] * lines.unit.take(line, axis=0)
         bent = curved[line]
         if bent.any():
             offset[bent] -= lines.corners[line[bent]]
         return np.ascontiguousarray(offset.T)
 
-    on = leg[chosen]
-    legs = [b for b in leg_bounds(stretch[chosen]) if not curved[on[b[0]]]]
-    chosen = chosen[~off_their_line(offset_of, legs, along[chosen], lines.total[on])]
-    del along, on
-    out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
-    far, chosen = chosen[out], chosen[~out]
-    return chosen, on_chord[chosen], speed[chosen], far
+    def offset_on_curves(part: slice) -> Array:
+        bent = curved[steady.chord[part]]
+        offset = offset_of(part)
+        if bent.any():
+            assert steady.nominal is not None
+            own = pose.apply(samples.xyz[steady.index[part][bent]]) - steady.nominal[part][bent]
+            offset[:, bent] = own.T
+        return offset
+
+    offsets = offset_on_curves if shape.sights else offset_of
+    on = steady.chord
+    legs = [b for b in leg_bounds(shape.stretch[on]) if not curved[on[b[0]]]]
+    reach = lines.start[on] + steady.along * per_length[on]
+    steady = steady.at(~off_their_line(offsets, legs, reach, lines.total[on]))
+    del on, reach
+    out = outlying(offsets, leg_bounds(shape.stretch[steady.chord]), config.outlier_limit)
+    return steady.at(~out), steady.index[out]
+
+
+def _on_curves(
+    samples: Samples,
+    pose: RigidTransform,
+    lines: Lines,
+    steady: _Steady,
+    tables: ErrorTables | None,
+) -> _Steady:
+    """Closest places, and nominal points, of samples where chords stand for curves."""
+    shape = lines.shape
+    chord, along = steady.chord.astype(np.int64), steady.along.copy()
+    nominal, tangent = np.zeros((2, len(chord), 3))
+    straight = np.ones(len(chord), dtype=bool)
+    assert shape.part is not None
+    for number, sight in enumerate(shape.sights):
+        own = np.flatnonzero(shape.curved[chord] & (shape.part[chord] == number))
+        if not len(own):
+            continue
+        points = pose.apply(samples.xyz[steady.index[own]])
+        if tables is not None:
+            points = points - lines.interpolated(
+                sight.at(shape.positions).displacement(tables), chord[own], along[own]
+            )
+        chord[own], along[own], tangent[own], share = lines.closest(points, chord[own], along[own])
+        q = lines.interpolated(shape.positions, chord[own], along[own])
+        nominal[own] = sight.nominal(q)
+        straight[own] = share > LEAST_CHORD
+    keep = straight & (lines.length[chord] > STANDS)
+    return _Steady(steady.index, chord, along, steady.speed, nominal, tangent).at(keep)
 
 
 def _margin(lines: Lines, config: CalibrationConfig) -> Array:
     """Length left out at both ends of the leg or curve of every chord, m.
 
-    A curve so short that nothing else is left of it is the rounding of a corner.
+    A curve of linear axes so short that nothing else is left of it is the rounding of a corner.
     """
-    short = 0.25 * lines.total
-    short[lines.shape.curved & (lines.total < SHORT_CURVE * config.corner_exclusion)] = np.inf
-    margin = np.minimum(config.corner_exclusion, short)
-    return np.where(np.isinf(short), lines.total, margin)
+    margin = np.minimum(config.corner_exclusion, 0.25 * lines.total)
+    if not lines.shape.sights:
+        rounding = lines.shape.curved & (lines.total < SHORT_CURVE * config.corner_exclusion)
+        margin[rounding] = lines.total[rounding]
+    return margin
 
 
 def reduce_to_pieces(
-    samples: Samples, alignment: Alignment, nodes: tuple[Array, ...], config: CalibrationConfig
+    samples: Samples,
+    alignment: Alignment,
+    nodes: Sequence[Array],
+    config: CalibrationConfig,
+    tables: ErrorTables | None = None,
 ) -> Pieces:
     """Average samples over path pieces.
 
     Parameters
     ----------
-    nodes : three ndarrays, m
-        Table nodes of X, Y, Z; pieces end there.
+    nodes : sequence of ndarrays, m and rad
+        Table nodes of the axes; pieces end there.
+    tables : ErrorTables, optional
+        Errors that are taken off before the closest places on curves are looked for.
 
     Raises
     ------
     InputError
         If nothing is left.
     """
-    chosen, along, speed, far = samples_on_lines(samples, alignment, config)
-    lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
-    shape = lines.shape
+    lines = Lines.of(alignment.shape)
+    steady, far = _steady_samples(samples, alignment, lines, config, tables)
+    shape, leg, per_length = lines.shape, steady.chord, lines.travel_per_length
     first = np.unique(shape.group)
-    marks = all_boundaries(lines, first, nodes, config.piece_length)
+    marks = _all_boundaries(lines, first, nodes, config.piece_length)
     shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
     place, piece = np.empty(len(leg)), np.empty(len(leg), dtype=np.int32)
     for part in blocks(len(leg)):
         here = leg[part]
         group = shape.group[here]
-        own = (lines.start[here] - lines.start[group]) + along[part]
+        own = (lines.start[here] - lines.start[group]) + steady.along[part] * per_length[here]
         place[part] = own = np.where(shape.curved[here], np.maximum(own, 0.0), own)
         beyond = shift[np.searchsorted(first, group)] + own
         piece[part] = np.searchsorted(bounds, beyond, side='right') - 1
-    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, far)
-    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along)
+    pieces = _collect(samples, steady, piece, lines, place)
+    pieces = replace(pieces, outliers=len(far), far=far.astype(np.int32))
+    if shape.straight:
+        return pieces
+    return _bent(pieces, lines, steady)
 
 
-def _on_curves(pieces: Pieces, lines: Lines, alignment: Alignment, along: Array) -> Pieces:
-    """Give pieces of curves the mean foot and direction of their samples."""
-    chord = alignment.leg[pieces.samples].astype(np.int64)
-    foot = lines.at(along, chord)
-    direction = pieces.mean_of([lines.unit[chord]])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    curved = lines.shape.curved[pieces.leg][:, None]
-    return replace(
+def _all_boundaries(
+    lines: Lines, first: Index, nodes: Sequence[Array], size: float
+) -> list[Array]:
+    """Piece boundaries of every leg or part of a curve, m from its start.
+
+    ``first`` (k,) is the first leg of each; see ``curves.piece_boundaries``.
+    """
+    shape, ends = lines.shape, np.append(first[1:], len(lines.length))
+    travel, periods = shape.travel, shape.periods
+    known: dict[bytes, Array] = {}  # laps drive the same lines
+
+    def boundaries(a: int, b: int) -> Array:
+        driven = shape.positions[a : b + 1]
+        key = driven.tobytes()
+        if key not in known:
+            unit = lines.unit[a:b] if b > a + 1 else None
+            known[key] = piece_boundaries(driven, nodes, size, travel[a:b], unit, periods)
+        return known[key]
+
+    return [boundaries(a, b) for a, b in zip(first.tolist(), ends.tolist(), strict=True)]
+
+
+def _bent(pieces: Pieces, lines: Lines, steady: _Steady) -> Pieces:
+    """Give pieces of curves the mean place and direction of their samples."""
+    chord, shape = steady.chord.astype(np.int64), lines.shape
+    curved = shape.curved[pieces.stretch][:, None]
+
+    def mean(values: Array, before: Array) -> Array:
+        return np.where(curved, pieces.mean_of([values]), before)
+
+    q = mean(lines.interpolated(shape.positions, chord, steady.along), pieces.q)
+    if steady.nominal is None or steady.tangent is None:
+        nominal, tangent = q, lines.unit[chord]
+    else:
+        nominal, tangent = mean(steady.nominal, pieces.nominal), steady.tangent
+    direction = mean(tangent, pieces.direction)
+    size = np.linalg.norm(direction, axis=1, keepdims=True)
+    per_travel, speed = _per_travel(shape)[chord], steady.speed / lines.travel_per_length[chord]
+    step = mean(per_travel, pieces.step) if shape.sights else direction / size
+    pieces = replace(
         pieces,
-        origin=np.where(curved, pieces.mean_of([foot]), pieces.origin),
-        direction=np.where(curved, direction, pieces.direction),
-        leg=lines.shape.group[pieces.leg],
-        chord=pieces.leg,
+        q=q,
+        step=step,
+        nominal=nominal,
+        direction=direction / np.maximum(size, 1e-12),
+        origin=np.where(curved, nominal, pieces.origin),
+        leg=shape.group[pieces.stretch],
+        stretch=shape.stretch[pieces.stretch] if shape.sights else pieces.stretch,
+        rate=mean(per_travel * steady.speed[:, None], pieces.rate),
+        speed=mean(speed[:, None], pieces.speed[:, None])[:, 0],
     )
+    return pieces.without(size[:, 0] < LEAST_DIRECTION)
+
+
+def _per_travel(shape: PathShape) -> Array:
+    """Change of the axis positions per travel on every chord, shape (m, k)."""
+    return np.asarray(np.diff(shape.positions, axis=0) / np.maximum(shape.travel, STANDS)[:, None])
 
 
 def _collect(
-    samples: Samples,
-    chosen: Index,
-    piece: Small,
-    alignment: Alignment,
-    unit: Array,
-    speed: Array,
-    place: Array,
-    far: Index,
+    samples: Samples, steady: _Steady, piece: Small, lines: Lines, place: Array
 ) -> Pieces:
+    """Means of the samples of every piece; on a curve as if its chord were a line."""
+    shape, chosen = lines.shape, steady.index
     there = np.bincount(piece) > 0
     count = int(there.sum())
     dense = (np.cumsum(there, dtype=np.int32) - 1)[piece]
     means = _Means(dense, count)
     time = samples.time
-    rate = 1.0 / max(samples.step, 1e-9)
     first = np.zeros(count, dtype=np.int64)
-    first[dense[::-1]] = chosen[::-1]
-    leg = alignment.leg[first].astype(np.int64)
+    first[dense[::-1]] = np.arange(len(chosen))[::-1]
+    leg = steady.chord[first].astype(np.int64)
+    per_travel, per_length = _per_travel(shape), lines.travel_per_length[leg]
+    mean_speed, along = means.mean(steady.speed), means.mean(place)
+    on_chord = along - (lines.start[leg] - lines.start[shape.group[leg]])
+    nominal = shape.corners[leg] + (on_chord / per_length)[:, None] * lines.unit[leg]
     return Pieces(
+        q=shape.positions[leg] + on_chord[:, None] * per_travel[leg],
+        step=per_travel[leg],
+        spread=np.sqrt(np.maximum(means.mean(place**2) - along**2, 0.0)),
         xyz=np.stack([means.mean(samples.xyz[chosen, k]) for k in range(3)], axis=1),
+        nominal=nominal,
+        direction=lines.unit[leg],
+        origin=shape.corners[leg],
+        part=np.zeros_like(leg) if shape.part is None else shape.part[leg],
         leg=leg,
-        origin=alignment.corners[leg],
-        direction=unit[leg],
-        side=sides_of_travel(unit)[leg],
+        stretch=leg,
+        side=_sides(shape)[leg],
+        rate=mean_speed[:, None] * per_travel[leg],
+        speed=mean_speed / per_length,
         count=means.count,
         time=means.mean(time[chosen]),
-        duration=means.count / rate,
-        speed=means.mean(speed),
+        duration=np.asarray(means.count * samples.step, dtype=np.float64),
+        used=len(chosen),
+        end=float(time[-1]),
         samples=chosen.astype(np.int32),
         piece=dense,
-        used=len(chosen),
-        outliers=len(far),
-        end=float(time[-1]),
-        far=far.astype(np.int32),
-        spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
+        stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),
     )
+
+
+def _sides(shape: PathShape) -> Array:
+    """Sense of the last travel of every axis on every chord, part by part, shape (m, k)."""
+    per_travel = _per_travel(shape)
+    if shape.part is None:
+        return sides_of_travel(per_travel)
+    return np.concatenate([sides_of_travel(per_travel[a:b]) for a, b in leg_bounds(shape.part)])

@@ -12,11 +12,12 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.blocks import BLOCK
@@ -24,8 +25,9 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import SkippedLines
 from otf_core.model.axis_path import AxisPath
+from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.model.machine import Machine
+from otf_core.model.machine import TOOL, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -48,10 +50,8 @@ class Observed:
     ----------
     machine : Machine
         As set up in this run.
-    shape : PathShape
-        Corner points and curves of the path as driven.
     pose : RigidTransform
-        Tracker to machine, to start from: fitted rigidly, or of a solution before.
+        Tracker to the link that it stands on, to start from: fitted rigidly, or of a solution.
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
@@ -64,10 +64,19 @@ class Observed:
         Recorded beside the samples.
     first_ns : int, ns
         Stamp from which the times of the pieces count.
+    shape : PathShape, optional
+        Corner points and curves of the path as driven, where it is one of three linear axes.
+    targets : tuple of str
+        Target of every part.
+    places : mapping of target to ndarray, shape (3,), m
+        Where targets are known to be now; else as machine.yaml states it.
+    base : mapping of target to ndarray, shape (3,), m
+        At which the nominal points of the pieces were computed.
+    same_station : bool
+        The tracker was not moved since the run before.
     """
 
     machine: Machine
-    shape: PathShape
     pieces: Pieces
     pose: RigidTransform
     noise: NoiseModel
@@ -76,6 +85,26 @@ class Observed:
     late: float = 0.0
     signals: Mapping[str, Signal] = field(default_factory=dict)
     first_ns: int = 0
+    shape: PathShape | None = None
+    targets: tuple[str, ...] = (TOOL,)
+    places: Mapping[str, Array] = field(default_factory=dict)
+    base: Mapping[str, Array] = field(default_factory=dict)
+    same_station: bool = False
+
+    def sight(self, target: str) -> Sight:
+        """A target at the place that is known of it now."""
+        sight = Sight.of_target(self.machine, target)
+        return replace(sight, place=self.places[target]) if target in self.places else sight
+
+    def moved(self, target: str) -> Array:
+        """Displacement of a target since its nominal points were computed, shape (3,), m."""
+        known = target in self.places and target in self.base
+        return self.places[target] - self.base[target] if known else np.zeros(3)
+
+    def by_target(self) -> dict[str, NDArray[np.bool_]]:
+        """Which pieces are of which target."""
+        names = np.array(self.targets)[self.pieces.part]
+        return {str(n): names == n for n in np.unique(names)}
 
     @property
     def leg_starts(self) -> Array | None:
@@ -163,6 +192,7 @@ class Run(Observed):
         See ``Recording``.
     """
 
+    shape: PathShape
     samples: Samples
     path: NominalPath
     alignment: Alignment

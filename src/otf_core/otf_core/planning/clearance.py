@@ -16,10 +16,10 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.model.axis_path import along_legs, position_at
-from otf_core.model.joints import Sight
+from otf_core.model.chain import Sight
 from otf_core.model.machine import BED, SPINDLE, TABLE, Machine
+from otf_core.model.plan import Part
 from otf_core.model.surroundings import Box
-from otf_core.planning.rotary_paths import PlannedPart
 
 FROM_REFLECTOR, FROM_TRACKER, FROM_BOX = 0.06, 0.25, 0.02
 """m that others keep from the centre of a reflector, from the beam origin and from a box."""
@@ -75,7 +75,7 @@ def _point(link: str, place: Sequence[float] | Array) -> Box:
     return Box(link, (x, y, z), (x, y, z))
 
 
-def near_misses(machine: Machine, parts: Sequence[PlannedPart], place: Array) -> list[str]:
+def near_misses(machine: Machine, parts: Sequence[Part], place: Array) -> list[str]:
     """Sentences for parts in which bodies of two links come near, or a box hides a reflector.
 
     Parameters

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.joints import Sight
+from otf_core.model.chain import Sight
 from otf_core.model.machine import TABLE, Machine, facing_names
-from otf_core.model.motions import AXES
-from otf_core.planning.line_of_sight import beams, in_view
-from otf_core.planning.rotary_paths import (
+from otf_core.model.plan import STOPS
+from otf_core.planning.chains import (
     STOP_TIME,
     STOP_TURN,
     Chain,
     clear_of_table,
     positions_of,
 )
+from otf_core.planning.line_of_sight import beams, in_view
 
 AIM = np.radians(3.0)
 """rad by which the operator's aim may be off; chains stay so far within the cone."""
@@ -83,7 +83,7 @@ def facing_chains(machine: Machine, place: Array) -> list[Chain]:
             continue
         seen = [j.name for j in Sight.of_target(machine, name).joints]
         turning = [a for a in seen if a in machine.rotary_names]
-        linear = [a for a in seen if a in AXES]
+        linear = [a for a in seen if a not in turning]
         if not turning:
             continue
         wait = {a: v for a, v in clear_of_table(machine, name).items() if a not in linear}
@@ -152,7 +152,9 @@ def _chains_of_facing(nest: _Nest, name: str, middle: Mapping[str, float]) -> li
         count = int(np.ceil(width[axis] / STOP_TURN)) + 1
         stops = {axis: np.linspace(*reach[axis], count)}
         corners = nest.positions({**at, **stops})
-        chains.append(Chain(name, _from_middle(nest, at, corners), f'stops of {axis}', STOP_TIME))
+        chains.append(
+            Chain(name, _from_middle(nest, at, corners), f'{STOPS} of {axis}', STOP_TIME)
+        )
     return chains
 
 

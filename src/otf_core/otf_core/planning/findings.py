@@ -1,5 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan cannot show, from which size on it shows effects, and what would separate them."""
+"""What a plan cannot show, from which size on it shows effects, and what would separate them.
+
+A sample says nothing along the direction of travel, so an error is seen at an axis position only
+if the reflector passes there in directions that leave no common component out. For unknowns x with
+rows A(q), driven directions d and P = I - d d^T, x is not seen if and only if
+
+    P A(q) x = 0   at every driven place                                      (rank condition)
+
+A rotation is distinguished from the translations of its axis only by the travel of another axis
+in its lever arm, and not if that travel is parallel to its axis of rotation. Where the chain
+offers none, a target at another offset does.
+"""
 
 from __future__ import annotations
 
@@ -13,30 +24,32 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.aside import share_out
 from otf_core.diagnosis.engine.effect_products import ShapeProducts, tried_shapes
-from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     Visibility,
     best_sight,
-    effects_without,
     shapes_of,
     sight_of,
 )
-from otf_core.effects import REGISTRY, Effect
+from otf_core.effects import BelongsTo, Effect, catalogue
+from otf_core.errors import ConfigError
+from otf_core.model.chain import Sight
 from otf_core.model.frames import XYZ
-from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
-from otf_core.planning.forecast import Forecast, Planned
-from otf_core.solving.solution import TIE_BREAK, Positive, smoothness
+from otf_core.model.machine import BED, TABLE, Machine
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, is_motion, unit_of
+from otf_core.model.plan import Part, Plan
+from otf_core.planning.chains import courses, creeps
+from otf_core.planning.forecast import STILL, Forecast
+from otf_core.solving.solution import TIE_BREAK, Positive, free_columns, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
 
-# What a plan cannot show, in words: which errors are mixed up, why, and what would part them.
-#
-# A rotation is distinguished from the translations of its axis only by the travel of another axis
-# in its lever arm, and not if that travel is parallel to its axis of rotation. Where the chain
-# offers none, a second target offset does.
-
-_IMITATED_SHARE = 0.1
+DIAGONALS = {
+    1: 'stops at every corner (--method standstill)',
+    2: 'diagonals, and lines of half slope',
+    3: 'face and space diagonals in several planes',
+}
+"""What shows more by the number of linear axes."""
+IMITATED_SHARE = 0.1
 """Part of a motion's effect that another one must imitate to be named."""
 
 
@@ -47,7 +60,7 @@ class UnseenError:
     Attributes
     ----------
     error : str
-        Motion or squareness error; an axis if part of its range is not driven.
+        Motion, squareness or location error; an axis if part of its range is not driven.
     mixed_with : tuple of str
         Errors that take up its effect; empty if it has none that is seen.
     words : str
@@ -74,7 +87,7 @@ def offset_in_words(machine: Machine) -> str:
 
 def chain_shows(machine: Machine, error: str) -> bool:
     """Return whether some path with one target offset tells an error from all others."""
-    if error in SQUARENESS or unit_of(error) == 'm':
+    if not is_motion(error) or unit_of(error) == 'm':
         return True
     motion = ErrorMotion.of(error)
     about, axis = XYZ[motion.along], motion.axis
@@ -84,7 +97,7 @@ def chain_shows(machine: Machine, error: str) -> bool:
 def _bow(unknowns: Unknowns, name: str) -> Array:
     """Values of a motion that neither squareness nor pose can imitate: a bow, in its gauge."""
     block = unknowns.blocks[name]
-    if name in SQUARENESS:
+    if not is_motion(name):
         return np.ones(1)
     motion = ErrorMotion.of(name)
     basis = unknowns.bases[motion.axis]
@@ -111,9 +124,8 @@ def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str
     """
     if not errors:
         return {}
-    unknowns, matrix = result.unknowns, result.normal.matrix * limit**2
-    blocks = [unknowns.free_blocks[n] for n in result.solution.accepted]
-    use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    unknowns, matrix = result.unknowns, result.nodal.matrix * limit**2
+    use = free_columns(unknowns, result.accepted)
     bows = np.zeros((unknowns.free, len(errors)))
     for k, error in enumerate(errors):
         bows[unknowns.free_blocks[error], k] = _bow(unknowns, error)
@@ -126,7 +138,7 @@ def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str
     for error, bow, pull, own in zip(errors, bows.T, pulled.T, coefficients.T, strict=True):
         size = float(bow @ pull)
         seen = size > 1e-6 * largest * float(bow @ bow)
-        shares[error] = _strongest(result, matrix, own, _IMITATED_SHARE * size) if seen else ()
+        shares[error] = _strongest(result, matrix, own, IMITATED_SHARE * size) if seen else ()
     return shares
 
 
@@ -135,58 +147,15 @@ def _strongest(
 ) -> tuple[str, ...]:
     """Errors by their weight with some coefficients (free,), where it is above the least."""
     weights = []
-    for name in result.solution.accepted:
+    for name in map(str, result.determined):
         part = result.unknowns.free_blocks[name]
         weight = float(coefficients[part] @ matrix[part, part] @ coefficients[part])
-        if name in (*SQUARENESS, *MOTIONS) and weight > least:
+        if name in result.accepted and weight > least:
             weights.append((weight, name))
     return tuple(name for _, name in sorted(weights, reverse=True))
 
 
-def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bool:
-    influence = motion_influence(machine, error, result.pieces.origin)
-    return bool(np.abs(influence).max() < 1e-9)
-
-
-def _unseen(
-    result: Forecast, machine: Machine, error: str, others: tuple[str, ...]
-) -> UnseenError:
-    motion = ErrorMotion.of(error) if error in MOTIONS else None
-    if motion and len(result.nodes[motion.axis]) == 1:
-        words = f'{error}: the path does not move {motion.axis}'
-        return UnseenError(error, (), words, f'lines that move {motion.axis}')
-    if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
-        words = f'{error}: a rotation about an axis through the target does not move it'
-        return UnseenError(error, (), words, _second_offset(XYZ[motion.along]))
-    if motion and not chain_shows(machine, error):
-        about = XYZ[motion.along]
-        names = ' and '.join(others) or f'the translations of {motion.axis}'
-        words = f'{error}: cannot be distinguished from {names} {offset_in_words(machine)}'
-        return UnseenError(error, others, words, _second_offset(about))
-    if others:
-        words = f'{error}: this path confounds it with {" and ".join(others)}'
-    else:
-        words = f'{error}: it acts only along the lines of this path, or where no line is driven'
-    return UnseenError(error, others, words, 'face and space diagonals in several planes')
-
-
-def _second_offset(about: str) -> str:
-    across = ' or '.join(a for a in XYZ if a != about)
-    return f'a second run with a target offset that differs in {across}'
-
-
-def _loose(name: ErrorMotion, positions: Array, nodes: int) -> UnseenError:
-    needs = f'face and space diagonals across {name.axis} there'
-    fixed = 2 if name.is_straightness else 1
-    if len(positions) >= nodes - fixed:
-        words = f'{name}: not determined at any node but the reference'
-    else:
-        where = ', '.join(f'{p:g}' for p in positions)
-        words = f'{name}: not determined at {name.axis} = {where} m; interpolated there'
-    return UnseenError(name, (), words, needs)
-
-
-def findings(result: Forecast, machine: Machine, limit: float) -> tuple[UnseenError, ...]:
+def findings(plan: Plan, result: Forecast, limit: float) -> tuple[UnseenError, ...]:
     """State what a plan does not show.
 
     Parameters
@@ -196,29 +165,126 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[UnseenEr
 
     Returns
     -------
-    tuple of Unseen
+    tuple of UnseenError
         Unseen errors first, then motions that are not determined at single nodes, then parts of
         the axis ranges that are not driven.
     """
+    machine = result.joint.machine
     mixed = imitators(result, result.not_identifiable, limit)
-    unseen = [_unseen(result, machine, error, others) for error, others in mixed.items()]
+    unseen = [
+        UnseenError(error, others, *_why(machine, plan.parts, error, others))
+        for error, others in mixed.items()
+    ]
     for name, positions in result.loose_nodes.items():
-        unseen.append(_loose(name, positions, len(result.nodes[name.axis])))
-    unseen += _not_driven(result, machine)
-    return tuple(unseen)
+        unseen.append(_loose(machine, name, positions, len(result.nodes[name[-1]])))
+    return tuple(unseen + _not_driven(result, machine))
+
+
+def _why(
+    machine: Machine, parts: Sequence[Part], error: str, others: tuple[str, ...]
+) -> tuple[str, str]:
+    """State why an error is not seen, and what would show it."""
+    axis, rotation = error[-1], is_motion(error) and error[1] in 'ABC'
+    turns = axis in machine.rotary_names
+    on_table = {n for n, t in machine.targets.items() if t.link == TABLE}
+    bed = machine.tracker.link == BED
+    moved = [p for p in parts if axis in _in_view(machine, p) and _travels(machine, p, axis)]
+    if not moved:
+        words = f'{error}: no part moves {axis} between tracker and reflector'
+        if bed and axis in machine.chain.table_side and not on_table:
+            return words, 'three targets on the table (link: w) in machine.yaml'
+        return words, f'a part that moves {axis}'
+    if rotation and _lever(machine, moved, error) < STILL:
+        words = f'{error}: a rotation about a line through the reflectors does not move them'
+        return words, _other_offset(error[1])
+    angular = error[1] == axis or error in machine.location
+    if turns and angular and not any(_combined(machine, p, axis) or p.stops for p in moved):
+        return (
+            f'{error}: every leg that turns {axis} moves nothing else, and the direction of '
+            f'travel, which is left out, is the one in which it acts',
+            'another axis driven at the same time, in both senses, or stops',
+        )
+    table = {p.target for p in moved} & on_table
+    if turns and bed and 0 < len(table) < 3:
+        words = f'{error}: seen with {len(table)} reflector place(s) on the table'
+        return words, f'three places, not in line with {axis}'
+    if turns and not table:
+        try:
+            creeps(machine, {axis: courses(machine, axis)}, moved[0].target)
+        except ConfigError as problem:
+            return f'{error}: the linear axes do not follow the rotation: {problem}', 'more travel'
+    if rotation and not chain_shows(machine, error) and len({p.target for p in moved}) == 1:
+        names = ' and '.join(others) or f'the translations of {axis}'
+        words = f'{error}: cannot be distinguished from {names} {offset_in_words(machine)}'
+        return words, _other_offset(error[1])
+    if turns or len(machine.axis_names) > len(XYZ):
+        words = f'{error}: the reflectors and moves of {axis} say too little of it'
+        return words, 'a target of other length or farther off the axis, longer travel, or time'
+    needs = DIAGONALS[len(machine.axis_names)]
+    if others:
+        return f'{error}: this path confounds it with {" and ".join(others)}', needs
+    return (
+        f'{error}: it acts only along the lines of this path, or where no line is driven',
+        needs,
+    )
+
+
+def _other_offset(about: str) -> str:
+    across = ' or '.join(a for a in XYZ if a != XYZ['ABC'.index(about)])
+    return f'a second run or target with a target offset that differs in {across}'
+
+
+def _in_view(machine: Machine, part: Part) -> set[str]:
+    """Axes between the tracker and the reflector of a part."""
+    return {j.name for j in Sight.of_target(machine, part.target).joints}
+
+
+def _travels(machine: Machine, part: Part, axis: str) -> bool:
+    return bool(np.ptp(part.path.positions[:, machine.column(axis)]) > 0.0)
+
+
+def _lever(machine: Machine, parts: Sequence[Part], name: str) -> float:
+    """Most that a reflector moves per unit of a motion, m/rad."""
+    most = 0.0
+    for part in parts:
+        seen = Sight.of_target(machine, part.target).at(part.path.positions)
+        six = seen.motions[name[-1]][:, :, DIRECTIONS.index(name[1])]
+        most = max(most, float(np.abs(six).max()))
+    return most
+
+
+def _combined(machine: Machine, part: Part, axis: str) -> bool:
+    """Return whether a part turns an axis while another one in view moves."""
+    steps = np.abs(np.diff(part.path.positions, axis=0)) > 0.0
+    others = [machine.column(a) for a in _in_view(machine, part) if a != axis]
+    return bool(np.any(steps[:, machine.column(axis)] & steps[:, others].any(axis=1)))
+
+
+def _loose(machine: Machine, name: str, positions: Array, nodes: int) -> UnseenError:
+    axis, unit = name[-1], machine.axes[name[-1]].unit
+    needs = f'face and space diagonals across {axis} there'
+    if machine.axes[axis].rotary:
+        needs = f'more moves of {axis} there, together with another axis'
+    if len(positions) >= nodes - (2 if ErrorMotion.of(name).is_straightness else 1):
+        words = f'{name}: not determined at any node but the reference'
+        return UnseenError(name, (), words, needs)
+    where = ', '.join(f'{p:.4g}' for p in positions)
+    words = f'{name}: not determined at {axis} = {where} {unit}; interpolated there'
+    return UnseenError(name, (), words, needs)
 
 
 def _not_driven(result: Forecast, machine: Machine) -> list[UnseenError]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
     gaps = []
-    for axis in machine.axis_names:
-        nodes, spec = result.nodes[axis], machine.axes[axis]
+    for axis, spec in machine.axes.items():
+        nodes = result.nodes[axis]
         gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
-        if gap > 1e-6 and len(nodes) > 1:
+        if gap > (2e-5 if spec.rotary else 1e-6) and len(nodes) > 1:
+            scale, unit = (np.degrees(1.0), 'degrees') if spec.rotary else (1e3, 'mm')
             words = (
-                f'{axis}: driven from {1e3 * nodes[0]:g} mm to {1e3 * nodes[-1]:g} mm; beyond, '
-                f'up to {1e3 * gap:.1f} mm, the tables are constant and this forecast does not '
-                f'apply'
+                f'{axis}: driven from {scale * nodes[0]:g} to {scale * nodes[-1]:g} {unit}; '
+                f'beyond, up to {scale * gap:.1f} {unit}, the tables are constant and this '
+                f'forecast does not apply'
             )
             gaps.append(UnseenError(axis, (), words, 'a smaller margin'))
     return gaps
@@ -228,12 +294,6 @@ def _not_driven(result: Forecast, machine: Machine) -> list[UnseenError]:
 
 INDISTINGUISHABLE_SHARE = 0.97
 """Share of the squared trace that another effect can leave as well: not told apart."""
-
-
-def forecast_rows(planned: Planned, limit: float) -> Rows:
-    """Rows of the pieces that a recording of a plan would give, with zero deviations."""
-    observed, solution, _ = planned
-    return rows_of([observed], solution, limit)
 
 
 @dataclass(frozen=True)
@@ -308,7 +368,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     Parameters
     ----------
     rows : Rows
-        See ``forecast_rows``.
+        Of the pieces that a recording of the plan would give.
 
     Returns
     -------
@@ -318,7 +378,8 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     """
     visible, traces = {}, {}
     rows.factor, rows.residual  # noqa: B018  made once, before threads need them
-    effects = effects_without(())
+    known = catalogue(rows.states[0].machine)
+    effects = [e for e in known.values() if e.belongs_to is not BelongsTo.NOISE]
     longest = sorted(effects, key=lambda e: not e.many_alike)  # begun first, and not sent
     judged = dict(
         zip(
@@ -340,7 +401,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
         words = (
             f'{name:28} found from {size} on'
             if sight.visible
-            else (f'{name:28} not visible; needs {REGISTRY[name].needs}')
+            else (f'{name:28} not visible; needs {known[name].needs}')
         )
         if others:
             words += f', indistinguishable from {", ".join(others)}'
@@ -350,7 +411,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
                 'visible': sight.visible,
                 'smallest_um': 1e6 * sight.smallest if np.isfinite(sight.smallest) else None,
                 'not_told_from': list(others),
-                'needs': REGISTRY[name].needs,
+                'needs': known[name].needs,
                 'words': words,
             }
         )

@@ -22,34 +22,29 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.free_form import free_forms
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import read_json
-from otf_core.model.evaluation import covered_grid, free_rows
+from otf_core.model.axis_path import nominal_track
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS
-from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import Plan
 from otf_core.planning.forecast import (
-    PLACE_DISTANCE,
+    Judge,
     MeasuredRun,
     Setup,
-    drive_times,
-    equal_pieces,
     forecast,
-    forecast_pieces,
     joint_rows,
-    planned_solution,
+    planned_runs,
     tracker_pose,
 )
-from otf_core.planning.path_creation import plan_path
-from otf_core.planning.path_optimiser import INTERVALS
-from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.solving.model_choice import smooth_bases
+from otf_core.planning.line_of_sight import (
+    LEAST_OPEN,
+    PLACE_DISTANCE,
+    least_open,
+    linear_ends,
+)
+from otf_core.planning.part_choice import planned
 from otf_core.solving.normal import normal_equations
-from otf_core.solving.roughness import expected_precision
 from otf_core.solving.solution import solve
 from otf_core.solving.system import build_system
-from otf_core.solving.tabulate import table_rows
-from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
 
 # Where to put the tracker: places around and above the volume, compared by forecast.
@@ -57,10 +52,9 @@ from otf_core.solving.whitener import Whitener
 # Rows are perpendicular to the path wherever the tracker stands: a place changes how well errors
 # are seen, not which. So the errors judged are those that are seen from the place assumed.
 
-_PART_OF_INTERVAL = 0.5
-"""Part of an interval of the splines that a piece may span to compare places."""
-_GRID_POINTS = 5
-"""Points per axis of the grid that places are compared on, at most."""
+INTERVALS, SHARE, GRID = 10, 0.5, 5
+"""Intervals of the splines, part of one that a piece may span, and points per axis of the grid,
+that places are compared with."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +78,11 @@ class TrackerPlace:
     longest: float
 
 
-def beam_lengths(plan: Plan, place: Array) -> tuple[float, float]:
+def beam_lengths(plan: Plan, setup: Setup) -> tuple[float, float]:
     """Shortest and longest beam over the path, m."""
-    start, step = plan.path.points[:-1], np.diff(plan.path.points, axis=0)
-    length = np.maximum(np.einsum('ij,ij->i', step, step), 1e-18)
-    share = np.clip(np.einsum('ij,ij->i', place - start, step) / length, 0.0, 1.0)
-    near = np.linalg.norm(start + share[:, None] * step - place, axis=1).min()
-    far = np.linalg.norm(plan.path.points - place, axis=1).max()
-    return float(near), float(far)
+    track = nominal_track(setup.machine, [part.path for part in plan.parts]).points
+    beams = np.linalg.norm(track - setup.place, axis=1)
+    return float(beams.min()), float(beams.max())
 
 
 def advice(places: list[TrackerPlace], own: float) -> list[str]:
@@ -123,34 +114,29 @@ def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callabl
     Parameters
     ----------
     accepted : tuple of str
-        Blocks of unknowns that the plan shows, see ``Forecast.solution``.
+        Blocks of unknowns that the plan shows, see ``Forecast.accepted``.
 
     Returns
     -------
     callable(place) -> float
         Mean grid uncertainty, m, with the tracker at a place (3,), m.
     """
-    machine, limit, points = (
-        setup.machine,
-        setup.calibration.unidentifiable_above,
-        plan.path.points,
-    )
-    nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
-    unknowns = layout(smooth_bases(nodes, INTERVALS))
-    prior = expected_precision(unknowns, limit, setup.config.error_size)
-    grid = covered_grid(machine, points, min(setup.config.grid, _GRID_POINTS))
-    tables = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
-    free = free_rows(tables.reshape(-1, tables.shape[2]), grid)
-    rows = free @ table_rows(unknowns, nodes)
-    cut = equal_pieces(unknowns.knots, _PART_OF_INTERVAL, setup.calibration.piece_length)
-    pieces = forecast_pieces(plan, cut, setup)
+    judge = Judge(setup, plan.parts, INTERVALS)
+    rows = judge.field(min(setup.config.grid, GRID))
+    kept = judge.unknowns.kept
+    runs = planned_runs(plan.parts, setup, judge.nodes, INTERVALS, SHARE)
 
     def mean_grid_u(place: Array) -> float:
-        seen = replace(pieces, xyz=pieces.xyz + (setup.place - place))
-        system = build_system(machine, seen, tracker_pose(setup.at(place)), unknowns)
-        normal = normal_equations(system, unknowns, Whitener.of(system, seen, setup.noise))
-        covariance = solve(normal, unknowns, limit, accepted, prior).covariance
-        variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
+        normal = judge.known
+        for run in runs:
+            pieces = replace(run.pieces, xyz=run.pieces.xyz + (setup.place - place))
+            seen = replace(run, pieces=pieces, pose=tracker_pose(setup.at(place)))
+            system = build_system(seen, judge.unknowns)
+            whitener = Whitener.of(system, pieces, setup.noise)
+            normal = normal + normal_equations(system, judge.unknowns, whitener)
+        solution = solve(normal, judge.unknowns, setup.limit, accepted, judge.prior)
+        cover = solution.covariance[np.ix_(kept, kept)]
+        variance = np.einsum('ij,ij->i', rows @ cover, rows).reshape(-1, 3).sum(axis=1)
         return float(np.sqrt(np.maximum(variance, 0.0)).mean())
 
     return mean_grid_u
@@ -158,7 +144,7 @@ def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callabl
 
 def check_place(plan: Plan, setup: Setup) -> None:
     """Refuse a place whose beams leave the range limits; ConfigError says by how much."""
-    near, far = beam_lengths(plan, setup.place)
+    near, far = beam_lengths(plan, setup)
     low, high = setup.config.min_range, setup.config.max_range
     if near < low or far > high:
         raise ConfigError(
@@ -186,8 +172,8 @@ def candidate_places(machine: Machine, near: float) -> list[tuple[Array, str]]:
     near : float
         m, from the working volume; on the sides also twice as far.
     """
-    centre = 0.5 * (machine.lower + machine.upper)
-    half = 0.5 * (machine.upper - machine.lower)
+    low, high = linear_ends(machine)
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
     places = []
     for distance, x, y, z in product((near, 2 * near), (-1, 0, 1), (-1, 0, 1), (0, 1)):
         side = np.array([x, y, z])
@@ -215,12 +201,11 @@ def compare_places(
         Best first; places whose beams leave the range limits are not listed. That the beam is
         free and the target looks at the tracker is not checked.
     """
-    limits = setup.config
-    near = max(PLACE_DISTANCE, limits.min_range)
-    ranking = []
-    for place, words in candidate_places(setup.machine, near):
-        shortest, longest = beam_lengths(plan, place)
-        if shortest >= limits.min_range and longest <= limits.max_range:
+    limits, ranking = setup.config, []
+    for place, words in candidate_places(setup.machine, max(PLACE_DISTANCE, limits.min_range)):
+        shortest, longest = beam_lengths(plan, setup.at(place))
+        free = least_open(setup.machine, place) >= LEAST_OPEN
+        if free and shortest >= limits.min_range and longest <= limits.max_range:
             ranking.append(TrackerPlace(place, words, judge(place), shortest, longest))
     return sorted(ranking, key=lambda p: p.mean_grid_u)
 
@@ -396,22 +381,18 @@ def _seen(rows: Rows, question: OpenQuestion) -> Answer:
 
 def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> list[Plan]:
     """Paths within the time, the shortest first."""
-    plans = []
-    for passes, levels, ratio in product(PASSES, LEVELS, RATIOS):
-        if passes == 1 and ratio != RATIOS[0]:
-            continue
-        plans.append(
-            plan_path(
-                setup.machine, replace(config, passes=passes, levels=levels, feed_ratio=ratio)
-            )
-        )
-    timed = [(drive_times(p, setup.config.acceleration).duration, k) for k, p in enumerate(plans)]
-    shortest = min(timed)[0]
+    turns = bool(setup.machine.rotary_names)
+    plans = [
+        planned(setup, replace(config, passes=passes, levels=levels, feed_ratio=ratio))
+        for passes, levels, ratio in product(PASSES[:2] if turns else PASSES, LEVELS, RATIOS)
+        if ratio == RATIOS[0] or (passes > 1 and not turns)
+    ]
+    timed = [(sum(map(setup.seconds, p.parts)), k) for k, p in enumerate(plans)]
     affordable = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
     if not affordable:
         raise ConfigError(
             f'time_budget: no path takes {budget:g} s or less; the shortest takes '
-            f'{math.ceil(shortest)} s'
+            f'{math.ceil(min(timed)[0])} s'
         )
     return affordable[:COMPARED_PATHS]
 
@@ -421,7 +402,7 @@ def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Set
     if not before:
         return [setup]
     here = setup.at(before[-1].place)
-    across = setup.machine.lower + setup.machine.upper - here.place
+    across = sum(linear_ends(setup.machine)) - here.place
     other = setup.at(np.array([across[0], across[1], here.place[2]]))
     places = []
     for one in (here, other):
@@ -462,13 +443,11 @@ def plan_after(
     ConfigError
         If no path fits into the time.
     """
-    limit = setup.calibration.unidentifiable_above
     known = [run.observed(setup) for run in before]
     options: list[tuple[float, Plan, list[Answer], Setup]] = []
     for plan in _candidates(setup, config, budget):
         for there in _places(plan, setup, before):
-            planned = planned_solution(plan, there, forecast(plan, there))
-            rows = joint_rows(planned, known, limit)
+            rows = joint_rows(forecast(plan, there), known, setup.limit)
             answers = [answer_of_pieces(rows, q) for q in questions]
             worth = sum(min(a.log_odds, NAMED_LOG_ODDS) for a in answers)
             options.append((worth, plan, answers, there))

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.joints import Sight
+from otf_core.model.chain import Sight
+from otf_core.model.frames import XYZ
 from otf_core.model.machine import BED, SPINDLE, TABLE, Machine
-from otf_core.model.motions import AXES
-from otf_core.planning.rotary_paths import linear_middle, longest_run, positions_of
+from otf_core.planning.chains import linear_middle, longest_run, positions_of
 
 SIGHT_STEPS, DIRECTIONS = 24, 600
 """Positions of every rotary axis, and directions of a reflector, among which sight is judged."""
@@ -28,6 +28,8 @@ WORTH_MOVING = 0.1
 """More of the positions that another place must show for one to be refused."""
 BEHIND = np.radians(30.0)
 """rad about the line from a reflector to the spindle in which the spindle hides it."""
+PLACE_DISTANCE = 0.3
+"""m; of the usual place of the tracker from a working volume without rotary axes."""
 MOST_FACINGS = 8
 ENOUGH = 0.9
 """Share of the positions that facings are counted up to."""
@@ -153,7 +155,7 @@ def sights(machine: Machine, place: Array) -> dict[str, SightShare]:
     }
 
 
-def _least_open(machine: Machine, place: Array) -> float:
+def least_open(machine: Machine, place: Array) -> float:
     """Least share of the positions in which nothing hides a reflector."""
     shares = []
     for name in machine.targets:
@@ -174,7 +176,7 @@ def check_side(machine: Machine, place: Array) -> None:
     for name, sight in sights(machine, place).items():
         if sight.open < LEAST_OPEN:
             other = default_tracker_place(machine)
-            if _least_open(machine, other) < sight.open + WORTH_MOVING:
+            if least_open(machine, other) < sight.open + WORTH_MOVING:
                 continue  # no place is much better: the plan says what is hidden
             what = 'table' if machine.targets[name].link == TABLE else 'spindle'
             good = ', '.join(f'{v:.2f}' for v in other)
@@ -188,14 +190,28 @@ def _side(what: str) -> str:
     return 'on the side to which it tilts' if what == 'table' else 'where the reflector faces'
 
 
-def default_tracker_place(machine: Machine) -> Array:
-    """Default place of a tracker, shape (3,), m: high, on the side to which the table tilts.
+def linear_ends(machine: Machine) -> tuple[Array, Array]:
+    """Ends of the ranges of X, Y and Z, (3,) each, m; 0 for an axis that does not exist."""
+    own = [machine.axes.get(a) for a in XYZ]
+    return (
+        np.array([axis.min if axis else 0.0 for axis in own]),
+        np.array([axis.max if axis else 0.0 for axis in own]),
+    )
 
-    Tilting brings the table's normal to one side; on the other side the table hides its
-    reflectors. Where they are hidden from there too, the place about the machine from which they
-    are hidden least.
+
+def default_tracker_place(machine: Machine) -> Array:
+    """Default place of a tracker, shape (3,), m.
+
+    Without rotary axes in front of the volume (-Y) at half height; else high, on the side to which
+    the table tilts. Tilting brings the table's normal to one side; on the other side the table
+    hides its reflectors. Where they are hidden from there too, the place about the machine from
+    which they are hidden least.
     """
-    ends = np.array([(machine.axes[a].min, machine.axes[a].max) for a in AXES])
+    ends = np.stack(linear_ends(machine), axis=1)
+    if not machine.rotary_names:
+        place = ends.mean(axis=1)
+        place[1] = ends[1, 0] - PLACE_DISTANCE
+        return np.asarray(place)
     side = np.array([-1.0, -1.0, 0.0])
     if machine.tracker.link == BED:
         for name in (a for a in machine.chain.table_side if a in machine.rotary_names):
@@ -213,9 +229,9 @@ def default_tracker_place(machine: Machine) -> Array:
         return np.asarray(ends.mean(axis=1) + reach * np.array([*flat, height]))
 
     usual = at(side, 0.5)
-    if _least_open(machine, usual) >= LEAST_OPEN:
+    if least_open(machine, usual) >= LEAST_OPEN:
         return usual
     turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     places = [usual]
     places += [at(np.array([np.cos(t), np.sin(t)]), h) for h in (0.5, 0.1, 1.0) for t in turns]
-    return max(places, key=lambda place: _least_open(machine, place))
+    return max(places, key=lambda place: least_open(machine, place))

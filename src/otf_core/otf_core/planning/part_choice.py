@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a machine with rotary axes: the chains that show its errors within a time.
+"""The chains that show the errors of rotary axes within a time.
 
 From all chains those are taken out, some at a time, whose loss costs least per second,
 
@@ -19,31 +19,24 @@ from itertools import accumulate, groupby, pairwise
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig
+from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
-from otf_core.model.plan import AxisPlan
-from otf_core.noise.noise_model import NoiseModel
-from otf_core.planning.axis_programs import on_axis_increment
+from otf_core.model.plan import Part, Plan
+from otf_core.planning.chains import HAND_MOVE, Chain, candidate_chains, parts_of
 from otf_core.planning.facings import facing_chains
+from otf_core.planning.forecast import Judge, Setup
 from otf_core.planning.line_of_sight import (
     HAND_TURN,
-    default_tracker_place,
     facings_needed,
     sights,
 )
-from otf_core.planning.rotary_forecast import Judge, duration_of
-from otf_core.planning.rotary_paths import (
-    HAND_MOVE,
-    Chain,
-    PlannedPart,
-    candidate_chains,
-    parts_of,
-)
+from otf_core.planning.nc.programs import on_increments
+from otf_core.planning.path_creation import plan_path
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.solution import Positive
 
-ROTARY_TIME = 600.0
+DRIVING_TIME = 600.0
 """s of driving beside the lines that a plan takes where no time is given."""
 FEWEST_LEVELS = 2
 """Levels of the shorter lines that a budget may choose."""
@@ -51,88 +44,67 @@ UNSEEN, HARDLY = 30.0, 0.15
 """What an error that is not seen costs, and the share of its variance from which it is not."""
 AT_ONCE = 0.06
 """Share of the chains that goes at once while the time is far exceeded."""
-COARSE, LONG_PIECES = 10, 4.0
-"""Intervals of the range of an axis, and how much longer pieces are, where chains are chosen."""
+COARSE = 10
+"""Intervals of the range of an axis where chains are chosen."""
 SHORT_LIST = 6
 """Chains whose worth is computed beyond first order, beside those that go at once."""
 
 
 def choose_parts(
-    machine: Machine,
-    place: Array,
-    config: PlannerConfig,
-    judged: ForecastConfig,
-    noise: NoiseModel | None = None,
-    time_budget: float | None = None,
-) -> list[PlannedPart]:
+    setup: Setup, config: PlannerConfig, time_budget: float | None = None
+) -> tuple[Part, ...]:
     """Choose the parts of a plan.
 
     Parameters
     ----------
-    place : ndarray, shape (3,), m
-        Beam origin of the tracker in the frame of its link.
     time_budget : float, optional
         s for all driving and all moves and turns by hand; without it all lines, and
-        ``ROTARY_TIME`` for the rest.
+        ``DRIVING_TIME`` for the rest.
 
     Raises
     ------
     ConfigError
         If the time is too short for any chain.
     """
-    chains = candidate_chains(machine, config) + facing_chains(machine, place)
+    machine = setup.machine
+    chains = candidate_chains(machine, config) + facing_chains(machine, setup.place)
     if time_budget is not None and config.levels > FEWEST_LEVELS:
         few = replace(config, levels=FEWEST_LEVELS)
         chains += [c for c in candidate_chains(machine, few) if c.is_lines]
     chains = sorted(chains, key=lambda c: (list(machine.targets).index(c.target), not c.is_lines))
-    choice = _Choice(machine, chains, place, config, judged, noise, time_budget)
+    choice = _Choice(setup, chains, config, time_budget)
     selected = (
         list(range(len(chains))) if choice.spent(chains) <= choice.limit else choice.choose()
     )
-    return parts_of(machine, [chains[k] for k in selected])
+    return parts_of(machine, [chains[k] for k in selected], config)
 
 
 class _Choice:
     """Chains, what they say and how long they take."""
 
     def __init__(
-        self,
-        machine: Machine,
-        chains: Sequence[Chain],
-        place: Array,
-        config: PlannerConfig,
-        judged: ForecastConfig,
-        noise: NoiseModel | None,
-        time_budget: float | None,
+        self, setup: Setup, chains: Sequence[Chain], config: PlannerConfig, budget: float | None
     ) -> None:
-        self.machine, self.chains, self.config = machine, chains, config
-        self.whole = time_budget is not None
-        self.limit = ROTARY_TIME if time_budget is None else time_budget
-        each = [parts_of(machine, [c])[0] for c in chains]
-        self.seconds = [duration_of(machine, p, config) for p in each]
-        piece = LONG_PIECES * CalibrationConfig.piece_length
-        self.judge = Judge(_coarser(machine), each, place, config, judged, noise, piece)
-        self.each = each
+        self.setup, self.chains, self.config = setup, chains, config
+        self.whole, self.limit = budget is not None, budget or DRIVING_TIME
+        machine = setup.machine
+        self.each = [parts_of(machine, [c], config)[0] for c in chains]
+        self.seconds = [setup.seconds(part) for part in self.each]
+        self.judge = Judge(setup, self.each, COARSE)
         self.turning = {n: HAND_TURN * (facings_needed(s) - 1)
-                        for n, s in sights(machine, place).items()
+                        for n, s in sights(machine, setup.place).items()
                         if not machine.targets[n].nest}  # fmt: skip
 
     @cached_property
     def equations(self) -> list[NormalEquations]:
         """What the samples of every chain say."""
-        return [self.judge.equations(p) for p in self.each]
-
-    @cached_property
-    def rows(self) -> Array:
-        """All errors at their nodes from the free unknowns, (m, free)."""
-        solved = self.judge.solved(self.judge.known)
-        return np.asarray(self.judge.values(solved) @ self.judge.unknowns.gauge)
+        return self.judge.equations(self.each)
 
     @cached_property
     def starts(self) -> list[int]:
         """First row of every error."""
-        sizes = [1] * len(self.machine.scalars)
-        sizes += [len(self.judge.nodes[m.axis]) for m in self.machine.motions]
+        sizes = [1] * len(self.setup.machine.scalars)
+        sizes += [len(self.judge.nodes[m.axis]) for m in self.setup.machine.motions]
         return [0, *accumulate(sizes[:-1])]
 
     def choose(self) -> list[int]:
@@ -199,11 +171,11 @@ class _Choice:
 
     def spent(self, chains: Sequence[Chain]) -> float:
         """Time that counts: all of it, or without a budget the driving beside the lines, s."""
-        parts = parts_of(self.machine, chains)
-        took = [duration_of(self.machine, p, self.config) for p in parts]
+        parts = parts_of(self.setup.machine, chains, self.config)
+        took = [self.setup.seconds(part) for part in parts]
         if self.whole:
             turned = {c.target for c in chains if not c.is_lines}
-            moves, turns = work_by_hand(self.machine, parts)
+            moves, turns = work_by_hand(self.setup.machine, parts)
             by_hand = HAND_MOVE * moves + HAND_TURN * turns
             return sum(took) + by_hand + sum(self.turning.get(t, 0) for t in turned)
         kinds = [kind for kind, _ in groupby(chains, key=lambda c: c.part)]
@@ -211,7 +183,7 @@ class _Choice:
 
     def _hand(self, selected: Sequence[int], k: int) -> float:
         """Time by hand, s, that goes with a chain: of the only one of its target."""
-        own, targets = self.chains[k], self.machine.targets
+        own, targets = self.chains[k], self.setup.machine.targets
         others = [self.chains[i].target for i in selected if i != k]
         if not self.whole or own.target in others:
             return 0.0
@@ -222,21 +194,21 @@ class _Choice:
 
     def _variances(self, normal: NormalEquations) -> Array:
         """Mean variance of every error over its nodes."""
-        return self._means(self._cover(normal) @ self.rows.T)
+        return self._means(self._cover(normal) @ self.judge.errors.T)
 
     def _cover(self, normal: NormalEquations) -> Array:
         """Covariance of the free unknowns, in units of the squared limit."""
-        return Positive((normal.matrix + self.judge.prior) * self.judge.limit**2).inverse
+        return Positive((normal.matrix + self.judge.prior) * self.setup.limit**2).inverse
 
     def _means(self, pulled: Array) -> Array:
-        variance = np.einsum('ij,ji->i', self.rows, pulled)
+        variance = np.einsum('ij,ji->i', self.judge.errors, pulled)
         sizes = np.diff([*self.starts, len(variance)])
         return np.asarray(np.maximum(np.add.reduceat(variance, self.starts) / sizes, 1e-30))
 
     def _slope(self, normal: NormalEquations) -> Array:
         """Minus the derivative of S by the normal equations, (free, free)."""
-        pulled = self._cover(normal) @ self.rows.T
-        sizes = np.diff([*self.starts, len(self.rows)])
+        pulled = self._cover(normal) @ self.judge.errors.T
+        sizes = np.diff([*self.starts, len(self.judge.errors)])
         weight = np.repeat(1.0 / (sizes * self._means(pulled)), sizes)
         return np.asarray((pulled * weight) @ pulled.T)
 
@@ -252,16 +224,7 @@ class _Choice:
         return float(np.log(variance).sum()) + UNSEEN * unseen
 
 
-def _coarser(machine: Machine) -> Machine:
-    """A machine with ``COARSE`` intervals between the nodes of an axis at most."""
-    axes = {
-        name: replace(own, table_pitch=max(own.table_pitch, (own.max - own.min) / COARSE))
-        for name, own in machine.axes.items()
-    }
-    return replace(machine, axes=axes)
-
-
-def work_by_hand(machine: Machine, parts: Sequence[PlannedPart]) -> tuple[int, int]:
+def work_by_hand(machine: Machine, parts: Sequence[Part]) -> tuple[int, int]:
     """How often the reflector is taken to another place, and how often turned in its nest."""
     order = [target for target, _ in groupby(parts, key=lambda p: p.path.target)]
     nests = [machine.targets[target].nest for target in order]
@@ -269,33 +232,11 @@ def work_by_hand(machine: Machine, parts: Sequence[PlannedPart]) -> tuple[int, i
     return len(order) - 1 - turns, turns
 
 
-def planned_parts(
-    machine: Machine,
-    config: PlannerConfig,
-    place: Array | None = None,
-    judged: ForecastConfig | None = None,
-    noise: NoiseModel | None = None,
-    time_budget: float | None = None,
-) -> list[PlannedPart]:
-    """Parts to drive, at positions that a program can state; see ``part_choice.choose_parts``.
+def planned(setup: Setup, config: PlannerConfig) -> Plan:
+    """What to drive where nothing else is wished, at positions that a program can state.
 
-    Parameters
-    ----------
-    place : ndarray, shape (3,), m, optional
-        Beam origin in the frame of the tracker's link; by default ``default_tracker_place``.
+    Laps of the linear axes, or with rotary ones the parts that ``choose_parts`` takes.
     """
-    at = default_tracker_place(machine) if place is None else place
-    judged = judged or ForecastConfig()
-    chosen = choose_parts(machine, at, config, judged, noise, time_budget)
-    return [on_axis_increment(machine, part) for part in chosen]
-
-
-def axis_plan(machine: Machine, parts: Sequence[PlannedPart], config: PlannerConfig) -> AxisPlan:
-    """Plan to drive parts: feed as in the forecast, dwells of the parts or of all corners."""
-    return AxisPlan(
-        tuple(part.path for part in parts),
-        tuple(config.feed for _ in parts),
-        tuple(part.halt(config) for part in parts),
-        tuple(part.stops for part in parts),
-        sum(duration_of(machine, part, config) for part in parts),
-    )
+    turns = bool(setup.machine.rotary_names)
+    parts = choose_parts(setup, config) if turns else plan_path(setup.machine, config).parts
+    return on_increments(setup.machine, parts)

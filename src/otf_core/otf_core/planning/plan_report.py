@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,12 +12,15 @@ import numpy as np
 
 from otf_core.aside import Aside
 from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.diagnosis.engine.residual_rows import rows_of
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.planning.findings import UnseenError, findings, forecast_effects, forecast_rows
+from otf_core.planning.chains import HAND_MOVE
+from otf_core.planning.clearance import near_misses
+from otf_core.planning.findings import UnseenError, findings, forecast_effects
 from otf_core.planning.follow_up import (
     Answer,
     OpenQuestion,
@@ -31,38 +34,22 @@ from otf_core.planning.follow_up import (
 from otf_core.planning.forecast import (
     Forecast,
     MeasuredRun,
-    Planned,
     PlannedSystematic,
     Setup,
     forecast,
-    planned_solution,
     planned_systematic,
 )
-from otf_core.planning.nc.programs import round_to_increment
-from otf_core.planning.path_creation import plan_path
-from otf_core.planning.path_optimiser import PathOptimiser
+from otf_core.planning.line_of_sight import (
+    HAND_TURN,
+    SightShare,
+    check_side,
+    facings_needed,
+    sights,
+)
+from otf_core.planning.nc.programs import on_increments
+from otf_core.planning.part_choice import planned, work_by_hand
+from otf_core.planning.path_optimiser import options_of, plan_for_time, plan_for_uncertainty
 from otf_core.threads import one_thread
-
-# A plan with all that is known of it before anything moves.
-
-
-@dataclass(frozen=True)
-class EffectForecast:
-    """How well a plan would show one effect beyond the rigid body.
-
-    Attributes
-    ----------
-    effect : str
-        Name in gap.json.
-    words : str
-        One line.
-    data : mapping
-        Entry for plan.json.
-    """
-
-    effect: str
-    words: str
-    data: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -75,10 +62,16 @@ class PlanReport:
         How the path came about, one line.
     places : tuple of TrackerPlace
         Ranked places of the tracker.
-    systematic : PlannedSystematic, optional
+    effects : sequence of mapping
+        How well the plan would show effects beyond the rigid body, see ``forecast_effects``.
+    systematic : PlannedSystematic
         The grid with systematic contributions; everything else is noise only.
     after : tuple of Answer
         What the plan would say to the questions that a diagnosis left open.
+    sight : mapping of target to SightShare
+        Of targets that rotary axes turn before the tracker.
+    near : sequence of str
+        What comes near to what.
     """
 
     plan: Plan
@@ -88,9 +81,37 @@ class PlanReport:
     findings: tuple[UnseenError, ...]
     places: tuple[TrackerPlace, ...]
     advice: tuple[str, ...]
-    effects: tuple[EffectForecast, ...] = field(default=())
-    systematic: PlannedSystematic | None = None
-    after: tuple[Answer, ...] = ()
+    effects: Sequence[Mapping[str, Any]]
+    systematic: PlannedSystematic
+    after: tuple[Answer, ...]
+    sight: Mapping[str, SightShare]
+    near: Sequence[str]
+
+    @property
+    def turns(self) -> int:
+        """How often a reflector is turned by hand to its next facing."""
+        machine = self.setup.machine
+        turning = [machine.column(a) for a in machine.rotary_names]
+        driven = {
+            part.target
+            for part in self.plan.parts
+            if np.ptp(part.path.positions[:, turning], axis=0).any()
+        }
+        return work_by_hand(machine, self.plan.parts)[1] + sum(
+            facings_needed(s) - 1
+            for name, s in self.sight.items()
+            if name in driven and not machine.targets[name].nest
+        )
+
+    @property
+    def moves(self) -> int:
+        """How often a reflector is taken to another place by hand."""
+        return work_by_hand(self.setup.machine, self.plan.parts)[0]
+
+    @property
+    def by_hand(self) -> float:
+        """Time for moves and turns of the reflector by hand, s."""
+        return HAND_MOVE * self.moves + HAND_TURN * self.turns
 
 
 @dataclass(frozen=True)
@@ -154,33 +175,35 @@ def read_place(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[Plan, str]:
-    """Plan as requested, and a line that says how it came about."""
-    if request.given is not None:
-        return request.given, 'the path given'
-    if request.time_budget is None and request.wanted_uncertainty is None:
-        passes = 'one pass' if config.passes == 1 else f'{config.passes} passes'
-        return plan_path(setup.machine, config), f'path creator, {passes}'
-    optimiser = PathOptimiser(setup, config)
-    if request.time_budget is not None:
-        best = optimiser.for_time(request.time_budget)
-        aim = f'least mean grid uncertainty in {request.time_budget:g} s'
-    else:
-        assert request.wanted_uncertainty is not None
-        best = optimiser.for_uncertainty(request.wanted_uncertainty)
-        aim = f'mean grid uncertainty of {1e6 * request.wanted_uncertainty:g} um in a short time'
-    passes = (
-        'driven once' if best.passes == 1 else f'{best.passes} passes, every second one reversed'
-    )
-    return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
-
-
-def _chosen(
+def _choose(
     request: PlanRequest, setup: Setup, config: PlannerConfig
 ) -> tuple[Plan, str, list[Answer], Setup]:
-    """Plan as requested, after a diagnosis with what it would say to its questions."""
-    if not request.questions:
-        return *_choose(request, setup, config), [], setup
+    """Plan as requested, how it came about, answers to questions, and where the tracker stands."""
+    if request.questions:
+        return _after(request, setup, config)
+    if request.given is not None:
+        return request.given, 'the path given', [], setup
+    budget, wanted = request.time_budget, request.wanted_uncertainty
+    if budget is None and wanted is None:
+        plan, count = planned(setup, config), config.passes
+        passes = 'one pass' if count == 1 else f'{count} passes'
+        parts = f', {len(plan.parts)} parts' if len(plan.parts) > 1 else ''
+        return plan, f'path creator, {passes}{parts}', [], setup
+    options = options_of(setup, config)
+    if budget is not None:
+        best = plan_for_time(options.attempt, budget)
+        aim = f'least uncertainty in {budget:g} s'
+    else:
+        assert wanted is not None
+        best = plan_for_uncertainty(options.attempt, wanted, options.guess(wanted))
+        aim = f'mean grid uncertainty of {1e6 * wanted:g} um in a short time'
+    return best.plan, f'{aim}; {best.how}', [], setup
+
+
+def _after(
+    request: PlanRequest, setup: Setup, config: PlannerConfig
+) -> tuple[Plan, str, list[Answer], Setup]:
+    """Plan after a diagnosis, with what it would say to its questions."""
     before = request.before
     plan, answers, there = plan_after(
         request.questions, setup, config, request.time_budget, before
@@ -196,16 +219,11 @@ def _chosen(
 
 
 def _judge_places(
-    plan: Plan, setup: Setup, forecast: Forecast, planned: Planned
+    plan: Plan, setup: Setup, forecast: Forecast
 ) -> tuple[list[TrackerPlace], float, PlannedSystematic]:
     """Places of the tracker compared, what is left at the one chosen, what is systematic."""
-    judge = judge_places(plan, setup, forecast.solution.accepted)
-    systematic = planned_systematic(planned, forecast)
-    return compare_places(plan, setup, judge), judge(setup.place), systematic
-
-
-def _worth(efficiency: float) -> str:
-    return f'{100 * efficiency:.0f} % of the information of an ideal allocation of time to lines'
+    judge = judge_places(plan, setup, forecast.accepted)
+    return compare_places(plan, setup, judge), judge(setup.place), planned_systematic(forecast)
 
 
 def make_plan(
@@ -224,29 +242,21 @@ def make_plan(
     """
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)
+    check_side(machine, setup.place)
     progress('choosing lines', 0.0)
     with one_thread():
-        plan, how, answers, setup = _chosen(request, setup, config)
-        plan = round_to_increment(plan, machine.lower, machine.upper)
+        plan, how, answers, setup = _choose(request, setup, config)
+        plan = on_increments(machine, plan.parts)
         check_place(plan, setup)
         progress('forecasting', 0.0)
-        outlook: Forecast = forecast(plan, setup)
-        limit = setup.calibration.unidentifiable_above
-        planned = planned_solution(plan, setup, outlook)
-        judge = partial(_judge_places, plan, setup, outlook, planned)
-        with Aside(judge, (plan, setup, outlook, planned), later=True) as aside:
+        outlook = forecast(plan, setup)
+        judge = partial(_judge_places, plan, setup, outlook)
+        with Aside(judge, (plan, setup, outlook), later=True) as aside:
             progress('looking for effects', 0.0)
-            effects = forecast_effects(forecast_rows(planned, limit))
+            effects = forecast_effects(rows_of(outlook.runs, outlook.joint, setup.limit))
             places, own, systematic = aside.result()
     return PlanReport(
-        plan,
-        how,
-        setup,
-        outlook,
-        findings(outlook, machine, limit),
-        tuple(places),
-        tuple(advice(places, own)),
-        tuple(EffectForecast(e['effect'], e['words'], e) for e in effects),
-        systematic,
-        tuple(answers),
-    )
+        plan, how, setup, outlook, findings(plan, outlook, setup.limit), tuple(places),
+        tuple(advice(places, own)), effects, systematic, tuple(answers),
+        sights(machine, setup.place), near_misses(machine, plan.parts, setup.place),
+    )  # fmt: skip

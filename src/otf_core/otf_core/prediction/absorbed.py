@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.model.chain import Sight, nominal_position
 from otf_core.model.evaluation import rigid_columns
-from otf_core.model.kinematics import motion_influence, squareness_influence, turn_arms
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model.motions import ErrorMotion
 
 COUNT = 5
 """Places per axis at which displacements are compared; as many as a cubic needs, and one."""
@@ -86,20 +86,26 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
         With the target offset that was measured with.
     hidden : collection of str
         Motions and squareness errors that the data cannot see.
+
+    Notes
+    -----
+    Of linear axes: where axes turn, the place of every reflector is an unknown.
     """
-    places = [np.linspace(-1.0, 1.0, COUNT)] * 3
+    if machine.location:  # u of the tables holds what was taken for zero
+        return OffsetBound(machine.target_offset)
+    places = [np.linspace(-1.0, 1.0, COUNT)] * len(machine.axis_names)
     s = np.stack([g.ravel() for g in np.meshgrid(*places, indexing='ij')], axis=1)
     q = 0.5 * (machine.lower + machine.upper) + 0.5 * s * (machine.upper - machine.lower)
     names, columns = _seen_columns(machine, hidden, s, q)
-    basis = np.concatenate([rigid_columns(q), *columns], axis=2).reshape(3 * len(q), -1)
+    rigid = rigid_columns(nominal_position(machine, q))
+    basis = np.concatenate([rigid, *columns], axis=2).reshape(3 * len(q), -1)
     scale = np.linalg.norm(basis, axis=0)
     used = scale > 0
     contained: dict[str, list[str]] = {}
-    for rotation in (m for m in MOTIONS if m in hidden and not m.is_translation):
-        arm = np.broadcast_to(machine.target_offset, q.shape)
-        functions = _shapes(rotation, s[:, rotation.place])
-        moved = turn_arms(rotation.along, arm)[:, :, None] * functions[:, None, :]
-        moved = moved.reshape(3 * len(q), -1)
+    for rotation in (m for m in machine.motions if m in hidden and not m.is_translation):
+        functions = _shapes(rotation, s[:, machine.column(rotation.axis)])
+        moved = np.cross(np.eye(3)[rotation.along], machine.target_offset)
+        moved = (moved[:, None] * functions[:, None, :]).reshape(3 * len(q), -1)
         if not np.abs(moved).max() > 0:
             continue
         weights = np.zeros((basis.shape[1], moved.shape[1]))
@@ -111,22 +117,23 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
             if size[start:stop].max() > LEAST:
                 contained.setdefault(name, []).append(rotation)
             start = stop
+    order = (*machine.squareness, *machine.motions)
     return OffsetBound(
-        machine.target_offset,
-        {n: tuple(contained[n]) for n in (*SQUARENESS, *MOTIONS) if n in contained},
+        machine.target_offset, {n: tuple(contained[n]) for n in order if n in contained}
     )
 
 
 def _seen_columns(
     machine: Machine, hidden: Collection[str], s: Array, q: Array
 ) -> tuple[list[str], list[Array]]:
-    """Names of what can take it up, and the displacements (n, 3, k) of each at q (n, 3)."""
-    names: list[str] = [n for n in SQUARENESS if n not in hidden]
-    columns = [squareness_influence(n, q)[:, :, None] for n in names]
-    for motion in (m for m in MOTIONS if m.is_translation and m not in hidden):
-        shapes = _shapes(motion, s[:, motion.place])
+    """Names of what can take it up, and the displacements (n, 3, m) of each at q (n, k)."""
+    names: list[str] = [n for n in machine.squareness if n not in hidden]
+    view = Sight.of_tool(machine).at(q)
+    columns = [view.scalars[n][:, :, None] for n in names]
+    for motion in (m for m in machine.motions if m.is_translation and m not in hidden):
+        shapes = _shapes(motion, s[:, machine.column(motion.axis)])
         names.append(motion)
-        columns.append(motion_influence(machine, motion, q)[:, :, None] * shapes[:, None, :])
+        columns.append(view.influence(motion)[:, :, None] * shapes[:, None, :])
     return names, columns
 
 

@@ -13,28 +13,15 @@ from numpy.typing import NDArray
 from otf_core.model.machine import Machine
 
 
-def pack_covariance(
-    covariance: NDArray[np.float64], machine: Machine | None = None
-) -> dict[str, Any]:
+def pack_covariance(covariance: NDArray[np.float64], machine: Machine) -> dict[str, Any]:
     """Return a covariance as plain data: lower triangle, row by row, exact to the last bit."""
     lower = covariance[np.tril_indices(len(covariance))].astype('<f8')
     return {
-        'order': _order(machine),
+        'order': f'{", ".join(machine.scalars)}, then the nodes of {", ".join(machine.motions)}',
         'size': len(covariance),
         'packing': 'lower triangle by rows, little-endian float64, base64',
         'data': base64.b64encode(lower.tobytes()).decode('ascii'),
     }
-
-
-def _order(machine: Machine | None) -> str:
-    """Order of its rows in words."""
-    last, location = 'Z', ''
-    if machine is not None and machine.rotary_names:
-        last, location = machine.axis_names[-1], f'{", ".join(machine.location)}, '
-    return (
-        f'C0Y, B0Z, A0Z, {location}then the nodes of EXX, EYX, EZX, EAX, EBX, ECX, EXY ... '
-        f'EC{last}'
-    )
 
 
 def unpack_covariance(packed: Any, size: int) -> NDArray[np.float64] | None:

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
+from otf_core.model.machine import Machine
+from otf_core.model.motions import AXES
 from otf_core.model.tables import ErrorTables
 
 FLAT = 1e-4
@@ -154,12 +156,23 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
     return low, high
 
 
+def linear_positions(machine: Machine, q: Array) -> Array:
+    """Positions (n, 3), m, of X, Y and Z at axis positions (n, k), zero along what is no axis."""
+    linear = np.zeros((len(q), 3))
+    for k, axis in enumerate(AXES):
+        if axis in machine.axis_names:
+            linear[:, k] = q[:, machine.column(axis)]
+    return linear
+
+
 def inside(tables: ErrorTables, driven: DrivenVolume | None, q: Array) -> NDArray[np.bool_]:
     """Determine which positions (n, k), m and rad, lie in the tables and in what was driven.
 
-    The hull of what was driven is that of the linear axes.
+    The hull of what was driven is that of the linear axes, zero along what is none.
     """
-    low, high = table_ranges(tables)
-    at = tables.machine.wrapped(q)
+    machine, (low, high) = tables.machine, table_ranges(tables)
+    at = machine.wrapped(q)
     within = np.all((at >= low - EDGE) & (at <= high + EDGE), axis=1)
-    return np.asarray(within if driven is None else within & driven.holds(q[:, :3]))
+    if driven is None:
+        return np.asarray(within)
+    return np.asarray(within & driven.holds(linear_positions(machine, q)))

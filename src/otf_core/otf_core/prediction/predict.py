@@ -1,27 +1,274 @@
 # SPDX-License-Identifier: Apache-2.0
 """Volumetric errors predicted from error tables, with their standard uncertainty.
 
-u is that of the tables (linear propagation of their covariance) and, for another tool, of
-rotations that the data do not see (``table_prior``). Outside the driven volume no u is stated.
+u is that of the tables (linear propagation of their covariance); outside the driven volume none is
+stated. A rotation r that the data do not see (``identifiable: false``) is written as zero. At the
+target offset T that was measured with it needs no place in u: what it does there other motions can
+do as well, and their tables hold it. With another offset T' the tables lack, of linear axes,
+
+    r(q) x (T' - T)
+
+``prior: {MOTION: {"sd": r}}`` of error_tables.json holds the standard deviation r (rad) of what it
+may be, and u includes that.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.tables import ErrorTables, TablesFile
-from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.predictor import PredictedErrors, Predictor
+from otf_core.model.chain import Sight, displacement
+from otf_core.model.machine import Machine
+from otf_core.model.motions import is_motion
+from otf_core.model.tables import ErrorTables, TablesFile, load_tables
+from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.driven_volume import (
+    EDGE,
+    DrivenVolume,
+    driven_from_dict,
+    inside,
+    table_ranges,
+)
+from otf_core.prediction.uncertainty import prediction_uncertainty
 
 ABSURD = 10.0
 """Points further outside than this many axis ranges are refused: another unit, most likely."""
+LONGEST_OFFSET = 10.0
+"""m; as in machine.yaml."""
+NO_LEVER = 1e-9
+"""m; shorter levers are rounding."""
+REPEATED = 2
+"""Corrections of the commanded position: what the second leaves is below 1e-12 m for errors of
+100 um that change by 1e-4."""
+
+
+@dataclass(frozen=True)
+class PredictedErrors:
+    """Errors at positions.
+
+    Attributes
+    ----------
+    error, u : ndarray, shape (n, 3), m
+        Actual minus nominal, and its standard uncertainty (k = 1); u is not a number outside.
+    inside : ndarray of bool, shape (n,)
+        Whether a position lies in the driven volume.
+    """
+
+    error: Array
+    u: Array
+    inside: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """Error tables for one target offset, with all that their uncertainty needs.
+
+    Attributes
+    ----------
+    tables : ErrorTables
+        With the target offset that is predicted for.
+    measured : ErrorTables
+        With the one that was measured with.
+    covariance : ndarray, shape (m, m)
+        Of squareness and nodes, see ``uncertainty.prediction_rows``.
+    correlated : bool
+        False if the file holds no covariance: nodes are taken as independent.
+    prior : mapping of motion to float
+        Standard deviations of what was not seen.
+    not_seen : tuple of str
+        Motions and squareness errors that the data did not see.
+    holds : str
+        What u contains, in words.
+    lacking : tuple of str
+        What the file does not say and is zero therefore, in words.
+    """
+
+    tables: ErrorTables
+    measured: ErrorTables
+    covariance: Array
+    correlated: bool
+    prior: Mapping[str, float]
+    driven: DrivenVolume | None
+    not_seen: tuple[str, ...]
+    holds: str
+    lacking: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, source: str | Path | TablesFile, target_offset: Array | None = None) -> Predictor:
+        """Read tables.
+
+        Parameters
+        ----------
+        target_offset : ndarray, shape (3,), m, optional
+            See ``predict.predict``.
+
+        Raises
+        ------
+        ConfigError
+            If the tables cannot be read, or the offset is none.
+        """
+        content = source if isinstance(source, TablesFile) else load_tables(source)
+        name = 'tables' if isinstance(source, TablesFile) else str(source)
+        measured, extra = content.tables, content.extra
+        machine = replace(measured.machine, target_offset=_offset(measured, target_offset))
+        described = measured.machine
+        size = len(described.scalars)
+        size += sum(len(measured.motions[m].position) for m in described.motions)
+        covariance = unpack_covariance(extra.get('covariance'), size)
+        return cls(
+            tables=replace(measured, machine=machine),
+            measured=measured,
+            covariance=_independent(measured) if covariance is None else covariance,
+            correlated=covariance is not None,
+            prior=prior_from_dict(extra.get('prior'), name),
+            driven=driven_from_dict(extra.get('driven'), name),
+            not_seen=_not_seen(measured, extra),
+            holds=_contained(measured, extra),
+            lacking=_lacking(content, covariance is None),
+        )
+
+    def unseen(self, q: Array) -> dict[str, Array]:
+        """What was not seen and acts through the new target offset, per rad, each (n, 3), m."""
+        if np.array_equal(self.tables.machine.target_offset, self.measured.machine.target_offset):
+            return {}
+        new, old = (Sight.of_tool(t.machine).at(q) for t in (self.tables, self.measured))
+        acting = {n: new.influence(n) - old.influence(n) for n in self.not_seen}
+        return {n: own for n, own in acting.items() if np.any(np.abs(own) > NO_LEVER)}
+
+    def at(self, q: Array) -> PredictedErrors:
+        """Evaluate at programmed axis positions (n, k), m and rad."""
+        machine = self.tables.machine
+        nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in machine.motions}
+        variance = prediction_uncertainty(machine, nodes, self.covariance, q) ** 2
+        for name, influence in self.unseen(q).items():
+            variance += (self.prior.get(name, 0.0) * influence) ** 2
+        within = inside(self.measured, self.driven, q)
+        u = np.where(within[:, None], np.sqrt(variance), np.nan)
+        return PredictedErrors(displacement(self.tables, q), u, within)
+
+    def corrected(self, wanted: Array) -> Array:
+        """Positions to command so that the target comes to the wanted ones, by the linear axes.
+
+        Parameters
+        ----------
+        wanted : ndarray, shape (n, k), m and rad
+            Programmed axis positions.
+
+        Returns
+        -------
+        ndarray, shape (n, k), m and rad
+            What linear axes that are missing would correct stays.
+        """
+        machine, command = self.tables.machine, wanted
+        linear = [not machine.axes[a].rotary for a in machine.axis_names]
+        velocity = Sight.of_tool(machine).at(wanted).velocity[:, :, linear]
+        inverse = np.linalg.pinv(velocity)
+        for _ in range(REPEATED):
+            error = displacement(self.tables, command)
+            command = wanted.copy()
+            command[:, linear] -= np.einsum('nij,nj->ni', inverse, error)
+        return command
+
+
+def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
+    """What a file does not say, ``u`` only where it is taken ``from_nodes``."""
+    notes = []
+    if content.without_value:
+        notes.append(
+            f'the tables do not contain {", ".join(content.without_value)}: taken as zero'
+        )
+    if content.without_u and from_nodes:
+        names = ', '.join(content.without_u)
+        notes.append(f'the tables hold no u of {names}: taken as exact, so u is too small')
+    return tuple(notes)
+
+
+def _independent(tables: ErrorTables) -> Array:
+    own = [np.array([tables.squareness[k].u]) for k in tables.machine.squareness]
+    own += [np.array([tables.location[k].u]) for k in tables.machine.location]
+    own += [tables.motions[k].u for k in tables.machine.motions]
+    return np.diag(np.concatenate(own) ** 2)
+
+
+def _contained(tables: ErrorTables, extra: Mapping[str, Any]) -> str:
+    budget = extra.get('budget')
+    if not isinstance(budget, Mapping) or not isinstance(budget.get('not_stated'), list):
+        return 'the contributions in the tables, which their file does not state'
+    missing = ', '.join(map(str, budget['not_stated']))
+    if not missing:
+        return 'noise, misfit and the declared systematic contributions'
+    if tables.machine.uncertainty is None:
+        return 'noise and misfit only, no systematic contribution'
+    return f'noise, misfit and what was declared, but not: {missing}'
+
+
+def _not_seen(tables: ErrorTables, extra: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of motions and squareness errors that the data did not see."""
+    listed = extra.get('not_identifiable')
+    machine = tables.machine
+    squareness = [n for n in machine.squareness if isinstance(listed, list) and n in listed]
+    location = [n for n in machine.location if not tables.location[n].identifiable]
+    motions = (m for m in machine.motions if not tables.motions[m].identifiable)
+    return (*squareness, *location, *motions)
+
+
+def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
+    if wanted is None:
+        return tables.machine.target_offset
+    offset = np.asarray(wanted, dtype=float)
+    if offset.shape != (3,) or not np.all(np.isfinite(offset)):
+        raise ConfigError('target_offset: expected three finite numbers, in m')
+    if np.max(np.abs(offset)) > LONGEST_OFFSET:
+        raise ConfigError(
+            f'target_offset: {offset.tolist()} m is not a plausible tool length; unit is m'
+        )
+    return offset
+
+
+def prior_from_dict(data: Any, where: str) -> dict[str, float]:
+    """Read the block ``prior`` of an error_tables.json.
+
+    Parameters
+    ----------
+    data : object
+        None if the file holds none. Keys that are no motion and other parts are left alone: extra
+        fields are welcome.
+    where : str
+        For messages.
+
+    Returns
+    -------
+    mapping of motion to float
+        Standard deviations, m or rad; empty if there is none.
+
+    Raises
+    ------
+    ConfigError
+        Names the motion whose ``sd`` is not a number from zero on.
+    """
+    if data is None:
+        return {}
+    if not isinstance(data, Mapping):
+        raise ConfigError(f'{where}: prior: expected motions with sd')
+    sizes = {}
+    for name in (m for m in data if is_motion(m)):
+        entry = data[name]
+        value = entry.get('sd', 0.0) if isinstance(entry, Mapping) else entry
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not isinstance(entry, Mapping) or not number or not math.isfinite(value) or value < 0:
+            raise ConfigError(
+                f'{where}: prior: {name}: sd: expected a number from 0 on, got {value!r}'
+            )
+        sizes[str(name)] = float(value)
+    return sizes
 
 
 @dataclass(frozen=True)
@@ -59,15 +306,22 @@ LIKE_MM = 'mm: divide them by 1000, or write x_mm,y_mm,z_mm into the header'
 LIKE_INCHES = 'inches: write x_in,y_in,z_in into the header'
 
 
-def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
-    """Refuse points that no such machine can reach; tell of those outside its axes."""
+def check_points(tables: ErrorTables, points: Array, where: str) -> list[str]:
+    """Refuse points that no such machine can reach; tell of those outside its axes.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, m), m and rad
+        With the columns ``Machine.point_names``.
+    """
     machine, (low, high) = tables.machine, table_ranges(tables)
     names = machine.axis_names
-    if q.ndim != 2 or q.shape[1] != len(names):
+    if points.ndim != 2 or points.shape[1] != len(machine.point_names):
         raise ConfigError(
-            f'{where}: positions of {", ".join(names)} are needed, with the header '
-            f'{",".join(names).lower()}; got {q.shape[-1]} columns'
+            f'{where}: columns {", ".join(machine.point_names).lower()} are needed; got '
+            f'{points.shape[-1]} columns'
         )
+    q = machine.axis_positions(points)
     low, high = np.minimum(low, machine.lower), np.maximum(high, machine.upper)
     at = machine.wrapped(q)
     out = np.maximum(np.maximum(low - at, at - high), 0.0)
@@ -79,7 +333,7 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
             for factor, words in ((1e-3, LIKE_MM), (0.0254, LIKE_INCHES))
             if np.all((factor * q >= low - 0.1) & (factor * q <= high + 0.1))
         ]
-        place, unit = ', '.join(f'{v:g}' for v in q[point]), machine.axes[names[k]].unit
+        place, unit = ', '.join(f'{v:g}' for v in points[point]), machine.axes[names[k]].unit
         asked = f', and these look like {" or ".join(scaled)}' if scaled else ''
         if unit == 'rad':
             asked = '; is it in degrees?'
@@ -88,14 +342,27 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
             f'the range of axis {names[k]}, {low[k]:g} {unit} to {high[k]:g} {unit}; '
             f'points are in m{" and rad" if machine.rotary_names else ""}{asked}'
         )
-    count = int(np.sum(np.any(out > 1e-6, axis=1)))
-    if not count:
-        return []
-    k = int(np.argmax(out.max(axis=0)))
-    return [
-        f'{count} of {len(q)} points lie outside the axis ranges of the machine, by up to '
-        f'{1e3 * out[:, k].max():.4g} m{machine.axes[names[k]].unit} (axis {names[k]})'
-    ]
+    notes = []
+    count = int(np.sum(np.any(out > EDGE, axis=1)))
+    if count:
+        k = int(np.argmax(out.max(axis=0)))
+        notes.append(
+            f'{count} of {len(q)} points lie outside the axis ranges of the machine, by up to '
+            f'{1e3 * out[:, k].max():.4g} m{machine.axes[names[k]].unit} (axis {names[k]})'
+        )
+    if beside := int(np.sum(_beside(machine, points))):
+        missing = ', '.join(a for a in machine.point_names if a not in names)
+        notes.append(
+            f'{beside} of {len(q)} points lie beside 0 along {missing}, which the chain '
+            f'{machine.chain} does not move: they count as outside'
+        )
+    return notes
+
+
+def _beside(machine: Machine, points: Array) -> NDArray[np.bool_]:
+    """Which points (n,) the machine cannot reach: not zero along what it has no axis for."""
+    absent = [k for k, a in enumerate(machine.point_names) if a not in machine.axis_names]
+    return np.asarray(np.any(np.abs(points[:, absent]) > EDGE, axis=1))
 
 
 def _outside_note(within: NDArray[np.bool_]) -> list[str]:
@@ -127,7 +394,7 @@ def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, float]) -> lis
 
 def predict(
     source: str | Path | TablesFile,
-    q: Array,
+    points: Array,
     target_offset: Array | None = None,
     where: str = 'points',
 ) -> Prediction:
@@ -138,8 +405,9 @@ def predict(
     source : str, Path or TablesFile
         A file or what it holds, in any gauge; its covariance, if any, is used, and likewise its
         prior.
-    q : ndarray, shape (n, k), m and rad
-        Programmed axis positions, in the order of the axes of the machine.
+    points : ndarray, shape (n, m), m and rad
+        Programmed axis positions x, y, z and those of the rotary axes, see
+        ``Machine.point_names``.
     target_offset : ndarray, shape (3,), m, optional
         Predict for this one instead of the one that was measured with, e.g. for another tool.
         Rotations that the data did not see act through the difference: they enter u by their
@@ -153,16 +421,19 @@ def predict(
         If the tables cannot be read, or points or offset are not of such a machine.
     """
     predictor = Predictor.of(source, target_offset)
-    notes = [*check_points(predictor.tables, q, where), *predictor.lacking]
+    machine = predictor.tables.machine
+    notes = [*check_points(predictor.tables, points, where), *predictor.lacking]
     if not predictor.correlated:
         notes.append('the tables hold no covariance; u takes their nodes as independent')
+    q = machine.axis_positions(points)
     prediction = predictor.at(q)
-    notes += _outside_note(prediction.inside)
-    notes += _unseen_note(predictor.unseen, predictor.prior)
+    within = prediction.inside & ~_beside(machine, points)
+    notes += _outside_note(within)
+    notes += _unseen_note(predictor.unseen(q), predictor.prior)
     return Prediction(
         prediction.error,
-        prediction.u,
-        prediction.inside,
+        np.where(within[:, None], prediction.u, np.nan),
+        within,
         predictor.correlated,
         predictor.holds,
         tuple(notes),

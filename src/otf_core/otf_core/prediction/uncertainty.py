@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.joints import Sight
-from otf_core.model.kinematics import motion_influence, squareness_influence
+from otf_core.model.chain import Sight
 from otf_core.model.machine import Machine
-from otf_core.model.motions import DIRECTIONS
 from otf_core.model.nodes import hat_matrix
 
 
@@ -23,26 +21,11 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
 
     Returns
     -------
-    ndarray, shape (n, 3, 3 + sum of nodes)
-        C0Y, B0Z, A0Z, location errors, then the nodes of EXX, EYX, ... ECZ ...
+    ndarray, shape (n, 3, scalars + sum of nodes)
+        Squareness and location errors, then the nodes of EXX, EYX, ... ECZ ...
     """
-    if machine.rotary_names:
-        return _rotary_rows(machine, nodes, q)
-    columns = [squareness_influence(name, q)[:, :, None] for name in machine.squareness]
-    hats: list[tuple[Array, Array]] = [(np.zeros(0), q)] * 3
-    for name in machine.motions:
-        known, hat = hats[name.place]
-        if not np.array_equal(known, nodes[name]):  # motions of one axis share their nodes
-            hat = hat_matrix(nodes[name], q[:, name.place])
-            hats[name.place] = nodes[name], hat
-        columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
-    return np.concatenate(columns, axis=2)
-
-
-def _rotary_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:
-    """Rows of a machine with rotary axes, see ``prediction_rows``."""
-    seen = Sight.of_tool(machine).at(q)
-    columns = [seen.scalars[name][:, :, None] for name in machine.scalars]
+    view = Sight.of_tool(machine).at(q)
+    columns = [view.scalars[name][:, :, None] for name in machine.scalars]
     hats: dict[str, tuple[Array, Array]] = {}
     for name in machine.motions:
         known, hat = hats.get(name.axis, (np.zeros(0), q))
@@ -50,8 +33,7 @@ def _rotary_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:
             own = machine.axes[name.axis].wrapped(q[:, machine.column(name.axis)])
             hat = hat_matrix(nodes[name], own)
             hats[name.axis] = nodes[name], hat
-        influence = seen.motions[name.axis][:, :, DIRECTIONS.index(name.direction)]
-        columns.append(influence[:, :, None] * hat[:, None, :])
+        columns.append(view.influence(name)[:, :, None] * hat[:, None, :])
     return np.concatenate(columns, axis=2)
 
 

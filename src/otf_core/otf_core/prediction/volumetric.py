@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Volumetric error on a regular grid: vectors, their uncertainty, what each motion adds.
+"""Volumetric error over the driven volume: vectors, their uncertainty, what each motion adds.
 
-The best-fitting rigid motion of the grid is taken out of all of it: it belongs to the choice of
-the machine frame, and no calibration can know it.
+The best-fitting rigid motion of all positions is taken out of all of it: it belongs to the choice
+of the machine frame, and no calibration can know it.
 """
 
 from __future__ import annotations
@@ -13,15 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.model.evaluation import (
-    PLACES,
-    driven_grid,
-    evenly_spread,
-    free_rows,
-    without_rigid_motion,
-)
-from otf_core.model.joints import Sight
-from otf_core.model.kinematics import displacement
+from otf_core.model.chain import nominal_position
+from otf_core.model.evaluation import driven_positions, free_rows
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
@@ -48,32 +41,16 @@ def table_values(tables: ErrorTables) -> Array:
 
 
 def table_rows(tables: ErrorTables, q: Array) -> Array:
-    """Derivatives of the volumetric error at q (n, 3) by all of these, shape (n, 3, m)."""
+    """Derivatives of the volumetric error at q (n, k) by all of these, shape (n, 3, m)."""
     nodes: dict[str, Array] = {m: tables.motions[m].position for m in tables.machine.motions}
     return prediction_rows(tables.machine, nodes, q)
 
 
-def driven_positions(tables: ErrorTables, count: int = PLACES) -> Array:
-    """Axis positions spread evenly over the ranges of tables, shape (count, k), m and rad."""
-    names = tables.machine.axis_names
-    ends = [tables.motions[f'E{a}{a}'].position[[0, -1]] for a in names]
-    low, high = np.transpose(ends)
-    return evenly_spread(low, high, count)
-
-
-def driven_rows(tables: ErrorTables, count: int = PLACES) -> Array:
-    """Derivatives of the error vectors over the driven ranges, shape (3 n, m), rigid motion out.
-
-    On a lattice, or at axis positions spread evenly where there are rotary axes.
-    """
-    machine = tables.machine
-    if machine.rotary_names:
-        q = driven_positions(tables, count)
-        points = Sight.of_tool(machine).nominal(q)
-    else:
-        q = points = driven_grid(tables)
+def volume_rows(tables: ErrorTables) -> Array:
+    """Derivatives of the error vectors at ``driven_positions``, rigid motion out, (3 n, m)."""
+    q = driven_positions(tables, VOLUME_PLACES)
     rows = table_rows(tables, q)
-    return free_rows(rows.reshape(-1, rows.shape[2]), points)
+    return free_rows(rows.reshape(-1, rows.shape[2]), nominal_position(tables.machine, q))
 
 
 def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
@@ -82,13 +59,12 @@ def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
     Returns
     -------
     dict
-        ``mean``, ``p95`` and ``max`` over a regular grid of ``points`` in the volume of the
-        tables, its best rigid motion removed.
+        ``mean``, ``p95`` and ``max`` over ``points`` positions in the volume of the tables, its
+        best rigid motion removed.
     """
-    grid = driven_grid(tables)
-    error = without_rigid_motion(displacement(tables, grid), grid)
+    error = (volume_rows(tables) @ table_values(tables)).reshape(-1, 3)
     return {
-        'points': len(grid),
+        'points': len(error),
         **length_sizes(np.linalg.norm(error, axis=1)),
         'rigid_motion': 'taken out',
     }
@@ -105,7 +81,7 @@ def length_sizes(length: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class VolumetricError:
-    """Errors of a machine on a regular grid over the volume of its tables.
+    """Errors of a machine at positions over the volume of its tables, see ``driven_positions``.
 
     Attributes
     ----------
@@ -117,14 +93,19 @@ class VolumetricError:
     covariance: Array
 
     @cached_property
+    def positions(self) -> Array:
+        """Axis positions, shape (n, k), m and rad."""
+        return driven_positions(self.tables, VOLUME_PLACES)
+
+    @cached_property
     def grid(self) -> Array:
-        """Points, shape (n, 3), m."""
-        return driven_grid(self.tables)
+        """Nominal points of the target there, shape (n, 3), m."""
+        return nominal_position(self.tables.machine, self.positions)
 
     @cached_property
     def error(self) -> Array:
         """Actual minus nominal, shape (n, 3), m."""
-        return without_rigid_motion(displacement(self.tables, self.grid), self.grid)
+        return np.asarray((self.rows @ table_values(self.tables)).reshape(-1, 3))
 
     @cached_property
     def length(self) -> Array:
@@ -133,9 +114,8 @@ class VolumetricError:
 
     @cached_property
     def rows(self) -> Array:
-        """Derivatives of the components by squareness and nodes, shape (3 n, m)."""
-        rows = table_rows(self.tables, self.grid)
-        return free_rows(rows.reshape(-1, rows.shape[2]), self.grid)
+        """Derivatives of the components by scalars and nodes, shape (3 n, m)."""
+        return volume_rows(self.tables)
 
     @cached_property
     def _spread(self) -> Array:
@@ -173,22 +153,3 @@ class VolumetricError:
     def sizes(self) -> dict[str, float]:
         """Mean, 95 % quantile and largest length, m."""
         return length_sizes(self.length)
-
-
-class AxesVolumetricError(VolumetricError):
-    """Errors of a machine with rotary axes at positions spread over the driven ranges."""
-
-    @cached_property
-    def grid(self) -> Array:
-        """Positions of all axes, shape (n, k), m and rad."""
-        return driven_positions(self.tables, VOLUME_PLACES)
-
-    @cached_property
-    def rows(self) -> Array:
-        """Derivatives of the components by scalars and nodes, shape (3 n, m)."""
-        return driven_rows(self.tables, VOLUME_PLACES)
-
-    @cached_property
-    def error(self) -> Array:
-        """Actual minus nominal, shape (n, 3), m."""
-        return np.asarray((self.rows @ table_values(self.tables)).reshape(-1, 3))

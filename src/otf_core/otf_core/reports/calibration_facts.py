@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,14 +16,14 @@ from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.calibration.calibration_result import CalibrationResult, RunResult
 from otf_core.files.writing import tidy
-from otf_core.model.circumstances import INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.expanded import COVERAGE_PROBABILITY
 from otf_core.model.machine import Machine, TrackerSpec
-from otf_core.model.motions import ErrorMotion, unit_of
+from otf_core.model.motions import unit_of
 from otf_core.model.provenance import Origin, moment
+from otf_core.model.sections import INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.tables import ErrorTables, LocationError, Squareness
 from otf_core.noise.noise_model import QUANTITIES
-from otf_core.prediction.volumetric import VolumetricError, driven_rows, table_places
+from otf_core.prediction.volumetric import VolumetricError, table_places, volume_rows
 from otf_core.reports.page import Table, join_names, place, whole_dof
 from otf_core.threads import one_thread
 
@@ -34,6 +33,10 @@ GRID = 'grid'
 LISTED_CORRELATION = 0.5
 """Correlations at least as large are listed."""
 LISTED_PAIRS = 20
+LATTICE_AXES = 3
+"""Axes up to which the volumetric error is stated on a lattice, see ``driven_positions``."""
+SHORTEST_EDGE = 0.05
+"""Of a box that is drawn, in its longest."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def budget_lines(
         if variances[:, part].any() and name not in hidden:
             lines.append(_line(budget, name, unit_of(name), variances[:, part]))
     with one_thread():
-        free = driven_rows(tables)
+        free = volume_rows(tables)
         return [*lines, _line(budget, GRID, 'm', budget.variances(free), components=3)]
 
 
@@ -150,10 +153,17 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
 def _at_node(tables: ErrorTables, name: str, node: int) -> str:
     if name in tables.machine.scalars:
         return name
-    at, axis = float(tables.motions[name].position[node]), ErrorMotion.of(name).axis
-    if tables.machine.axes[axis].rotary:
-        return f'{name} at {math.degrees(at):.4g} deg'
-    return f'{name} at {tidy(1e3 * at):g} mm'
+    factor, unit = tables.machine.axes[name[2]].shown
+    return f'{name} at {tidy(factor * float(tables.motions[name].position[node])):.6g} {unit}'
+
+
+def position_words(machine: Machine, q: Array) -> str:
+    """Axis positions (k,), m and rad, in words: to 0.1 mm and 0.1 deg."""
+    parts: dict[str, list[str]] = {}
+    for axis, value in zip(machine.axis_names, q.tolist(), strict=True):
+        factor, unit = machine.axes[axis].shown
+        parts.setdefault(unit, []).append(f'{axis} {tidy(round(factor * value, 1)):g}')
+    return ', '.join(f'{", ".join(own)} {unit}' for unit, own in parts.items())
 
 
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:
@@ -213,11 +223,24 @@ class CalibrationFacts:
         """Lines of the budget by name."""
         return {line.name: line for line in self.lines}
 
-    @cached_property
+    @property
     def volume(self) -> VolumetricError:
-        """Errors on a grid over the volume of the tables, with the uncertainty of the headline."""
-        own = self.result
-        return VolumetricError(own.tables, own.covariance_with_typical)
+        """Errors over the volume of the tables, with the uncertainty of the headline."""
+        return self.result.volume
+
+    @property
+    def points(self) -> str:
+        """Where the volumetric error is stated, in words."""
+        if len(self.machine.axis_names) > LATTICE_AXES:
+            return f'{len(self.volume.grid)} positions spread over the driven ranges of all axes'
+        return f'{len(self.volume.grid)} points of a regular grid over the driven volume'
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Corners of a box around the volume, m; no edge is much shorter than the others."""
+        low, high = self.volume.grid.min(axis=0), self.volume.grid.max(axis=0)
+        lack = np.maximum(0.0, SHORTEST_EDGE * (high - low).max() - (high - low))
+        return low - 0.5 * lack, high + 0.5 * lack
 
     @cached_property
     def condition_number(self) -> float:
@@ -230,11 +253,6 @@ class CalibrationFacts:
         values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
         positive = values[values > 1e-12 * values[-1]]
         return float(np.sqrt(positive[-1] / positive[0]))
-
-    @property
-    def k_volume(self) -> float:
-        """Coverage factor for 95 % of errors in the volume."""
-        return self.result.headline.k
 
     @property
     def both_ways(self) -> bool:
@@ -289,9 +307,9 @@ def run_table(number: int, run: RunResult) -> Table:
         f'{name} {1e6 * part.level:.2f} {"um" if name == QUANTITIES[0] else "urad"}'
         for name, part in zip(QUANTITIES, run.noise, strict=True)
     )
-    feeds = np.quantile(pieces.speed, (0.05, 0.5, 0.95)) * 6e4
+    feeds = np.quantile(run.speed, (0.05, 0.5, 0.95)) * 6e4
     rows = [
-        ('duration', f'{pieces.end or float(pieces.time.max()):.1f} s'),
+        ('duration', f'{float((pieces.time + pieces.duration).max()):.1f} s'),
         ('samples', f'{run.samples}, {run.rate:.1f} Hz'),
         ('path driven', f'{100 * run.coverage:.1f} %'),
         ('tracker at', place(run.T_machine_tracker.translation)),
@@ -301,4 +319,9 @@ def run_table(number: int, run: RunResult) -> Table:
     if not pieces.standstill:
         rows.insert(2, ('feed', f'{feeds[1]:.0f} mm/min, 90 % of the path between '
                         f'{feeds[0]:.0f} and {feeds[2]:.0f}'))  # fmt: skip
+    if len(run.parts) > 1:
+        rows += [
+            (f'part {n}', f'{p.target}, {p.corners} corners, {100 * p.driven:.1f} % driven')
+            for n, p in enumerate(run.parts, start=1)
+        ]
     return Table(('', ''), tuple(rows), title=f'Run {number} {run.name}'.strip())

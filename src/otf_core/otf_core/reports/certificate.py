@@ -1,27 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificate of a calibration: two pages of A4 that a customer signs for and files."""
+"""Certificate of a calibration: pages of A4 that a customer signs for and files."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
-
-from otf_core.arrays import Array
-from otf_core.calibration.axis_calibration import AxisCalibration
-from otf_core.calibration.calibration_result import Headline
 from otf_core.calibration.machine_verdict import (
     MEANING,
     Verdict,
-    Verdicts,
-    size_and_expanded_of_axes,
 )
-from otf_core.model.circumstances import CERTIFICATE, INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.expanded import figure, significant, with_expanded
-from otf_core.model.limits import UNCERTAINTY, VOLUMETRIC
 from otf_core.model.machine import TOOL, Machine
-from otf_core.model.motions import ErrorMotion, unit_of
-from otf_core.model.provenance import Origin
+from otf_core.model.motions import ErrorMotion
+from otf_core.model.sections import (
+    CERTIFICATE,
+    INSTRUMENT,
+    NUMBERS,
+    TEXTS,
+    UNCERTAINTY,
+    VOLUMETRIC,
+)
 from otf_core.model.tables import ErrorTables
 from otf_core.reports.calibration_facts import CalibrationFacts, measurement_dates
 from otf_core.reports.calibration_sections.error_motions import role
@@ -60,7 +56,7 @@ BETWEEN = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}
 
 
 def certificate_html(facts: CalibrationFacts) -> str:
-    """Return the certificate as a page that prints on two sheets of A4."""
+    """Return the certificate as a page that prints on few sheets of A4."""
     number = facts.machine.stated.certificate.get('number')
     name = f'certificate {number}, ' if number else ''
     heading = Heading(
@@ -69,71 +65,13 @@ def certificate_html(facts: CalibrationFacts) -> str:
         badges(facts.result.verdicts),
         running=f'{name}{running_words(facts)}',
     )
+    sections = [_subject(facts), _volume(facts), _errors(facts), _statement(facts), _signatures()]
+    return page_html(heading, sections)
+
+
+def _subject(facts: CalibrationFacts) -> Section:
+    machine, stated = facts.machine, facts.machine.stated
     offsets = [run.target_offset for run in facts.result.runs]
-    sections = [
-        _subject(facts.machine, offsets, facts.result.origin),
-        _volume(facts),
-        _errors(facts),
-        _statement(facts),
-        _signatures(),
-    ]
-    return page_html(heading, sections)
-
-
-def certificate_of_axes(
-    result: AxisCalibration, verdicts: Verdicts, about: Mapping[str, Any]
-) -> str:
-    """Return the certificate of a machine with rotary axes, which prints on few sheets of A4.
-
-    Parameters
-    ----------
-    about : mapping
-        Block ``provenance`` of error_tables.json.
-    """
-    number, machine = result.machine.stated.certificate.get('number'), result.machine
-    title = f'Calibration certificate{f" {number}" if number else ""}'
-    running = f'{title.lower()}, {machine.name}, run {result.run_id}'
-    heading = Heading(title, '', badges(verdicts), running=running)
-    rows = _volume_limits(machine, verdicts.machine)
-    rows += [_row(result.tables, one) for one in _sizes_of_axes(result, verdicts.machine)]
-    sections = [
-        _subject(machine, [machine.target_offset], result.origin),
-        Section('certificate-volume', 'Volume before and after compensation',
-                tables=(_volume_table(result.headline),)),
-        _error_section(rows, f'All {len(machine.scalars) + len(machine.motions)} errors'),
-        _statement_section(
-            result.headline,
-            f'{result.headline.points} positions spread over the driven ranges of all axes',
-            'Lines of rotary axes are stated relative to the target in the spindle'
-            + (', taken to be at its offset exactly.' if not machine.targets[TOOL].u else '.'),
-            result.made.hidden,
-            result.run_id,
-            about,
-        ),
-        _signatures(),
-    ]  # fmt: skip
-    return page_html(heading, sections)
-
-
-def _sizes_of_axes(result: AxisCalibration, verdict: Verdict | None) -> list[ErrorSize]:
-    """All errors of a machine with rotary axes: motions, then scalars."""
-    machine, sizes = result.machine, list[ErrorSize]()
-    limits = machine.limits.values if machine.limits else {}
-    states = {one.name: one.state for one in verdict.judged} if verdict else {}
-    for name in (*map(str, machine.motions), *machine.scalars):
-        known = name not in result.made.hidden
-        value, wide = (
-            size_and_expanded_of_axes(name, result.tables, result.covariance_with_typical)
-            if known
-            else (0.0, 0.0)
-        )
-        limit, state = limits.get(name), states.get(name, '')
-        sizes.append(ErrorSize(name, unit_of(name), value, wide, limit, state, known))
-    return sizes
-
-
-def _subject(machine: Machine, offsets: Sequence[Array], origin: Sequence[Origin]) -> Section:
-    stated = machine.stated
     given = {**stated.certificate, **stated.conditions}
     words = {**CERTIFICATE, **{k: TEXTS[k] for k in ('operator', 'place')}}
     parties = [
@@ -145,7 +83,7 @@ def _subject(machine: Machine, offsets: Sequence[Array], origin: Sequence[Origin
         ('machine', f'{machine.name}, chain {machine.chain}'),
         ('calibrated volume', _ranges(machine)),
         ('target offset', '; '.join(dict.fromkeys(map(place, offsets)))),
-        ('measured', measurement_dates(origin) or 'the stamps contain no date'),
+        ('measured', measurement_dates(facts.result.origin) or 'the stamps contain no date'),
     )
     own = stated.instrument
     instrument = [
@@ -174,47 +112,36 @@ def _subject(machine: Machine, offsets: Sequence[Array], origin: Sequence[Origin
 
 def _ranges(machine: Machine) -> str:
     """Ranges of all axes, mm and degrees."""
-    texts = []
-    for rotary, factor, unit in ((False, 1e3, 'mm'), (True, math.degrees(1.0), 'deg')):
-        own = [
-            f'{a} {factor * axis.min:.6g} to {factor * axis.max:.6g}'
-            for a, axis in machine.axes.items()
-            if axis.rotary == rotary
-        ]
-        texts += [f'{", ".join(own)} {unit}'] if own else []
-    return '; '.join(texts)
+    parts: dict[str, list[str]] = {}
+    for name, axis in machine.axes.items():
+        factor, unit = axis.shown
+        words = f'{name} {factor * axis.min:.6g} to {factor * axis.max:.6g}'
+        parts.setdefault(unit, []).append(words)
+    return '; '.join(f'{", ".join(own)} {unit}' for unit, own in parts.items())
 
 
-def _volume_table(first: Headline) -> Table:
+def _volume(facts: CalibrationFacts) -> Section:
+    first, picture = facts.result.headline, volume_pictures(facts)
     rows = (
         ('as found', figure(1e6 * first.error['mean'], 1e6 * first.expanded['mean']),
          with_expanded(1e6 * first.error['max'], 1e6 * first.of_largest)),
         ('expected after compensation with these tables: U, predicted, not measured',
          *(significant(1e6 * first.expanded[s]) for s in ('mean', 'max'))),
     )  # fmt: skip
-    head = ('Length of the error vector (um)', 'Mean', 'Largest')
-    return Table(head, rows, numbers=(1, 2))
-
-
-def _volume(facts: CalibrationFacts) -> Section:
-    picture = volume_pictures(facts)
+    table = Table(('Length of the error vector (um)', 'Mean', 'Largest'), rows, numbers=(1, 2))
     caption = 'Error vectors (left) and U of the vector as radius (right) at the same scale.'
     still = Picture(picture.parts, caption, picture.columns, key=picture.key)
     return Section('certificate-volume', 'Volume before and after compensation', (),
-                   tables=(_volume_table(facts.result.headline),), draw=lambda: (still,),
-                   script=SCRIPT)  # fmt: skip
+                   tables=(table,), draw=lambda: (still,), script=SCRIPT)  # fmt: skip
 
 
 def _errors(facts: CalibrationFacts) -> Section:
+    sizes = error_sizes(facts)
     rows = _volume_limits(facts.machine, facts.result.verdicts.machine)
-    rows += [_row(facts.tables, one) for one in error_sizes(facts)]
-    return _error_section(rows, 'All 21 errors')
-
-
-def _error_section(rows: Sequence[tuple[Cell, ...]], title: str) -> Section:
+    rows += [_row(facts.tables, one) for one in sizes]
     head = ('Error', 'Is', 'Value', 'U', 'Unit', 'Limit', 'State')
     table = Table(head, tuple(rows), numbers=(2, 3, 5), stacked=True)
-    return Section('certificate-errors', title, tables=(table,))
+    return Section('certificate-errors', f'All {len(sizes)} errors', tables=(table,))
 
 
 def _volume_limits(machine: Machine, verdict: Verdict | None) -> list[tuple[Cell, ...]]:
@@ -258,31 +185,8 @@ def _scalar_label(name: str) -> str:
 
 
 def _statement(facts: CalibrationFacts) -> Section:
-    result = facts.result
-    grid = 'a regular grid'
-    bound = bound_words(facts).strip()
-    return _statement_section(
-        result.headline, grid, bound, result.not_identifiable, result.run_id, facts.provenance
-    )
-
-
-def _statement_section(
-    first: Headline,
-    grid: str,
-    bound: str,
-    hidden: Collection[str],
-    run_id: str,
-    about: Mapping[str, Any],
-) -> Section:
-    """What U holds, how limits are judged, where the values come from.
-
-    Parameters
-    ----------
-    grid : str
-        Where the volumetric error is stated.
-    bound : str
-        Words on values that hold at one target offset only.
-    """
+    """What U holds, how limits are judged, where the values come from."""
+    result, about, first = facts.result, facts.provenance, facts.result.headline
     words = [
         f'U is the expanded uncertainty by JCGM 100 (GUM): the combined standard uncertainty '
         f'times the coverage factor k = {first.k:.3g}, which covers about 95 %; where 60 or fewer '
@@ -290,20 +194,26 @@ def _statement_section(
         f'measurement and {first.label}.',
         f'A limit is met if value + U is at most the limit and exceeded if value - U is above it '
         f'(ISO 14253-1). Errors are actual minus nominal position of the target relative to the '
-        f'table, names after ISO 230-1; the volumetric error is that of {grid}, the best '
+        f'table, names after ISO 230-1; the volumetric error is that of {facts.points}, the best '
         f'rigid motion removed'
         f'. Results apply to the time, the target offset and the conditions of the measurement '
         f'and are not corrected to 20 °C.',
     ]
-    words.append(bound)
-    if hidden:
-        words.append(f'Not known: {", ".join(hidden)}: these data do not determine them.')
+    words.append(bound_words(facts).strip())
+    if facts.tables.location:
+        exact = '' if facts.machine.targets[TOOL].u else ', taken to be at its offset exactly'
+        words.append(
+            f'Lines of rotary axes are stated relative to the target in the spindle{exact}.'
+        )
+    if result.not_identifiable:
+        names = ', '.join(result.not_identifiable)
+        words.append(f'Not known: {names}: these data do not determine them.')
     runs = about.get('runs', [])
     hashes = [f'{r["name"]} {r["sha256"][:HASH_LETTERS]}'.strip() for r in runs]
     named = ', '.join(hashes[:NAMED_RECORDINGS])
     more = f' and {len(hashes) - NAMED_RECORDINGS} more' if len(hashes) > NAMED_RECORDINGS else ''
     words.append(
-        f'Run {run_id}, otf_core {about["software"]["version"]}, written '
+        f'Run {result.run_id}, otf_core {about["software"]["version"]}, written '
         f'{about["written"]}; SHA-256 of the recording begins: {named}{more}. '
         f'All values, covariances and whole hashes: error_tables.json.'
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from otf_core.aside import share_out
 from otf_core.diagnosis.answer import measured_run
-from otf_core.diagnosis.result import AxisEffects, Diagnosis
+from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
@@ -95,7 +95,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'table_change_um': diagnosis.table_change_um,
         'smallest_found_um': dict(diagnosis.smallest_found_um),
         'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
-        'reversal': diagnosis.reversal.model if diagnosis.reversal else 'none',
+        'reversal': diagnosis.reversal.model,
         'run_id': diagnosis.calibration.plain.run_id,
         'provenance': provenance(
             'diagnose',
@@ -138,14 +138,19 @@ def write_diagnosis(
                 written.append(folder / effects_file(number))
                 write_effects(written[-1], applied, diagnosis.machine)
     tables = {}
-    if first and diagnosis.causes and not isinstance(calibration, AxisEffects):
+    if first and diagnosis.causes and calibration.applied:
         tables['calibration_plain'] = calibration.plain
-        tables['calibration_with_effects'] = calibration.result
+        tables['calibration_with_effects'] = calibration
         written.append(folder / 'calibration_with_effects')
 
     def write(name: str) -> None:
         if name in tables:
-            write_calibration(tables[name], folder / name, 'diagnose', certificate=False)
+            write_calibration(
+                replace(tables[name], uncorrected=None, applied=()),
+                folder / name,
+                'diagnose',
+                certificate=False,
+            )
         else:
             write_text(folder / name, report_html(diagnosis))
 

@@ -17,7 +17,6 @@ from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
 from otf_core.model.expanded import COVERAGE_FACTOR, figure, micro_unit, significant, with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
-from otf_core.model.tables import ROTARY_SCHEMA
 from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.page import Heading, Section, State, Table, page_html
 
@@ -35,67 +34,45 @@ JUDGED = {
     LIMIT_NOT_PROVEN: 'limits of the machine not proven to be met',
 }
 """What exit codes of runs say that are done."""
+UNKNOWN = 'not known'
 GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')
 
 
 def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    if data.get('schema') == ROTARY_SCHEMA:
-        return _calibrated_rotary(name, data, remark)
-    first, verdicts = data['headline'], data['verdicts']
-    error, wide = first['error'], first['expected_after_compensation']['U']
+    """Row of a run; location errors of rotary axes among the remarks."""
+    verdicts, machine = data['verdicts'], data['machine']
     good, state = verdicts['measurement']['good'], verdicts['machine']['state']
+    first = data['headline']
+    wide = first['expected_after_compensation']['U']
+    words = {n: _scalar(data, n) for n in data.get('location', ())}
+    location = [f'{n} {w} {micro_unit(unit_of(n))}' for n, w in words.items() if w != UNKNOWN]
+    location += [f'{n} {w}' for n, w in words.items() if w == UNKNOWN]
+    remarks = [remark, f'location errors: {", ".join(location)}' if location else '']
     return [
         name,
-        str(data['machine']['name']),
+        str(machine['name']),
         State('good', 'good') if good else State('not good', 'bad'),
         State(STATES.get(state, state), MOODS.get(state, '')),
-        figure(1e6 * error['mean'], 1e6 * wide['mean']),
-        with_expanded(1e6 * error['max'], 1e6 * first['U_of_largest']),
+        figure(1e6 * first['error']['mean'], 1e6 * wide['mean']),
+        with_expanded(1e6 * first['error']['max'], 1e6 * first['U_of_largest']),
         significant(1e6 * wide['max']),
-        *(_squareness(data, k) for k in SQUARENESS),
-        offset_words(np.array(data['machine']['target_offset'])),
-        remark,
+        *(_scalar(data, k) for k in SQUARENESS),
+        offset_words(np.array(machine['target_offset'])),
+        '; '.join(filter(None, remarks)),
     ]
 
 
-def _calibrated_rotary(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    """Row of a machine with rotary axes: location errors among the remarks."""
-    good, size = not data['failed_gates'], data['volumetric_error']
-    state, first = data['verdicts']['machine']['state'], data.get('headline')
-    typical = data.get('typical_systematic') or {}
-    whole = {**typical.get('squareness', {}), **typical.get('location', {})}
-
-    def words(error: str, entry: Mapping[str, Any]) -> str:
-        if error in data['not_identifiable']:
-            return 'not known'
-        u = whole.get(error, entry)['u']
-        return with_expanded(1e6 * entry['value'], 1e6 * COVERAGE_FACTOR * u)
-
-    lines = [
-        f'{n} {words(n, v)}{"" if n in data["not_identifiable"] else " " + micro_unit(unit_of(n))}'
-        for n, v in data['location'].items()
-    ]
-    return [
-        name,
-        str(data['machine']['name']),
-        State('good', 'good') if good else State('not good', 'bad'),
-        State(STATES.get(state, state), MOODS.get(state, '')),
-        f'{1e6 * size["mean"]:.1f}',
-        f'{1e6 * size["max"]:.1f}',
-        significant(1e6 * first['expected_after_compensation']['U']['max']) if first else '-',
-        *(words(k, data['squareness'][k]) for k in SQUARENESS),
-        offset_words(np.array(data['machine']['target_offset'])),
-        '; '.join([*([remark] if remark else []), f'location errors: {", ".join(lines)}']),
-    ]
-
-
-def _squareness(data: Mapping[str, Any], name: str) -> str:
-    """Value and U of a squareness error; a star where it holds at one target offset only."""
-    if name in data.get('not_identifiable', ()):
-        return 'not known'
-    entry, typical = data['squareness'][name], data.get('typical_systematic')
-    wide = entry['k'] * typical['squareness'][name]['u'] if typical else entry['U']
+def _scalar(data: Mapping[str, Any], name: str) -> str:
+    """Value and U of a scalar error; a star where it holds at one target offset only."""
+    kind = 'squareness' if name in SQUARENESS else 'location'
+    if name not in data[kind]:
+        return '-'
+    if name in data['not_identifiable']:
+        return UNKNOWN
+    entry, typical = data[kind][name], data.get('typical_systematic') or {}
+    u = typical.get(kind, {}).get(name, entry)['u']
     star = '*' if name in data['target_offset_bound']['contains'] else ''
+    wide = entry.get('k', COVERAGE_FACTOR) * u
     return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
 
 
@@ -160,8 +137,7 @@ def fleet_rows(
     for name, data in listed_results(verb, folder, outcomes):
         if verb == 'calibrate':
             rows.append(_calibrated(name, data, outcomes[name].message))
-            if 'target_offset_bound' in data:
-                bound[name] = data['target_offset_bound']
+            bound[name] = data['target_offset_bound']
         else:
             rows.append(_diagnosed(name, data, outcomes[name].message))
             counts.update(set(cause_names(data)))

@@ -28,7 +28,17 @@ from otf_core.model.expanded import (
 from otf_core.model.motions import unit_of
 from otf_core.prediction.absorbed import OffsetBound
 from otf_core.reports.drawing.panel import Panel, dates, scale_around
-from otf_core.reports.page import Cell, Heading, Picture, Section, State, Table, page_html
+from otf_core.reports.page import (
+    Cell,
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    micro,
+    page_html,
+    table_to_text,
+)
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
@@ -65,12 +75,8 @@ def _pair(value: float, u: float, times: float = 1.0) -> str:
 
 
 def _change(change: Change) -> dict[str, Any]:
-    return {
-        'size': change.size,
-        'expected': change.expected,
-        'p': change.p,
-        'significant': change.significant,
-    }
+    numbers = {'size': change.size, 'expected': change.expected, 'p': change.p}
+    return {**numbers, 'significant': change.significant}
 
 
 def history_to_dict(history: History) -> dict[str, Any]:
@@ -164,17 +170,6 @@ def _most(names: Sequence[str]) -> str:
 
 def _events(events: Sequence[StoredEvent]) -> str:
     return '; '.join(f'{e.words} ({_day(e.at)})' for e in events)
-
-
-def _step_words(history: History, step: Step) -> str:
-    run = history.series.runs[step.after]
-    events = f' after {_events(step.events)}' if step.events else ''
-    what = _most([_sized(n, step.motions[n]) for n in step.changed])
-    return (
-        f'{_moment(run.at)} {run.name}{events}: changed by {1e6 * step.volume.size:.2f} um in the '
-        f'volume (expected without change {1e6 * step.volume.expected:.2f}); '
-        + (f'changed: {what}' if what else _unnamed(step))
-    )
 
 
 def _unnamed(step: Step) -> str:
@@ -305,10 +300,8 @@ def format_history(history: History) -> str:
         f'{_moment(series.runs[-1].at)}; reference {series.runs[history.reference].name}',
         state_words(history),
         *(f'WARNING {words}' for words in series.warnings),
-        *(_step_words(history, step) for step in history.steps),
-        *drift_words(history),
-        *_undeclared(history),
-        *_offset_words(history),
+        *(table_to_text(_steps_table(history)) if history.steps else ()),
+        *_assessment(history),
     ]
     return '\n'.join(lines)
 
@@ -390,7 +383,7 @@ def _pictures(history: History) -> list[Picture]:
         _change_chart(history, 'change in the volume', history.volume),
     )
     motions = tuple(
-        _change_chart(history, n, [c[n] for c in history.chart]) for n in history.series.parts
+        _change_chart(history, n, [c[n] for c in history.chart]) for n in history.chart[0]
     )
     return [
         Picture(volume, error + marks, columns=2, title='Volume: error, and change'),
@@ -398,36 +391,32 @@ def _pictures(history: History) -> list[Picture]:
     ]
 
 
-def _sections(history: History, *, alone: bool) -> list[Section]:
-    state = () if alone else (state_words(history),)  # the headline says it of one machine
-    words = (
-        *state,
-        *history.series.warnings,
-        *drift_words(history),
-        *_undeclared(history),
-        *_offset_words(history),
-    )
+def _steps_table(history: History) -> Table:
+    """A row of each run: what changed since the one before."""
     head = ('measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
     runs = history.series.runs
     rows: list[tuple[Cell, ...]] = [
         ((_moment(runs[0].at), f'run {runs[0].name}'), '', '', '', 'first run')
     ]
-    rows += [
-        (
-            (_moment(runs[s.after].at), f'run {runs[s.after].name}'),
-            f'{1e6 * s.volume.size:.2f}',
-            f'{1e6 * s.volume.expected:.2f}',
-            _events(s.events),
-            State(', '.join(s.changed) or _unnamed(s), 'open') if s.significant else _unnamed(s),
-        )
-        for s in history.steps
-    ]
+    for step in history.steps:
+        run, volume, words = runs[step.after], step.volume, _unnamed(step)
+        if step.changed:
+            words = _most([_sized(n, step.motions[n]) for n in step.changed])
+        rows.append((
+            (_moment(run.at), f'run {run.name}'), micro(volume.size), micro(volume.expected),
+            _events(step.events), State(words, 'open') if step.significant else words,
+        ))  # fmt: skip
+    return Table(head, tuple(rows), (1, 2))
 
+
+def _sections(history: History, *, alone: bool) -> list[Section]:
+    state = () if alone else (state_words(history),)  # the headline says it of one machine
+    words = (*state, *history.series.warnings, *_assessment(history))
     pictures = _pictures(history)
     anchor = ''.join(c if c.isalnum() else '-' for c in history.machine)
     return [
         Section(f'{anchor}-drift', history.machine, words),
-        Section(f'{anchor}-runs', 'From run to run', tables=(Table(head, tuple(rows), (1, 2)),)),
+        Section(f'{anchor}-runs', 'From run to run', tables=(_steps_table(history),)),
         Section(f'{anchor}-chart', 'Control charts', draw=lambda: pictures),
     ]
 
@@ -441,26 +430,21 @@ def _stated_uncertainty(history: History) -> tuple[float, str] | None:
     return float(expected['U']['mean']), str(expected['systematic'])
 
 
-def _offset_words(history: History) -> list[str]:
-    """Which values hold at one target offset only, by the latest tables."""
+def _assessment(history: History) -> list[str]:
+    """Drift, what the uncertainties leave out, and values that hold at one target offset only."""
+    lines, stated = drift_words(history), _stated_uncertainty(history)
+    if stated is not None and stated[1] != 'declared':
+        lines.append(
+            f'Changes are assessed by the contributions that the runs declare, and they do not '
+            f'declare all systematic ones (tracker scale, air, temperature ...): of typical size '
+            f'these alone make two runs differ by up to about '
+            f'{micro_significant(math.sqrt(2.0) * stated[0])} in the volume if tracker, place or '
+            f'weather differ'
+        )
     bound = history.series.runs[-1].content.extra.get('target_offset_bound')
-    if not isinstance(bound, dict) or not bound['contains']:
-        return []
-    return [OffsetBound(np.array(bound['offset']), bound['contains']).sentence]
-
-
-def _undeclared(history: History) -> list[str]:
-    """What the uncertainties leave out, where the latest tables do not declare all of it."""
-    stated = _stated_uncertainty(history)
-    if stated is None or stated[1] == 'declared':
-        return []
-    share = micro_significant(math.sqrt(2.0) * stated[0])
-    return [
-        f'Changes are assessed by the contributions that the runs declare, and they do not '
-        f'declare all systematic ones'
-        f' (tracker scale, air, temperature ...): of typical size these alone make '
-        f'two runs differ by up to about {share} in the volume if tracker, place or weather differ'
-    ]
+    if isinstance(bound, dict) and bound['contains']:
+        lines.append(OffsetBound(np.array(bound['offset']), bound['contains']).sentence)
+    return lines
 
 
 def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:

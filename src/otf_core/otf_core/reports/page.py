@@ -98,6 +98,25 @@ class Table:
             raise ValueError(f'{len(odd[0])} cells under {len(self.head)} heads: {odd[0]}')
 
 
+def table_to_text(table: Table) -> list[str]:
+    """Return the rows of a table in columns, for a terminal."""
+
+    def plain(cell: Cell) -> str:
+        if isinstance(cell, State):
+            return cell.words
+        return cell if isinstance(cell, str) else ' '.join(cell)
+
+    rows = [[plain(cell) for cell in row] for row in (table.head, *table.rows)]
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        '  '.join(
+            cell.rjust(w) if k in table.numbers else cell.ljust(w)
+            for k, (cell, w) in enumerate(zip(row, wide, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
 @dataclass(frozen=True)
 class Picture:
     """Pictures of one caption: markup that needs nothing from elsewhere.

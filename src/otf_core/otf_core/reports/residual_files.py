@@ -10,12 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.calibration.calibration_result import RunResult
 from otf_core.files.writing import whole_file, write_csv
-from otf_core.model.frames import XYZ
-from otf_core.model.nodes import table_nodes
-from otf_core.rotary.rows import piece_state
 
 RESIDUALS_FILE = 'residuals.npz'
 RESIDUALS_TEXT = 'residuals.csv'
@@ -29,54 +25,25 @@ def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]
     Returns
     -------
     dict of str to ndarray
-        ``run``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``, (n, 3), m;
-        ``axes``, shape (n, c, 3), unit vectors; ``deviation``, ``residual``, shape (n, c), m.
+        ``run``, ``part``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``,
+        (n, k), m and rad; ``axes``, shape (n, c, 3), unit vectors in the frame of the tracker's
+        link; ``deviation``, ``residual``, shape (n, c), m.
     """
     pieces = [run.pieces for run in runs]
-    sizes = [len(p) for p in pieces]
     counts = {
-        'run': np.repeat(np.arange(len(runs)), sizes),
+        'run': np.repeat(np.arange(len(runs)), [len(p) for p in pieces]),
+        'part': np.concatenate([run.part for run in runs]),
         'leg': np.concatenate([p.leg for p in pieces]),
         'count': np.concatenate([p.count for p in pieces]),
     }
     return {
         **{name: np.asarray(values, np.int32) for name, values in counts.items()},
         'time': np.concatenate([p.time for p in pieces]),
-        'speed': np.concatenate([p.speed for p in pieces]),
+        'speed': np.concatenate([run.speed for run in runs]),
         'q': np.concatenate([run.q for run in runs]),
         'axes': np.concatenate([np.stack(tuple(run.axes), axis=1) for run in runs]),
         'deviation': np.concatenate([run.deviation.T for run in runs]),
         'residual': np.concatenate([run.residual.T for run in runs]),
-    }
-
-
-def residual_arrays_of_axes(result: AxisCalibration) -> dict[str, NDArray[np.generic]]:
-    """Return the residuals of a machine with rotary axes in the same layout.
-
-    Returns
-    -------
-    dict of str to ndarray
-        As ``residual_arrays``, and ``part``, shape (n,): number of the part, from 0; ``q`` has a
-        column for every axis, m and rad; vectors are in the frame of the tracker's link.
-    """
-    runs = result.solution.runs
-    nodes = table_nodes(result.machine, *result.driven)
-    states = [piece_state(s.run, s.system.q, nodes, result.tables) for s in runs]
-    pieces = [s.run.pieces for s in runs]
-    counts = {
-        'run': np.repeat(np.arange(len(runs)), [len(p) for p in pieces]),
-        'part': np.concatenate([p.part for p in pieces]),
-        'leg': np.concatenate([p.leg for p in pieces]),
-        'count': np.concatenate([p.count for p in pieces]),
-    }
-    return {
-        **{name: np.asarray(values, np.int32) for name, values in counts.items()},
-        'time': np.concatenate([p.time for p in pieces]),
-        'speed': np.concatenate([s.speed for s in states]),
-        'q': np.concatenate([s.system.q for s in runs]),
-        'axes': np.concatenate([np.stack(tuple(s.system.axes), axis=1) for s in runs]),
-        'deviation': np.concatenate([s.system.deviation.T for s in runs]),
-        'residual': np.concatenate([s.residual.T for s in runs]),
     }
 
 
@@ -87,7 +54,7 @@ def write_residuals(arrays: Mapping[str, NDArray[np.generic]], folder: Path) -> 
 
 
 def write_residuals_text(
-    arrays: Mapping[str, NDArray[np.generic]], folder: Path, axis_names: Sequence[str] = XYZ
+    arrays: Mapping[str, NDArray[np.generic]], folder: Path, axis_names: Sequence[str]
 ) -> None:
     """Write residuals.csv, which takes a hundred times longer."""
     write_csv(folder / RESIDUALS_TEXT, *_text_columns(arrays, axis_names))
@@ -99,11 +66,10 @@ def _text_columns(
     """Header and columns of the text, in which the counts are written as numbers with a point."""
     axes = arrays['axes']
     names = _STANDING_NAMES if axes.shape[1] == len(_STANDING_NAMES) else _MOVING_NAMES
-    numbers = ['run', 'part'] if 'part' in arrays else ['run']
-    header = [*numbers, 'time', 'leg', 'count', 'speed', *(a.lower() for a in axis_names)]
+    numbers = ['run', 'part', 'time', 'leg', 'count', 'speed']
+    header = [*numbers, *(a.lower() for a in axis_names)]
     header += [f'a{k}{axis}' for k in names for axis in 'xyz']
     header += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
-    order = (*numbers, 'time', 'leg', 'count', 'speed', 'q')
-    columns = [arrays[name] for name in order] + [axes.reshape(len(axes), -1)]
+    columns = [arrays[name] for name in (*numbers, 'q')] + [axes.reshape(len(axes), -1)]
     columns += [arrays['deviation'], arrays['residual']]
     return ','.join(header), np.column_stack(columns).astype(np.float64)

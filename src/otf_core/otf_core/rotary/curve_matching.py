@@ -17,14 +17,33 @@ from itertools import pairwise
 import numpy as np
 
 from otf_core.arrays import Array, Index
+from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.model.axis_path import BREAK, AxisPath, position_at
+from otf_core.model.axis_path import BREAK, AxisPath, driven_length, position_at
+from otf_core.model.chain import ReflectorView, Sight
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.model.joints import ReflectorView, Sight
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
-from otf_core.rotary.track import MOST, STEP, Curve, Track, assign_places, by_length
+from otf_core.pieces.methods import find_stops, stop_pieces
+from otf_core.pieces.pieces import Pieces
+from otf_core.rotary.track import LONGEST, MOST, STEP, Track, assign_places, by_length
+from otf_core.tracking.alignment import Alignment, driven_share_of
+from otf_core.tracking.curves import Lines, lines_of_part, places_of_chords, shape_of_parts
+from otf_core.tracking.driving_order import (
+    OFF_PATH,
+    assign_legs,
+    is_as_planned,
+    passages,
+    visits,
+)
+from otf_core.tracking.matching import (
+    MIN_SHARE_AS_PLANNED,
+    MIN_SHARE_UNDOUBTED,
+    MatchingInput,
+    cut_track,
+)
+from otf_core.tracking.measured_track import HOP, measured_track
 
 MOST_BREAKS = 200
 SAME_LENGTH = 0.1
@@ -43,10 +62,17 @@ WIDEST, NARROWEST = 0.15, 0.03
 """m; arc length about the expected one within which a track is matched, first and last."""
 LEAST_OFF = 3e-6
 """m; nearer points count alike."""
+AT_STOP = 1.5e-3
+"""m; stops are this near their corners."""
+GENTLE = 0.05
+"""s; left out at both ends of a stop: a reflector near a rotary axis starts and stops so gently
+that its speed does not show it."""
 NEAR = 2e-4
 """m; change of pose and places below which samples keep their legs."""
-HALF_CHORD, LONGEST_STEP = 2e-3, 5e-3
-"""m; half of the chord that gives the direction of travel, and longest step along a curve."""
+OFF_CURVE, OFF_RATIO = 4e-4, 8.0
+"""m, and ratio to the median of its part: a sample further from its curve was driven elsewhere."""
+JUMP = 1e-2
+"""m; what is passed at once was not seen."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +112,13 @@ class MatchedRun:
     driven : tuple of float
         Share of the curve that was driven, for every part.
     missing : tuple of AxisPath
-        Parts of the path at its end that were not recorded.
+        Parts of the path that were not recorded.
+    as_planned : bool
+        Legs were driven forward and in order.
+    coverage : float
+        Driven share of the path.
+    followed : float
+        Share of the track that lies within ``match_tolerance`` of the curves.
     """
 
     machine: Machine
@@ -99,10 +131,62 @@ class MatchedRun:
     distance: tuple[float, ...]
     driven: tuple[float, ...]
     missing: tuple[AxisPath, ...] = ()
+    as_planned: bool = True
+    coverage: float = 1.0
+    followed: float = 1.0
 
     def sight(self, target: str) -> Sight:
         """A target at the place that is known of it now."""
         return sight_at(self.machine, target, self.places)
+
+    def aligned(self) -> Alignment:
+        """The same by the chords of the tracks of all parts."""
+        positions = [p.path.positions for p in self.parts]
+        shape = shape_of_parts([self.sight(p.path.target) for p in self.parts], positions)
+        leg = np.full(len(self.place), OFF_PATH, dtype=np.int32)
+        for number, part in enumerate(self.parts):
+            assert shape.part is not None
+            first, own = np.flatnonzero(shape.part == number)[0], slice(part.first, part.last)
+            at = places_of_chords(positions[number])
+            chord = np.searchsorted(at, self.place[own], side='right') - 1
+            chord = first + np.clip(chord, 0, len(at) - 2)
+            leg[own] = np.where(np.isnan(self.place[own]), OFF_PATH, chord)
+        return Alignment(self.pose, shape.corners, leg, self.coverage, not self.missing, shape)
+
+    def reduce_to_stops(self, samples: Samples, config: CalibrationConfig) -> Pieces:
+        """Average the stops at the corners.
+
+        Raises
+        ------
+        InputError
+            If a part has none.
+        """
+        stops, positions = (
+            find_stops(samples, config, GENTLE),
+            [p.path.positions for p in self.parts],
+        )
+        sights = [self.sight(p.path.target) for p in self.parts]
+        shape = shape_of_parts(sights, positions, corners_alone=True)
+        corners, at = self.pose.apply(stops.xyz), np.full(len(stops.xyz), OFF_PATH)
+        first = np.cumsum([0, *(len(q) for q in positions)])
+        for k, (a, b) in enumerate(stops.span.tolist()):
+            number, own = int(self.part[a]), self.place[a:b]
+            own = own[np.isfinite(own)]
+            if number < 0 or not len(own):
+                continue
+            place = float(np.median(own))
+            low = first[number] + max(0, int(place) - 2)
+            near = shape.corners[low : min(first[number + 1], first[number] + int(place) + 4)]
+            away = np.linalg.norm(near - corners[k], axis=1)
+            if away.min() < AT_STOP:
+                at[k] = low + int(away.argmin())
+        for number, part in enumerate(self.parts):
+            if not np.any((at >= first[number]) & (at < first[number + 1])):
+                raise InputError(
+                    f"part {number + 1} ('{part.path.target}'): no stop lies at a corner of its "
+                    f'path; use the method otf for a run without stops'
+                )
+        return stop_pieces(samples, shape, stops, at)
 
 
 def sight_at(machine: Machine, target: str, places: Mapping[str, Array]) -> Sight:
@@ -129,7 +213,10 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
     marks = [0, *ends.tolist(), len(samples)]
     lengths = [Track.of(samples, a, b).length if b - a > 50 else 0.0 for a, b in pairwise(marks)]
     chords = [float(np.linalg.norm(samples.xyz[e] - samples.xyz[e - 1])) for e in ends]
-    nominal = [Curve.of(Sight.of_target(machine, p.target), p.positions).length for p in paths]
+    nominal = [
+        float(lines_of_part(Sight.of_target(machine, p.target), p.positions).run[-1])
+        for p in paths
+    ]
     pieces = len(lengths)
     if pieces < len(paths):
         if not _are_first(lengths, nominal):
@@ -185,6 +272,32 @@ class _Following:
     reach: Array
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Parts as they were driven, and what is known of them before places are improved.
+
+    Attributes
+    ----------
+    pose : RigidTransform, optional
+        Tracker to the link that it stands on, if it is known.
+    published : tuple of int
+        Part of the path of every driven part.
+    as_planned : bool
+        Legs were driven forward and in order.
+    rough : bool
+        Reaches are those of arc lengths, right to centimetres; else to millimetres.
+    coverage : float
+        Driven share of the path where its order was found.
+    """
+
+    following: list[_Following]
+    pose: RigidTransform | None
+    published: tuple[int, ...]
+    as_planned: bool
+    rough: bool
+    coverage: float = 1.0
+
+
 def match(
     samples: Samples,
     machine: Machine,
@@ -193,8 +306,9 @@ def match(
     places: Mapping[str, Array] | None = None,
     *,
     quick: bool = False,
+    in_any_order: bool = True,
 ) -> MatchedRun:
-    """Find pose, places of reflectors and the place of every sample.
+    """Find driving order, pose, places of reflectors and the place of every sample.
 
     Parameters
     ----------
@@ -206,40 +320,150 @@ def match(
         The same.
     quick : bool
         Coarser and with fewer rounds: enough to tell whether it fits at all.
+    in_any_order : bool
+        Look for another order of the legs where the track does not follow the path as planned.
 
     Raises
     ------
     InputError
         If track and path do not belong together.
     """
-    parts = split_parts(samples, machine, paths)
     known = dict(places) if places is not None else nominal_places(machine)
-    following, tracks = [], []
+    refused: InputError | None = None
+    best: MatchedRun | None = None
+    try:
+        start = _start_by_lengths(samples, machine, paths, known, pose)
+        best = _matched(samples, machine, paths, start, known, quick=quick)
+    except InputError as error:
+        refused = error
+    if in_any_order and (best is None or best.followed < MIN_SHARE_AS_PLANNED):
+        found = _start_by_order(samples, machine, paths, known, pose)
+        if found is not None:
+            other = _matched(samples, machine, paths, found, known, quick=True)
+            again = _start_by_order(samples, machine, paths, other.places, other.pose)
+            if again is not None:
+                other = _matched(samples, machine, paths, again, other.places, quick=quick)
+            if best is None or other.followed > best.followed:
+                return other
+    if best is None:
+        assert refused is not None
+        raise refused
+    return best
+
+
+def _matched(
+    samples: Samples,
+    machine: Machine,
+    paths: Sequence[AxisPath],
+    start: _Start,
+    places: Mapping[str, Array],
+    *,
+    quick: bool,
+) -> MatchedRun:
+    """Improve pose, places of reflectors and places of samples together."""
+    following, tracks = [], [f.track for f in start.following]
+    for f in start.following:
+        coarse = max(QUICK_STEP, f.track.length / PLENTY)
+        track = f.track.resampled(min(coarse, max(STEP, f.track.length / FEWEST)))
+        reach = np.interp(track.reach, f.track.reach, f.reach)
+        following.append(_Following(f.part, track, reach))
+    pose = start.pose or _first_pose(machine, following, places)
+    rounds = QUICK_ROUNDS if quick else ROUNDS
+    band = WIDEST if start.rough else 0.0
+    pose, known, location = _refined(machine, following, pose, places, rounds, band=band)
+    matched = _placed(samples, machine, following, pose, known, location)
+    if not quick and matched.followed >= MIN_SHARE_AS_PLANNED:
+        following = [_finer(f, track) for f, track in zip(following, tracks, strict=True)]
+        band = min(band, NARROWEST)
+        pose, known, location = _refined(machine, following, pose, known, rounds, location, band)
+        matched = _placed(samples, machine, following, pose, known, location)
+    travel = np.array([driven_length(machine, p.positions) for p in paths])
+    own = [driven_length(machine, p.path.positions) for p in matched.parts]
+    seen = np.bincount(start.published, matched.driven * np.array(own), len(paths))
+    shares = np.minimum(seen / travel, 1.0)
+    return replace(
+        matched,
+        missing=tuple(p for k, p in enumerate(paths) if k not in start.published),
+        as_planned=start.as_planned,
+        coverage=float(shares @ travel / travel.sum()) if start.as_planned else start.coverage,
+    )
+
+
+def _start_by_lengths(
+    samples: Samples,
+    machine: Machine,
+    paths: Sequence[AxisPath],
+    places: Mapping[str, Array],
+    pose: RigidTransform | None,
+) -> _Start:
+    """Parts driven as planned, told apart by the broken beam, places by arc lengths."""
+    parts = split_parts(samples, machine, paths)
+    following = []
     for part in parts:
-        curve = Curve.of(sight_at(machine, part.path.target, known), part.path.positions)
+        curve = lines_of_part(sight_at(machine, part.path.target, places), part.path.positions)
         track = Track.of(samples, part.first, part.last)
         if track.length < 0.02:
             raise InputError(
                 f"part '{part.path.target}': the reflector moves by only "
                 f'{1e3 * track.length:.1f} mm; is a part missing, or a broken beam between parts?'
             )
-        tracks.append(track)
-        coarse = max(QUICK_STEP, track.length / PLENTY)
-        track = track.resampled(min(coarse, max(STEP, track.length / FEWEST)))
         cut_off = len(parts) < len(paths) and part is parts[-1]
-        reach = track.reach if cut_off else by_length(track, curve)
+        reach = track.reach if cut_off else by_length(track, float(curve.run[-1]))
         following.append(_Following(part, track, reach))
+    return _Start(following, pose, tuple(range(len(parts))), as_planned=True, rough=True)
+
+
+def _start_by_order(
+    samples: Samples,
+    machine: Machine,
+    paths: Sequence[AxisPath],
+    places: Mapping[str, Array],
+    pose: RigidTransform | None,
+) -> _Start | None:
+    """Parts as the order of the legs shows them, see ``tracking.driving_order``; None if none."""
+    tolerance = CalibrationConfig.match_tolerance
+    sights = [sight_at(machine, p.target, places) for p in paths]
+    shape = shape_of_parts(sights, [p.positions for p in paths])
+    guide = MatchingInput(shape, shape.vertices(0.5 * tolerance))
+    track = measured_track(samples, tolerance)
     if pose is None:
-        pose = _first_pose(machine, following, known)
-    rounds = QUICK_ROUNDS if quick else ROUNDS
-    pose, known, location = _refined(machine, following, pose, known, rounds)
-    if not quick:
-        following = [_finer(f, track) for f, track in zip(following, tracks, strict=True)]
-        pose, known, location = _refined(
-            machine, following, pose, known, rounds, location, NARROWEST
-        )
-    matched = _placed(samples, machine, following, pose, known, location)
-    return replace(matched, missing=tuple(paths[len(parts) :]))
+        found = guide.find(track, tolerance)
+    else:
+        whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
+        found = assign_legs(pose, whole, guide.vertices, tolerance)
+    if found is None or found.explained < MIN_SHARE_UNDOUBTED:
+        return None
+    driven = passages(found, shape, guide.vertex, 4 * tolerance)
+    following, time = [], samples.time
+    ends = [0, *(d.last for d in driven)]
+    starts = [*(d.first for d in driven), len(samples)]
+    for d, before, after in zip(driven, ends, starts[1:], strict=False):
+        path, knots = paths[d.part], d.knots
+        if np.all(np.diff(d.places) > 0.0):  # forward: the whole of it, wherever it was begun
+            begin = np.interp(knots[:, 1], np.arange(len(d.places)), d.places)
+            knots = np.column_stack([knots[:, 0], begin])
+        else:
+            path = replace(path, positions=position_at(path.positions, d.places))
+        first = d.first - _standing(samples.xyz[min(before, d.first) : d.first + 1][::-1])
+        last = min(d.last, after) + _standing(samples.xyz[d.last - 1 : max(after, d.last)])
+        own, curve = Track.of(samples, first, last), lines_of_part(sights[d.part], path.positions)
+        place = np.interp(own.time, time[knots[:, 0].astype(np.int64)], knots[:, 1])
+        reach = np.maximum.accumulate(np.interp(place, curve.shape.places, curve.run))
+        following.append(_Following(Part(path, first, last), own, reach))
+    return _Start(
+        following,
+        found.pose,
+        tuple(d.part for d in driven),
+        as_planned=is_as_planned(visits(found, guide.vertices, 4 * tolerance)),
+        rough=False,
+        coverage=driven_share_of(found, guide, 4 * tolerance),
+    )
+
+
+def _standing(xyz: Array) -> int:
+    """Samples after the first that lie where it does."""
+    away = np.linalg.norm(xyz - xyz[0], axis=1) > HOP
+    return int(np.argmax(away)) - 1 if away.any() else len(xyz) - 1
 
 
 def _finer(one: _Following, track: Track) -> _Following:
@@ -248,8 +472,8 @@ def _finer(one: _Following, track: Track) -> _Following:
     return _Following(one.part, fine, np.interp(fine.reach, one.track.reach, one.reach))
 
 
-def _curve(machine: Machine, one: _Following, places: Mapping[str, Array]) -> Curve:
-    return Curve.of(sight_at(machine, one.part.path.target, places), one.part.path.positions)
+def _curve(machine: Machine, one: _Following, places: Mapping[str, Array]) -> Lines:
+    return lines_of_part(sight_at(machine, one.part.path.target, places), one.part.path.positions)
 
 
 def _first_pose(
@@ -268,10 +492,10 @@ def _first_pose(
         curves = [_curve(machine, f, places) for f in chosen]
         for f, curve in zip(chosen, curves, strict=True):
             if pose is not None:
-                band = 0.05 + 0.02 * curve.length
+                band = 0.05 + 0.02 * float(curve.run[-1])
                 f.reach = assign_places(f.track, curve, pose.apply(f.track.xyz), band, f.reach)
         source = np.concatenate([f.track.xyz for f in chosen])
-        target = np.concatenate([c.at(f.reach) for f, c in zip(chosen, curves, strict=True)])
+        target = np.concatenate([_at_run(c, f.reach) for f, c in zip(chosen, curves, strict=True)])
         before, pose = pose, _robust_fit(source, target)
         if before is not None:
             change = np.abs(before.apply(source) - pose.apply(source)).max()
@@ -301,7 +525,10 @@ def _refined(
     lines: Mapping[str, float] | None = None,
     band: float = WIDEST,
 ) -> tuple[RigidTransform, dict[str, Array], dict[str, float]]:
-    """Pose, places of reflectors on the table and lines of axes from the tracks of all parts."""
+    """Pose, places of reflectors on the table and lines of axes from the tracks of all parts.
+
+    Reaches are right within ``band``, m, or, where it is 0, as far as the closest place needs it.
+    """
     known, location = dict(places), dict(lines or dict.fromkeys(machine.location, 0.0))
     actual = apply_location_errors(machine, location)
     free = sorted(
@@ -315,7 +542,7 @@ def _refined(
     column = {name: 6 + 3 * k for k, name in enumerate(free)}
     first = 6 + 3 * len(free)
     size = first + len(location)
-    far = True
+    far = band > 0.0
     for _ in range(rounds):
         normal, right = np.zeros((size, size)), np.zeros(size)
         for name, at in column.items():
@@ -331,13 +558,13 @@ def _refined(
             points = pose.apply(f.track.xyz)
             if far:
                 f.reach = assign_places(
-                    f.track, curve, points, min(band, 0.5 * curve.length), f.reach
+                    f.track, curve, points, min(band, 0.5 * float(curve.run[-1])), f.reach
                 )
             name = f.part.path.target
-            place, seen, tangent = closest(
-                sight_at(actual, name, known), curve, curve.place_at(f.reach), points
-            )
-            f.reach = curve.reach_at(place)
+            chord, along, tangent, _ = curve.closest(points, *curve.chord_at(f.reach))
+            f.reach = curve.run[chord] + along
+            q = curve.interpolated(curve.shape.positions, chord, along)
+            seen = sight_at(actual, name, known).at(q)
             at_lines = {scalar: k for k, scalar in enumerate(location, start=first)}
             acting, matrix, side = _equations(points, seen, tangent, column.get(name), at_lines)
             normal[np.ix_(acting, acting)] += matrix
@@ -350,7 +577,7 @@ def _refined(
             location[scalar] += float(step[k])
         actual = apply_location_errors(machine, location)
         band = max(NARROWEST, 0.5 * band)
-        far = float(np.abs(step[[0, 1, 2, *range(6, first)]]).max()) > NEAR
+        far = far and float(np.abs(step[[0, 1, 2, *range(6, first)]]).max()) > NEAR
         if np.abs(step[[0, 1, 2, *range(6, size)]]).max() < SETTLED * 100:
             break
     return pose, known, location
@@ -406,43 +633,10 @@ def apply_location_errors(machine: Machine, location: Mapping[str, float]) -> Ma
     return replace(machine, axes=axes)
 
 
-def closest(
-    sight: Sight, curve: Curve, place: Array, points: Array
-) -> tuple[Array, ReflectorView, Array]:
-    """Closest places of a curve to points, from near ones.
-
-    The direction of travel is that of a chord of some length about a place: chains of corners that
-    stand for a smooth curve have ripples, of which noise makes the closest point ambiguous.
-
-    Returns
-    -------
-    place : ndarray, shape (n,)
-    seen : ReflectorView
-        Reflector there.
-    tangent : ndarray, shape (n, 3)
-        Unit direction of travel.
-    """
-    reach = curve.reach_at(place)
-    moving = np.arange(len(reach))
-    for _ in range(ROUNDS):
-        own = reach[moving]
-        step = np.einsum('ni,ni->n', points[moving] - curve.at(own), _chord(curve, own))
-        own = own + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
-        reach[moving] = np.clip(own, 0.0, curve.length)
-        moving = moving[np.abs(step) >= SETTLED]
-        if not len(moving):
-            break
-    place = curve.place_at(reach)
-    seen = sight.at(position_at(curve.positions, place))
-    return place, seen, _chord(curve, reach)
-
-
-def _chord(curve: Curve, reach: Array) -> Array:
-    """Unit directions (n, 3) of symmetric chords about places by arc length."""
-    half = np.minimum(HALF_CHORD, np.minimum(reach, curve.length - reach))
-    half = np.maximum(half, 1e-5)
-    step = curve.at(reach + half) - curve.at(reach - half)
-    return np.asarray(step / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None])
+def _at_run(curve: Lines, reach: Array) -> Array:
+    """Points of a track at path lengths, shape (n, 3), m."""
+    chord, along = curve.chord_at(reach)
+    return curve.at(along, chord)
 
 
 def _placed(
@@ -455,17 +649,24 @@ def _placed(
 ) -> MatchedRun:
     actual = apply_location_errors(machine, location)
     place, number = np.full(len(samples), np.nan), np.full(len(samples), -1, dtype=np.int64)
-    distance, driven = [], []
+    distance, driven, near = [], [], []
     time = samples.time
     for k, f in enumerate(following):
         own = slice(f.part.first, f.part.last)
         curve = _curve(actual, f, places)
         reach = np.interp(time[own], f.track.time, f.reach)
-        place[own], number[own] = curve.place_at(reach), k
-        off = np.linalg.norm(pose.apply(f.track.xyz) - curve.at(f.reach), axis=1)
+        off = np.linalg.norm(pose.apply(f.track.xyz) - _at_run(curve, f.reach), axis=1)
+        limit = max(OFF_CURVE, OFF_RATIO * float(np.median(off)))
+        on = np.interp(time[own], f.track.time, off) < limit
+        there = np.interp(reach, curve.run, curve.shape.places)
+        place[own], number[own] = np.where(on, there, np.nan), k
         distance.append(float(np.median(off)))
-        driven.append(float((f.reach.max() - f.reach.min()) / curve.length))
+        near.append(off < CalibrationConfig.match_tolerance)
+        step, moved = np.diff(f.reach), np.diff(f.track.reach)
+        seen = near[-1][1:] & near[-1][:-1] & (step < LONGEST * moved + JUMP)
+        driven.append(float(step[seen].sum() / curve.run[-1]))
     parts = tuple(f.part for f in following)
     return MatchedRun(
-        machine, parts, pose, places, place, number, location, tuple(distance), tuple(driven)
-    )
+        machine, parts, pose, places, place, number, location, tuple(distance), tuple(driven),
+        followed=float(np.mean(np.concatenate(near))),
+    )  # fmt: skip

@@ -20,12 +20,15 @@ from otf_core.model.axis_path import BREAK, AxisPath
 from otf_core.model.machine import BED, TABLE, Chain, Machine
 from otf_core.model.observation import Samples
 from otf_core.rotary.curve_matching import MatchedRun, match
+from otf_core.tracking.matching import MIN_SHARE_AS_PLANNED
 
 SUSPECT = 2.5e-4
 """m; median distance of a part from its curve, after the rough fit, above which others are tried:
 errors of machine tools are smaller."""
 BETTER = 0.4
 """Share of the distance below which another explanation counts."""
+OFF = 2.0 * SUSPECT
+"""m; a mistake that explains an odd order of driving brings the track so near."""
 REFUSED = 1e-3
 """m; a part that is further off is not solved for."""
 FAR = 10.0
@@ -47,11 +50,20 @@ def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPat
         Names the contradiction and what to change.
     """
     _check_names(matched)
+    if not matched.as_planned:
+        explained = _explained(samples, matched, paths, OFF)
+        if explained:
+            raise InputError(f'samples do not follow the path as planned; {explained}')
     worst = int(np.argmax(matched.distance))
     if matched.distance[worst] > SUSPECT:
-        explained = _explained(samples, matched, paths)
+        given = matched.distance[worst]
+        explained = _explained(samples, matched, paths, BETTER * given) or _moved_tracker(
+            samples, matched, given
+        )
         if explained:
-            raise InputError(explained)
+            raise InputError(
+                f'the track is {1e3 * given:.2f} mm off the curve that the axes drive; {explained}'
+            )
         if matched.distance[worst] > REFUSED:
             raise InputError(
                 f"part {worst + 1} ('{matched.parts[worst].path.target}'): the track is "
@@ -77,22 +89,19 @@ def _parts_words(samples: Samples, paths: Sequence[AxisPath]) -> str:
     )
 
 
-def _explained(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath]) -> str:
-    """Words on the change under which the track fits far better; empty if there is none."""
-    given = max(matched.distance)
-    best, words = BETTER * given, ''
+def _explained(
+    samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath], best: float
+) -> str:
+    """Words on the change under which the track fits as planned, nearer than ``best``, m."""
+    words = ''
     for machine, driven, said in _alternatives(matched.machine, paths):
         with suppress(OtfError):
-            other = max(match(samples, machine, driven, quick=True).distance)
-            if other < best:
-                best, words = other, said
-                if other < 0.5 * SUSPECT:
+            other = match(samples, machine, driven, quick=True, in_any_order=False)
+            if max(other.distance) < best and other.followed > MIN_SHARE_AS_PLANNED:
+                best, words = max(other.distance), said
+                if best < 0.5 * SUSPECT:
                     break
-    if not words:
-        words = _moved_tracker(samples, matched, given)
-    if not words:
-        return ''
-    return f'the track is {1e3 * given:.2f} mm off the curve that the axes drive; {words}'
+    return words
 
 
 def _alternatives(
@@ -159,7 +168,7 @@ def _moved_tracker(samples: Samples, matched: MatchedRun, given: float) -> str:
     for part in matched.parts:
         own = samples.part(part.first, part.last)
         try:
-            alone = match(own, matched.machine, [part.path], quick=True)
+            alone = match(own, matched.machine, [part.path], quick=True, in_any_order=False)
         except OtfError:
             return ''
         if max(alone.distance) > BETTER * given:
@@ -198,7 +207,12 @@ def _check_names(matched: MatchedRun) -> None:
 
 def _notes(matched: MatchedRun) -> list[str]:
     notes = []
-    if matched.missing:
+    if not matched.as_planned:
+        notes.append(
+            f'the path was not driven as planned; legs count in the order in which they were '
+            f'driven, {100 * matched.coverage:.0f} % of the path'
+        )
+    elif matched.missing:
         last = len(matched.parts)
         names = ', '.join(p.target for p in matched.missing)
         notes.append(

@@ -19,8 +19,8 @@ from otf_core.model.axis_path import (
     position_at,
     seconds_of_legs,
 )
+from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform
-from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.rotary.curve_matching import (
@@ -29,8 +29,9 @@ from otf_core.rotary.curve_matching import (
     match,
     sight_at,
 )
-from otf_core.rotary.track import Curve, GrowingLength
+from otf_core.rotary.track import GrowingLength
 from otf_core.threads import limit_to_one_thread
+from otf_core.tracking.curves import lines_of_part
 from otf_core.tracking.path_watch import PathWatcher
 
 BREAK_NS = int(BREAK * 1e9)
@@ -177,15 +178,15 @@ class PartsWatcher(PathWatcher):
         if self.part < len(track.parts):
             return GrowingLength(0, samples.step)
         last = track.parts[-1]
-        nominal = Curve.of(Sight.of_target(track.machine, last.target), last.positions).length
-        self._worth_comparing = PART_DRIVEN * (1.0 - SAME_LENGTH) * nominal
+        nominal = lines_of_part(Sight.of_target(track.machine, last.target), last.positions).run
+        self._worth_comparing = PART_DRIVEN * (1.0 - SAME_LENGTH) * float(nominal[-1])
         return GrowingLength(self.starts[-1] if self.starts else 0, samples.step)
 
     def _compare(self, samples: Samples) -> _LastPart | None:
         """Compare all samples with the path; None if they do not follow it."""
         track = self._track
         try:
-            matched = match(samples, track.machine, track.parts, quick=True)
+            matched = match(samples, track.machine, track.parts, quick=True, in_any_order=False)
         except InputError:
             return None
         last = matched.parts[-1]
@@ -193,9 +194,9 @@ class PartsWatcher(PathWatcher):
             self._driven = GrowingLength(last.first, samples.step)
         actual = apply_location_errors(track.machine, matched.location)
         sight = sight_at(actual, last.path.target, matched.places)
-        curve = Curve.of(sight, last.path.positions)
+        curve = lines_of_part(sight, last.path.positions)
         driven = self._driven.up_to(samples)
-        return _LastPart(matched.pose, curve.points[-1], driven, curve.length)
+        return _LastPart(matched.pose, curve.corners[-1], driven, float(curve.run[-1]))
 
 
 def _course(track: PartsTrack, number: int) -> tuple[Array, Array]:

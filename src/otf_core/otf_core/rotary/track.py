@@ -9,21 +9,17 @@ that once the pose of the tracker is roughly known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.model.axis_path import along_legs, position_at
-from otf_core.model.joints import Sight
 from otf_core.model.observation import Samples
+from otf_core.tracking.curves import Lines
 
 PERIOD = 0.02
 """s; samples are averaged over this time before the arc length is taken."""
 LEAST_MOVE = 2e-4
 """m; less is noise and standstill."""
-FINE_STEP, FINE_TURN = 2e-3, 0.01
-"""m and rad between the places at which a nominal curve is computed."""
 STEP, MOST = 2e-3, 20_000
 """m between places that are assigned to each other, and their largest number."""
 GAP = 0.3
@@ -123,61 +119,13 @@ class GrowingLength:
         return self._length
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Nominal curve of a part.
-
-    Attributes
-    ----------
-    positions : ndarray, shape (n, k), m and rad
-        Axis positions at the corners.
-    place : ndarray, shape (m,)
-        Legs done, see ``axis_path.along_legs``.
-    points : ndarray, shape (m, 3), m
-        In the frame of the tracker's link.
-    """
-
-    positions: Array
-    place: Array
-    points: Array
-
-    @classmethod
-    def of(cls, sight: Sight, positions: Array) -> Curve:
-        """Curve of a reflector."""
-        place = along_legs(positions, FINE_STEP, FINE_TURN)
-        return cls(positions, place, sight.nominal(position_at(positions, place)))
-
-    @cached_property
-    def reach(self) -> Array:
-        """Arc length at ``place``, shape (m,), m; grows a little where nothing moves."""
-        step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        return np.append(0.0, np.maximum(step, 1e-9).cumsum())
-
-    @property
-    def length(self) -> float:
-        """Arc length, m."""
-        return float(self.reach[-1])
-
-    def place_at(self, reach: Array) -> Array:
-        """Places at arc lengths, clipped to the curve."""
-        return np.interp(reach, self.reach, self.place)
-
-    def reach_at(self, place: Array) -> Array:
-        """Arc lengths at places."""
-        return np.interp(place, self.place, self.reach)
-
-    def at(self, reach: Array) -> Array:
-        """Points at arc lengths, on the chords of the curve, shape (k, 3), m."""
-        return np.stack([np.interp(reach, self.reach, own) for own in self.points.T], axis=1)
-
-
-def by_length(track: Track, curve: Curve) -> Array:
-    """Arc length on the curve of every place of a track that ends where the curve does, (k,)."""
-    share = curve.length / max(track.length, 1e-9)
+def by_length(track: Track, length: float) -> Array:
+    """Arc length on a curve of every place of a track that ends where the curve does, (k,)."""
+    share = length / max(track.length, 1e-9)
     return track.reach * (share if 0.9 < share < 1.1 else 1.0)
 
 
-def assign_places(track: Track, curve: Curve, points: Array, band: float, start: Array) -> Array:
+def assign_places(track: Track, curve: Lines, points: Array, band: float, start: Array) -> Array:
     """Assign places of a track to places of a curve, in order.
 
     Parameters
@@ -195,8 +143,9 @@ def assign_places(track: Track, curve: Curve, points: Array, band: float, start:
         Arc length on the curve of every place of the track.
     """
     step = float(np.median(np.diff(track.reach))) if len(track.reach) > 1 else STEP
-    nodes = np.arange(0.0, curve.length + 0.5 * step, step)
-    at = curve.at(nodes)
+    length = float(curve.run[-1])
+    nodes = np.arange(0.0, length + 0.5 * step, step)
+    at = curve.at(*curve.chord_at(nodes)[::-1])
     width = 2 * int(np.ceil(band / step)) + 1
     low = np.clip(
         np.rint(start / step).astype(np.int64) - width // 2, 0, max(0, len(nodes) - width)
@@ -245,4 +194,4 @@ def assign_places(track: Track, curve: Curve, points: Array, band: float, start:
     for k in range(len(points) - 1, -1, -1):
         nearest[k] = low[k] + j
         j = min(max(int(choice[k, j]), 0), most)
-    return np.asarray(np.minimum(nodes[nearest], curve.length))
+    return np.asarray(np.minimum(nodes[nearest], length))

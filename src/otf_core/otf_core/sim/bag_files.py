@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated run as a bag with its truth: a rosbag2 folder, or an .mcap file with siblings.
 
+``truth_tables.json`` (layout of error_tables.json): the errors of the machine, the pose of the
+tracker and the places of the reflectors, to check a calibration by. ``simulation.json``
+(``otf-simulation/1``): seed, effects, what was driven, options.
+
 In a folder, truth and manifest lie beside metadata.yaml, where no reader of bags looks. Beside
 NAME.mcap lie NAME.truth_tables.json, NAME.simulation.json and NAME.manifest.json. What was
 recorded otherwise has no such manifest and is never overwritten.
@@ -8,13 +12,16 @@ recorded otherwise has no such manifest and is never overwritten.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from otf_core.bags.bag import FILE_NAME, BagContent, write_bag
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import effects_to_data
 from otf_core.errors import ConfigError
 from otf_core.files.output_folder import (
     MANIFEST,
@@ -24,9 +31,13 @@ from otf_core.files.output_folder import (
     listed_files,
     write_manifest,
 )
-from otf_core.model.plan import Plan
+from otf_core.files.writing import write_text
+from otf_core.model.provenance import origin_of, provenance
+from otf_core.model.tables import tables_to_dict
 from otf_core.sim.cell import SimulatedRun
-from otf_core.sim.truth import SIMULATION_FILE, TABLES_FILE, write_truth
+
+TABLES_FILE, SIMULATION_FILE = 'truth_tables.json', 'simulation.json'
+SCHEMA = 'otf-simulation/1'
 
 
 class SimulatedBag:
@@ -74,7 +85,6 @@ class SimulatedBag:
     def write(
         self,
         run: SimulatedRun,
-        plan: Plan,
         config: SimulationConfig,
         effects: Sequence[AppliedEffect],
         files: Mapping[str, str | None],
@@ -86,25 +96,22 @@ class SimulatedBag:
         files : mapping of str to path
             What was read, for the block ``provenance``.
         """
-        content = BagContent(run.samples, plan.path, signals=run.signals)
+        parts = run.parts if run.path is None else ()
+        content = BagContent(run.samples, run.path, signals=run.signals, axis_paths=parts)
         if self._folder is not None:
             with self._folder.filled('simulate') as folder:
                 write_bag(folder, content, overwrite=True)
-                write_truth(run, plan, config, effects, folder, self._path.name, files)
+                _write_truth(run, config, effects, folder, self._path.name, files)
             return
         try:
-            with TemporaryDirectory(prefix='.otf-', dir=self._parent()) as name:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(prefix='.otf-', dir=self._path.parent) as name:
                 folder = Path(name)
                 write_bag(folder / 'bag', content)
-                written = write_truth(run, plan, config, effects, folder, self._path.stem, files)
-                new = [folder / 'bag' / FILE_NAME, *written]
-                self._put_in_place(new)
+                written = _write_truth(run, config, effects, folder, self._path.stem, files)
+                self._put_in_place([folder / 'bag' / FILE_NAME, *written])
         except OSError as error:
             raise ConfigError(f'{self._path}: cannot be written ({error.strerror})') from None
-
-    def _parent(self) -> Path:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        return self._path.parent
 
     def _put_in_place(self, new: Sequence[Path]) -> None:
         for source, target in reversed(list(zip(new, self._files, strict=True))):
@@ -112,3 +119,47 @@ class SimulatedBag:
                 source.replace(partial)
         written = [file.path for file in self._files]
         write_manifest(self._sibling(MANIFEST), written, 'simulate')
+
+
+def _write_truth(
+    run: SimulatedRun,
+    config: SimulationConfig,
+    effects: Sequence[AppliedEffect],
+    folder: Path,
+    name: str,
+    files: Mapping[str, str | None],
+) -> list[Path]:
+    """Write both files into a folder that exists."""
+    machine = run.truth.machine
+    block = provenance(
+        'simulate',
+        runs=[origin_of(name, run.samples, run.path, machine)],
+        files=files,
+        coverage='the truth: no uncertainty',
+    )
+    pose = {name: value.tolist() for name, value in vars(run.pose).items()}
+    targets = {n: {'place': p.tolist(), 'u': [0.0] * 3} for n, p in run.places.items()}
+    tables = tables_to_dict(run.truth) | {'alignment': pose, 'targets': targets}
+    parts = [
+        {
+            'target': drive.part.target,
+            'corners': drive.part.path.positions.tolist(),
+            'feed': drive.part.feed.tolist(),
+            'dwell': drive.part.dwell.tolist(),
+        }
+        for drive in run.drives
+    ]
+    about = {
+        'schema': SCHEMA,
+        'seed': config.seed,
+        'effects': effects_to_data(effects, machine),
+        'alignment': pose,
+        'parts': parts,
+        'options': asdict(config),
+        'machine': machine.to_dict(),
+    }
+    written = []
+    for file, content in ((TABLES_FILE, tables), (SIMULATION_FILE, about)):
+        written.append(folder / file)
+        write_text(written[-1], json.dumps(content | {'provenance': block}, indent=1) + '\n')
+    return written

@@ -4,22 +4,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.catalogue.tracker_noise import SPECIFIED, TrackerNoise
-from otf_core.effects.state import state_on_path
+from otf_core.effects.history import lap_numbers
+from otf_core.effects.state import state_in_parts
 from otf_core.errors import ConfigError
-from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
-from otf_core.model.path import MIN_LEG, NominalPath
-from otf_core.model.plan import Plan
+from otf_core.model.path import sides_of_travel
+from otf_core.model.signals import Courses
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
@@ -28,41 +27,33 @@ IMPLAUSIBLE = 0.01
 """m; no effect displaces the target by more."""
 
 
-def _straight_legs(path: NominalPath) -> NDArray[np.int64]:
-    """Leg between true corners that each leg of a path lies on, shape (n - 1,).
-
-    A repeated point is part of the leg that led to it.
-    """
-    _, index = path.corners()
-    number = np.arange(len(path.leg_lengths))
-    leg = np.clip(np.searchsorted(index, number, side='right') - 1, 0, len(index) - 2)
-    moves = path.leg_lengths > MIN_LEG
-    last = np.maximum.accumulate(np.where(moves, number, -1))
-    first = int(np.flatnonzero(moves)[0])
-    return np.asarray(leg[np.where(last < 0, first, last)])
-
-
 def run_state(
-    machine: Machine,
-    plan: Plan,
-    drive: Drive,
+    drives: Sequence[Drive],
+    number: int,
     time: Array,
     clock: Array,
-    pose: RigidTransform,
     tables: ErrorTables,
+    places: Mapping[str, Array],
+    pose: RigidTransform,
+    duration: float = 0.0,
     signals: Courses | None = None,
 ) -> State:
-    """Describe every sample of a simulated run.
+    """Describe samples of one part of a simulated run.
 
     Parameters
     ----------
-    time, clock : ndarray, shape (n,), s
-        Since the start, true and by the clock of the tracker: effects go by the latter, as it
-        is the only one that a recording knows.
-    pose : RigidTransform
-        Tracker to machine.
+    number : int
+        Of the part.
+    time : ndarray, shape (n,), s
+        Since the start of the part.
+    clock : ndarray, shape (n,), s
+        Since the start of the run by the clock of the tracker: effects go by it, as it is the
+        only one that a recording knows.
     tables : ErrorTables
         Errors of the truth machine.
+    places : mapping of target to ndarray, shape (3,), m
+    pose : RigidTransform
+        Tracker to the link that it stands on.
     signals : Courses, optional
         Recorded beside the samples.
 
@@ -71,19 +62,38 @@ def run_state(
     State
         While standing, the direction is that of the leg just driven.
     """
-    leg, speed = drive.leg_and_speed(time)
-    return state_on_path(
+    machine, drive = tables.machine, drives[number]
+    now, unit, corners = drive.motion(time), drive.unit, drive.corners
+    lines = sum(len(d.corners) - 1 for d in drives[:number])
+    state = state_in_parts(
         machine,
-        plan.path.corners()[0],
-        _straight_legs(plan.path)[leg],
-        drive.position(time),
-        speed,
+        [d.part.target for d in drives],
+        places,
+        np.full(len(time), number),
+        lines + now.line,
+        now.q,
+        now.rates,
+        sides_of_travel(unit)[now.leg],
         clock,
         pose,
         {a: axis_nodes(axis) for a, axis in machine.axes.items()},
         tables,
-        float(clock[-1]),
-        signals=signals,
+        duration,
+    )
+    before, after = corners[now.line] - 1, corners[now.line + 1]
+    history = {
+        **state.more,
+        'acceleration': np.gradient(state.speed, time) if len(time) > 1 else np.zeros(len(time)),
+        'lap': lap_numbers(drive.part.path.positions[corners])[now.line],
+    }
+    return replace(
+        state,
+        direction=unit[now.leg],
+        from_corner=now.from_corner,
+        to_corner=now.to_corner,
+        before=unit[np.maximum(before, 0)],
+        after=unit[np.minimum(after, len(unit) - 1)],
+        more=history if signals is None else signals.beside(history),
     )
 
 

@@ -7,7 +7,7 @@ over ``RANGES``, or over the range that an effect states.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,9 +15,8 @@ from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect
 from otf_core.effects.free_form import FreeForm
 from otf_core.errors import ConfigError
-from otf_core.model.courses import Courses
-from otf_core.model.declared_signals import HEAD, PLAIN, USUAL, SignalSpec
 from otf_core.model.machine import Machine
+from otf_core.model.sections import SIGNAL_FIELDS, SIGNAL_PREFIX, USUAL_SIGNAL, SignalSpec
 from otf_core.model.signals import Signal, first_order_response
 
 STEP = 1.0
@@ -65,34 +64,24 @@ def simulated_signals(
     return signals
 
 
-def signal_courses(signals: Mapping[SignalSpec, Signal], start_ns: int, time: Array) -> Courses:
-    """Inputs of effects at times after the start."""
-    return Courses({spec.name: signal for spec, signal in signals.items()}, start_ns, time)
-
-
-def _inputs(effects: Sequence[AppliedEffect]) -> dict[str, tuple[float, float]]:
-    """Signals that effects follow, with their lags, and the ranges that they state."""
+def _followed(effects: Sequence[AppliedEffect]) -> dict[str, tuple[float, float]]:
+    """Ranges that effects state for the signals that they follow, by topic and field."""
     return {
-        name: span
+        name.removeprefix(SIGNAL_PREFIX).partition('@')[0]: span
         for one in effects
         if isinstance(one.effect, FreeForm)
         for name, span in one.effect.spans.items()
-        if name.startswith(HEAD)
+        if name.startswith(SIGNAL_PREFIX)
     }
-
-
-def _followed(effects: Sequence[AppliedEffect]) -> dict[str, tuple[float, float]]:
-    """The same by topic and field."""
-    return {n.removeprefix(HEAD).partition('@')[0]: s for n, s in _inputs(effects).items()}
 
 
 def _undeclared(wanted: str) -> SignalSpec:
     topic, _, field = wanted.partition(':')
-    kinds = [k for k, own in PLAIN.items() if own == field] if field else [USUAL]
+    kinds = [k for k, own in SIGNAL_FIELDS.items() if own == field] if field else [USUAL_SIGNAL]
     if not kinds:
         raise ConfigError(
-            f'{HEAD}{wanted}: the form of its messages is unknown; declare it under signals in '
-            f'machine.yaml'
+            f'{SIGNAL_PREFIX}{wanted}: the form of its messages is unknown; declare it under '
+            f'signals in machine.yaml'
         )
     return SignalSpec(topic, field, '', kinds[0], ())
 

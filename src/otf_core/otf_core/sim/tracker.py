@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
-from otf_core.model.beam_frame import beam_frame
+from otf_core.model.frames import RigidTransform, beam_frame
 from otf_core.model.machine import Machine
+from otf_core.model.motions import AXES
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 
 PACKETS = 3.0
@@ -85,20 +86,14 @@ def draw_received(time: Array, loss: float, rng: np.random.Generator) -> NDArray
     return np.asarray(rng.random(int(packet[-1]) + 1) >= loss)[packet]
 
 
-def place_tracker(machine: Machine, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw a place beside the working volume and any orientation.
-
-    Returns
-    -------
-    rotation : ndarray, shape (3, 3)
-        Takes machine coordinates (less the place) to tracker coordinates.
-    place : ndarray, shape (3,), m
-        Beam origin in the machine frame.
-    """
-    size = (machine.upper - machine.lower)[:3]
-    centre = 0.5 * (machine.lower + machine.upper)[:3]
+def place_tracker(machine: Machine, rng: np.random.Generator) -> RigidTransform:
+    """Draw the pose of a tracker: a place beside the working volume and any orientation."""
+    reach = max(float(np.linalg.norm(target.place)) for target in machine.targets.values())
+    axes = [machine.axes.get(letter) for letter in AXES]
+    low, high = np.array([(a.min, a.max) if a else (-reach, reach) for a in axes]).T
+    size, centre = high - low, 0.5 * (low + high)
     side = rng.uniform(0, 2 * np.pi)
     radius = 0.5 * np.hypot(size[0], size[1]) + rng.uniform(0.15, 0.35)
     place = centre + np.array([radius * np.cos(side), radius * np.sin(side), 0.0])
     place[2] += size[2] * rng.uniform(-0.6, 0.2)
-    return Rotation.random(random_state=rng).as_matrix(), place
+    return RigidTransform(Rotation.random(random_state=rng).as_matrix().T, place)

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from otf_core.model.chain import exact_position
 from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs
 from otf_core.model.tables import ErrorTables

@@ -1,21 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint solution of runs: common tables, one pose per run, noise as the residuals show it.
+"""Joint solution of runs: common tables, a pose for every place of the tracker, places of targets.
 
-Standstills show the noise of the tracker at rest, some of it for too short a time, and nothing of
-model errors. So the sizes of five parts of the covariance S of a line are fitted: white and slow
-noise of the tracker, its correlation time, misfit of single pieces and of whole lines. Their
-logarithms (of factors, for the tracker) maximise the restricted likelihood: with e the residual
-of a solution whose estimates have the posterior covariance V, E[e e^T] = S - A V A^T, and for K =
-dS by a logarithm
-
-    score = (e^T S^-1 K S^-1 e - tr P K) / 2,  P = S^-1 - S^-1 A V A^T S^-1,
-    information = tr(P K P K') / 2
-
-The prior is what standstills or the specification state.
-
-References
-----------
-Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
+Places of targets that are not known are unknowns like the poses. What the data do not show, poses
+and places follow in damped steps, and what they do not show of the motions, smoothness supplies.
 """
 
 from __future__ import annotations
@@ -34,182 +21,27 @@ from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import is_location
 from otf_core.model.path import leg_bounds
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-from otf_core.noise.noise_model import (
-    INDEPENDENT,
-    LASTING,
-    MODEL_FLOOR,
-    SLOW,
-    WHITE,
-    NoiseModel,
-    Windows,
-    add_to_diagonal,
-    covariance_parts,
-    misfit_of,
-    noise_covariance,
-    scale_noise,
-)
-from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN, Pieces
+from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import AnyRun, Observed, errors_of
-from otf_core.solving.design import Design
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
-from otf_core.solving.unknowns import Unknowns, free_values, pose_block
+from otf_core.solving.unknowns import (
+    PLACE,
+    Basis,
+    Unknowns,
+    free_values,
+    is_step,
+    layout,
+    place_block,
+    pose_block,
+)
+from otf_core.solving.variance_components import FittedNoise, fit_noise, is_same_noise
 from otf_core.solving.whitener import Whitener
-
-PRIOR_SIGMAS = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
-"""Standard deviation of the logarithms of the four variances and of the correlation time."""
-LOWER_BOUNDS = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
-UPPER_BOUNDS = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
-MAX_LINES, MAX_PIECES_PER_LINE = 48, 100
-"""Lines and pieces of each that are used: five numbers need no more."""
-MAX_STEPS = 6
-MAX_STEP = 1.5
-FINAL_STEP, FINAL_SHARE_OF_SIGMA = 0.03, 0.3
-"""Steps that are smaller, or than this share of their standard deviation, end the search."""
-_DIAGONAL = (WHITE, INDEPENDENT)
-"""Parts of the covariance without any between pieces."""
-_DERIVATIVE = 1e-3
-_LONGER = np.array([0.0, 0.0, np.log1p(_DERIVATIVE)])
-
-
-@dataclass(frozen=True)
-class FittedNoise:
-    """Sizes of noise and misfit.
-
-    Attributes
-    ----------
-    logs : ndarray, shape (5,)
-        For ``noise_model.scale_noise`` and ``noise_model.misfit_of``.
-    u : ndarray, shape (5,)
-        Their standard uncertainties.
-    """
-
-    logs: Array
-    u: Array
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """Parts of lines, n of them of m pieces, all c components.
-
-    Attributes
-    ----------
-    shares : ndarray, shape (3, c, n, m)
-        See ``noise_model.beam_shares``.
-    windows : tuple of time, duration (s) and count, each of shape (n, m)
-    residual : ndarray, shape (c, n, m), m
-    explained : ndarray, shape (c, n, m, m), m^2
-        A V A^T.
-    """
-
-    shares: Array
-    windows: Windows
-    residual: Array
-    explained: Array
-
-
-def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Lines]:
-    bounds = [(low, min(high, low + MAX_PIECES_PER_LINE)) for low, high in leg_bounds(pieces.leg)]
-    chosen = np.unique(np.linspace(0, len(bounds) - 1, MAX_LINES).round().astype(int))
-    low, high = np.array(bounds)[chosen].T
-
-    def of_size(size: int) -> _Lines:
-        own = low[high - low == size, None] + np.arange(size)
-        explained = _explained(system.rows, own, covariance)
-        windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
-        return _Lines(system.shares[:, :, own], windows, residual[:, own], explained)
-
-    return [of_size(size) for size in np.unique(high - low).tolist()]
-
-
-def _explained(rows: Design, lines: Index, covariance: Array) -> Array:
-    """A V A^T of the pieces (n, m) of lines, shape (c, n, m, m), m^2."""
-    use, flat = rows.touched(lines.ravel())
-    own = flat.reshape(len(flat), *lines.shape, len(use))
-    half = (flat @ covariance[np.ix_(use, use)]).reshape(own.shape)
-    return np.asarray(half @ np.swapaxes(own, -1, -2))
-
-
-def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
-    """Parts of the covariance by their places, (..., m) where diagonal, else (..., m, m), m^2."""
-    now, misfit = scale_noise(noise, logs), misfit_of(logs)
-    white, slow, independent, lasting = covariance_parts(now, misfit, lines.shares, lines.windows)
-    longer = scale_noise(now, _LONGER)
-    other = noise_covariance(longer, lines.shares, lines.shares, lines.windows)[1]
-    return [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
-
-
-def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array, Array]:
-    """Score and information of the logarithms, prior left out."""
-    parts = [_slopes_of(noise, logs, lines) for lines in groups]
-    score, information = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    return score, information
-
-
-def _slopes_of(noise: NoiseModel, logs: Array, lines: _Lines) -> tuple[Array, Array]:
-    """What some lines add to the score and to the information."""
-    parts = _derivatives(noise, logs, lines)
-    whole = add_to_diagonal(parts[SLOW] + parts[LASTING], parts[WHITE] + parts[INDEPENDENT])
-    inverse = np.linalg.inv(whole)
-    P = inverse - inverse @ lines.explained @ inverse
-    pull = inverse @ lines.residual[..., None]
-    moved, pulled = np.empty((len(parts), *P.shape)), np.empty(len(parts))
-    for k, K in enumerate(parts):
-        if k in _DIAGONAL:
-            np.multiply(P, K[..., None, :], out=moved[k])
-            pulled[k] = np.sum(pull * (K[..., None] * pull))
-        else:
-            np.matmul(P, K, out=moved[k])
-            pulled[k] = np.sum(pull * (K @ pull))
-    trace = np.trace(moved, axis1=-2, axis2=-1).sum(axis=(1, 2))
-    score = 0.5 * (pulled - trace)
-    turned = np.ascontiguousarray(np.swapaxes(moved, -1, -2)).reshape(len(parts), -1)
-    return score, 0.5 * (moved.reshape(len(parts), -1) @ turned.T)
-
-
-def fit_noise(
-    system: System,
-    pieces: Pieces,
-    residual: Array,
-    noise: NoiseModel,
-    covariance: Array,
-    start: Array | None = None,
-) -> FittedNoise:
-    """Fit the sizes of noise and misfit to the residuals of a run.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (c, p), m
-    noise : NoiseModel
-        From standstills or specification; the prior.
-    covariance : ndarray, shape (full, full)
-        Posterior covariance of the estimates.
-    start : ndarray, shape (5,), optional
-    """
-    floor = 2.0 * np.log(MODEL_FLOOR)
-    prior = np.array([0.0, 0.0, 0.0, floor, floor])
-    logs = prior.copy() if start is None else start
-    lines = _lines(system, pieces, residual, covariance)
-    share, last = 1.0, np.zeros(len(logs))
-    for _ in range(MAX_STEPS):
-        score, information = _slopes(noise, logs, lines)
-        score -= (logs - prior) / PRIOR_SIGMAS**2
-        information += np.diag(1.0 / PRIOR_SIGMAS**2)
-        step = np.linalg.solve(information, score)
-        share *= 0.5 if step @ last < 0.0 else 1.0  # to and fro: too far each time
-        step *= min(share, MAX_STEP / float(np.abs(step).max()))
-        moved = np.clip(logs + step, LOWER_BOUNDS, UPPER_BOUNDS)
-        last, logs = moved - logs, moved
-        known = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(np.abs(last) < np.maximum(FINAL_STEP, FINAL_SHARE_OF_SIGMA * known)):
-            break
-    return FittedNoise(logs, known)
-
 
 MAX_REPETITIONS = 4
 """Repeated solutions; bad pieces bend the tables at first and hide others."""
@@ -217,11 +49,17 @@ MIN_PIECE_OUTLIER = 2e-6
 """m; pieces that are off by less are never left out."""
 NEIGHBOUR_SHARE = 0.5
 """Share of the limit from which a piece beside one that is left out is left out as well."""
+MAX_FAR_SHARE = 0.05
+"""Share of the pieces that may be left out for their distance alone: what holds for a part of the
+run is no outlier."""
 MAX_RATIO_OF_CHANGES = 0.5
 """Share of the change before that a change has to fall below, or the normal matrix is made anew:
 once the poses have moved, it is another one for what the data hardly show."""
-NOISE_SETTLED = 0.1
-"""Change of the logarithms of noise and misfit below which they count as settled."""
+DAMPED = 1e-4
+"""m and rad; what the data do not show, poses and places follow in steps of little more than this,
+or of a tenth where the steps do not become smaller."""
+DIVERGED = 100.0
+"""Ratio of a change to the least one from which it is given up."""
 MAX_JUDGED_PIECES = 3000
 """Pieces, about, that tell what the data determine."""
 GOLDEN = 0.6180339887498949
@@ -235,16 +73,21 @@ class SolvedRun:
 
     Attributes
     ----------
-    pose : RigidTransform
-        Tracker to machine.
+    run : Observed
+        With the pose of the solution and the places of its targets.
     residual : ndarray, shape (c, p), m
         Deviation less model.
     """
 
-    pose: RigidTransform
+    run: Observed
     system: System
     whitener: Whitener
     residual: Array
+
+    @property
+    def pose(self) -> RigidTransform:
+        """Tracker to the link that it stands on."""
+        return self.run.pose
 
 
 @dataclass(frozen=True)
@@ -254,7 +97,8 @@ class JointSolution:
     Attributes
     ----------
     normal : NormalEquations
-        Of what was solved for, in the first iteration, or in the last, see ``settle_covariance``.
+        Of what was solved for and of what is known of the places of targets, in an iteration, or
+        in the last, see ``settle_covariance``.
     """
 
     unknowns: Unknowns
@@ -263,6 +107,22 @@ class JointSolution:
     normal: NormalEquations
     runs: tuple[SolvedRun, ...]
     iterations: int
+
+    @property
+    def machine(self) -> Machine:
+        """Of the first run; targets and trackers of the others may differ."""
+        return self.runs[0].run.machine
+
+    @property
+    def places(self) -> dict[str, Array]:
+        """Places of the targets that were seen, m."""
+        return common_places([solved.run for solved in self.runs])
+
+
+class UnsettledError(InputError):
+    """A solution that does not converge; ``joint`` is the one that changed least."""
+
+    joint: JointSolution
 
 
 @dataclass(frozen=True)
@@ -293,12 +153,11 @@ class Start:
 def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
     """Error tables of a solution, fine enough for linear interpolation to cost nothing.
 
-    For use inside; what is written has the nodes of ``tabulate``.
+    For use inside; what is written has the nodes and the gauge of ``tabulate``.
     """
     cover = solution.covariance
     motions: dict[str, MotionTable] = {}
-    squareness: dict[str, Squareness] = {}
-    for name in MOTIONS:
+    for name in machine.motions:
         block, basis = unknowns.blocks[name], unknowns.bases[name.axis]
         position = basis.finer(1 if basis.degree == 1 else PARTS_PER_INTERVAL)
         rows, seen = basis.matrix(position), name in solution.accepted
@@ -306,24 +165,57 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
         motions[name] = MotionTable(
             position, rows @ solution.value[block] + 0.0, u if seen else 0.0 * u, seen
         )
-    for angle in SQUARENESS:
-        place = unknowns.blocks[angle].start
-        u_angle = float(np.sqrt(max(cover[place, place], 0.0)))
-        squareness[angle] = Squareness(float(solution.value[place]), u_angle)
-    return ErrorTables(machine, motions, squareness)
+
+    def scalar(name: str) -> tuple[float, float]:
+        place = unknowns.blocks[name].start
+        return float(solution.value[place]), float(np.sqrt(max(cover[place, place], 0.0)))
+
+    return ErrorTables(
+        machine,
+        motions,
+        {n: Squareness(*scalar(n)) for n in machine.squareness},
+        {n: LocationError(*scalar(n)) for n in machine.location},
+    )
+
+
+def station_numbers(runs: Sequence[Observed]) -> list[int]:
+    """Number of the place of the tracker of every run."""
+    moved = [k > 0 and not run.same_station for k, run in enumerate(runs)]
+    return [int(k) for k in np.cumsum(moved)]
+
+
+def common_places(runs: Sequence[Observed]) -> dict[str, Array]:
+    """Places of the targets of all runs, those of earlier ones first, m."""
+    return {n: place for run in reversed(runs) for n, place in run.places.items()}
+
+
+def unknowns_of(
+    runs: Sequence[Observed],
+    bases: Mapping[str, Basis],
+    reversal: Sequence[str] = (),
+    lags: Sequence[str] = (),
+    *,
+    held: bool = False,
+) -> Unknowns:
+    """Unknowns of runs: their poses and places of targets, and motions made of some functions.
+
+    Parameters
+    ----------
+    bases, reversal, lags, held
+        As of ``unknowns.layout``.
+    """
+    seen = {name for run in runs for name in run.targets}
+    free = [n for n, target in runs[0].machine.targets.items() if n in seen and target.u > 0.0]
+    stations = station_numbers(runs)[-1] + 1
+    return layout(bases, stations, reversal, targets=free, lags=lags, held=held)
 
 
 def systems_of(
-    runs: Sequence[Observed],
-    poses: Sequence[RigidTransform],
-    unknowns: Unknowns,
-    tables: ErrorTables | None,
+    runs: Sequence[Observed], unknowns: Unknowns, tables: ErrorTables | None
 ) -> list[System]:
-    """Rows of all runs at some poses, at positions on the paths for some tables."""
-    return [
-        build_system(run.machine, run.pieces, pose, unknowns, tables, run=k)
-        for k, (run, pose) in enumerate(zip(runs, poses, strict=True))
-    ]
+    """Rows of all runs at their poses, at positions on the paths for some tables."""
+    pairs = zip(runs, station_numbers(runs), strict=True)
+    return [build_system(run, unknowns, tables, station=k) for run, k in pairs]
 
 
 def sum_normal_equations(
@@ -338,6 +230,58 @@ def sum_normal_equations(
     """
     pairs = zip(systems, whiteners, strict=True)
     return reduce(add, (normal_equations(s, unknowns, w, blocks) for s, w in pairs))
+
+
+def place_equations(
+    machine: Machine, unknowns: Unknowns, places: Mapping[str, Array]
+) -> NormalEquations:
+    """What machine.yaml says of the places of targets, as normal equations."""
+    matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
+    square, rows = 0.0, 0
+    seen = [n for n in machine.targets if place_block(n) in unknowns.free_blocks]
+    for nest in dict.fromkeys(machine.targets[n].nest or n for n in seen):
+        names = [n for n in seen if nest in (n, machine.targets[n].nest)]
+        target = machine.targets[nest]
+        # the centre of the nest is common to all facings, each of which is off it by u_facing
+        common, own_part = target.u**2, target.u_facing**2
+        cover = common * np.ones((len(names), len(names))) + own_part * np.eye(len(names))
+        precision = np.linalg.inv(cover)
+        off = np.array([np.array(target.place) - places[n] for n in names])
+        columns = np.array([unknowns.free_blocks[place_block(n)].start for n in names])
+        for k in range(PLACE):
+            matrix[np.ix_(columns + k, columns + k)] = precision
+            right[columns + k] = precision @ off[:, k]
+        square, rows = square + float(np.sum(off * (precision @ off))), rows + off.size
+    return NormalEquations(matrix, right, square, rows)
+
+
+def step_equations(unknowns: Unknowns, size: float) -> NormalEquations:
+    """Steps of poses and places of some size, m and rad, as normal equations.
+
+    Poses alone need none: only places and lines of axes trade with them.
+    """
+    matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
+    trade = any(is_location(n) or n.startswith('place ') for n in unknowns.blocks)
+    for name, block in unknowns.free_blocks.items():
+        if trade and is_step(name):
+            own = np.arange(block.start, block.stop)
+            matrix[own, own] = 1.0 / size**2
+    return NormalEquations(matrix, right, 0.0, 0)
+
+
+def moved_runs(runs: Sequence[AnyRun], unknowns: Unknowns, value: Array) -> list[AnyRun]:
+    """Runs with poses and places moved by the steps that a solution has for them."""
+    moved = []
+    for run, station in zip(runs, station_numbers(runs), strict=True):
+        step = value[unknowns.blocks[pose_block(station)]]
+        places = {
+            name: place + value[unknowns.blocks[place_block(name)]]
+            if place_block(name) in unknowns.blocks
+            else place
+            for name, place in run.places.items()
+        }
+        moved.append(replace(run, pose=run.pose.moved_by(step[:3], step[3:]), places=places))
+    return moved
 
 
 def solve_robustly(
@@ -382,7 +326,7 @@ def improve_runs(
     Returns
     -------
     runs : list, as given
-        With the poses of the solution.
+        With the poses and places of the solution.
     settled : bool
         Nothing was left out, and the noise has not changed.
     """
@@ -394,16 +338,10 @@ def improve_runs(
         for f, r in zip(fitted, runs, strict=True)
     )
     better = [
-        replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
+        replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose, places=s.run.places)
         for r, d, f, s in zip(runs, drop, fitted, joint.runs, strict=True)
     ]
     return better, same
-
-
-def is_same_noise(fitted: FittedNoise, before: Array) -> bool:
-    """Return whether noise has settled: it changed by little, or by less than is known of it."""
-    change = np.abs(fitted.logs - before)
-    return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * fitted.u)))
 
 
 def fit_run_noise(run: Observed, solved: SolvedRun, joint: JointSolution) -> FittedNoise:
@@ -426,12 +364,14 @@ def far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     """
     own = residual.copy()
     for low, high in leg_bounds(leg):
-        own[:, low:high] -= np.median(residual[:, low:high], axis=1, keepdims=True)
+        if high - low > 2:
+            own[:, low:high] -= np.median(residual[:, low:high], axis=1, keepdims=True)
     distance, beyond = (np.linalg.norm(v, axis=0) for v in (own, residual))
     sigma, whole = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (distance, beyond))
-    far = (distance > max(limit * sigma, MIN_PIECE_OUTLIER)) | (
-        beyond > max(limit * whole, MIN_OUTLIER)
-    )
+    far = distance > max(limit * sigma, MIN_PIECE_OUTLIER)
+    out = beyond > max(limit * whole, MIN_OUTLIER)
+    if np.mean(out) < MAX_FAR_SHARE:
+        far |= out
     same = leg[1:] == leg[:-1]
     beside = np.zeros_like(far)
     beside[1:] |= far[:-1] & same
@@ -446,7 +386,7 @@ def solve_jointly(
     progress: Progress,
     start: Start | None = None,
 ) -> JointSolution:
-    """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
+    """Solve, move poses and places, re-derive the positions on the paths; until nothing changes.
 
     Parameters
     ----------
@@ -456,46 +396,77 @@ def solve_jointly(
 
     Raises
     ------
-    InputError
+    UnsettledError
         If the solution does not settle.
     """
     machine, limit = runs[0].machine, config.unidentifiable_above
-    poses = [run.pose for run in runs]
-    systems = systems_of(runs, poses, unknowns, start.tables if start else None)
-    whiteners = whiteners_of(runs, systems)
+    tables, logs = (start.tables, start.logs) if start else (None, None)
+    own, unsettled = list(runs), not logs
     accepted = start.accepted if start else find_identifiable_blocks(runs, unknowns, limit)
-    normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
-    rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
-    solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    residuals = residuals_of(systems, solution)
-    change, stuck = np.inf, False
-    for iteration in range(2, config.max_iterations + 1):
-        motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
-        poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
-        solution = _without_poses(solution, unknowns, len(runs))
-        del systems  # as large as the next ones
-        systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
-        if stuck:
-            normal = sum_normal_equations(systems, unknowns, whiteners, accepted)
-            solution = solve(normal, unknowns, limit, accepted, rough.precision)
+    whiteners: list[Whitener] = []
+    residuals: list[Array] = []
+    solution: Solution | None = None
+    rough: Roughness | None = None
+    change, least, stuck, damping = np.inf, np.inf, False, DAMPED
+    for iteration in range(1, config.max_iterations + 1):
+        systems = systems_of(own, unknowns, tables)
+        whiteners = whiteners or whiteners_of(own, systems)
+        known = place_equations(machine, unknowns, common_places(own))
+        anew = iteration == 1 or (iteration == 2 and unsettled)
+        if anew or stuck:
+            normal = sum_normal_equations(systems, unknowns, whiteners, accepted) + known
+            if anew:
+                search = Search(normal, unknowns, accepted, limit)
+                rough = search.run(rough.logs if rough else logs)
+            assert rough is not None, 'of the first iteration'
+            damping *= 0.1 if stuck else 1.0
+            damped = normal + step_equations(unknowns, damping)
+            newton = solve(damped, unknowns, limit, accepted, rough.precision)
+        if solution is None:
+            solution = newton
         else:
-            pull_back = rough.precision @ free_values(unknowns, solution.value)
-            solution = newton_step(solution, unknowns, systems, whiteners, pull_back)
+            assert rough is not None
+            solution = replace(newton, value=solution.value)
+            pull_back = _pull_back(unknowns, rough, solution.value)
+            solution = newton_step(solution, unknowns, systems, whiteners, pull_back, known.right)
         before, residuals, last = residuals, residuals_of(systems, solution), change
-        change = max(float(np.abs(a - b).max()) for a, b in zip(residuals, before, strict=True))
+        pairs = zip(residuals, before, strict=False)
+        change = max((float(np.abs(a - b).max()) for a, b in pairs), default=np.inf)
         stuck = change > MAX_RATIO_OF_CHANGES * last
-        progress('solving', iteration / (iteration + 1))
-        if not np.isfinite(change):
+        settled = change < config.alignment_stop
+        if settled or change <= least:
+            least = change
+            reached = own, systems, residuals, solution.value, iteration
+        if settled or not change <= DIVERGED * least:
             break
-        if change < config.alignment_stop:
-            solved = zip(poses, systems, whiteners, residuals, strict=True)
-            of_runs = tuple(SolvedRun(*parts) for parts in solved)
-            return JointSolution(unknowns, solution, rough, normal, of_runs, iteration)
-    names = ', '.join(run.name for run in runs if run.name)
-    raise InputError(
+        own = moved_runs(own, unknowns, solution.value)
+        value = solution.value.copy()
+        for name, block in unknowns.blocks.items():
+            value[block] *= not is_step(name)
+        solution = replace(solution, value=value)
+        tables = tables_of(machine, unknowns, solution)
+        progress('solving', iteration / (iteration + 1))
+    assert rough is not None
+    own, systems, residuals, value, iteration = reached
+    undamped = solve(normal, unknowns, limit, accepted, rough.precision)
+    solved = zip(own, systems, whiteners, residuals, strict=True)
+    of_runs = tuple(SolvedRun(*parts) for parts in solved)
+    solution = replace(undamped, value=value)
+    joint = JointSolution(unknowns, solution, rough, normal, of_runs, iteration)
+    if settled:
+        return joint
+    raise _unsettled(joint, config, change)
+
+
+def _unsettled(joint: JointSolution, config: CalibrationConfig, change: float) -> UnsettledError:
+    """Say that a solution does not converge; ``change`` is the last one, m."""
+    names = ', '.join(solved.run.name for solved in joint.runs if solved.run.name)
+    error = UnsettledError(
         f'{names and names + ": "}the solution did not converge in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )
+    error.joint = joint
+    return error
 
 
 def settle_covariance(
@@ -511,11 +482,11 @@ def settle_covariance(
     limit : float
         ``unidentifiable_above``.
     normal : NormalEquations, optional
-        Of all passes, where known.
+        Of the rows of all passes, where known.
     """
     old, of = joint.solution, joint.unknowns
     sums = (normal_equations(s.system, of, s.whitener, old.accepted) for s in joint.runs)
-    normal = normal or reduce(add, sums)
+    normal = (normal or reduce(add, sums)) + place_equations(joint.machine, of, joint.places)
     last = solve(normal, of, limit, old.accepted, joint.roughness.precision)
     return replace(joint, normal=normal, solution=replace(old, covariance=last.covariance))
 
@@ -552,12 +523,14 @@ def find_identifiable_blocks(
     """
     some = _thinned(runs)
     judged = [
-        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
-        for k, run in enumerate(some)
+        build_system(run, unknowns, station=k, nodal_lever=True)
+        for run, k in zip(some, station_numbers(some), strict=True)
     ]
     normal = sum_normal_equations(judged, unknowns, whiteners_of(some, judged))
     share = sum(len(run.pieces) for run in some) / sum(len(run.pieces) for run in runs)
-    return identifiable_blocks(replace(normal, matrix=normal.matrix / share), unknowns, limit)
+    known = place_equations(runs[0].machine, unknowns, common_places(runs))
+    normal = replace(normal, matrix=normal.matrix / share + known.matrix)
+    return identifiable_blocks(normal, unknowns, limit)
 
 
 def residuals_of(systems: Sequence[System], solution: Solution) -> list[Array]:
@@ -565,11 +538,17 @@ def residuals_of(systems: Sequence[System], solution: Solution) -> list[Array]:
     return [s.deviation - s.rows.times(solution.value) for s in systems]
 
 
-def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
-    value = solution.value.copy()
-    for k in range(runs):
-        value[unknowns.blocks[pose_block(k)]] = 0.0
-    return replace(solution, value=value)
+def _pull_back(unknowns: Unknowns, rough: Roughness, value: Array) -> Array:
+    """Pull of the prior on the free unknowns, but for what poses and places can follow.
+
+    The little that is assumed of the size of location errors would move what the data do not show,
+    step by step, without an end.
+    """
+    free = free_values(unknowns, value)
+    for name, block in unknowns.free_blocks.items():
+        if is_step(name) or is_location(name):
+            free[block] = 0.0
+    return np.asarray(rough.precision @ free)
 
 
 def newton_step(

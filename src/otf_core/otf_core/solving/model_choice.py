@@ -32,7 +32,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import add
-from typing import Generic, Protocol
+from typing import Generic
 
 import numpy as np
 from scipy import linalg
@@ -43,22 +43,28 @@ from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
-from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.joint import (
+    DAMPED,
     GOLDEN,
     JointSolution,
     SolvedRun,
     Start,
+    common_places,
     find_identifiable_blocks,
     improve_runs,
+    place_equations,
     residuals_of,
     solve_jointly,
     solve_robustly,
+    step_equations,
     sum_normal_equations,
     systems_of,
     tables_of,
+    unknowns_of,
     whiteners_of,
 )
 from otf_core.solving.normal import (
@@ -69,25 +75,22 @@ from otf_core.solving.residuals import FOLDS, fold_of
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE, Roughness, Search
 from otf_core.solving.solution import Solution, free_columns, identifiable_blocks, solve, solve_for
-from otf_core.solving.system import System, build_system
+from otf_core.solving.system import System
 from otf_core.solving.unknowns import (
-    Basis,
+    INTERVALS,
+    Bases,
     Unknowns,
-    cubic,
     is_reversal,
-    layout,
-    linear,
+    linear_bases,
+    reversal_names,
     reversal_order,
+    smooth_bases,
 )
 from otf_core.solving.whitener import Whitener
 from otf_core.threads import side_by_side
 
-Bases = dict[str, Basis]
-
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
-INTERVALS = 20
-"""Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 MIN_GAIN_OF_FINER = 10.0
 """Difference of log likelihoods from which on finer functions are taken."""
 MAX_FIRST_PIECES = 3000
@@ -122,19 +125,9 @@ class ShapeChoice(Generic[AnyRun]):
     evidence: Mapping[str, float]
 
 
-def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
-    """Cubic splines over equal parts of the range of the nodes of every axis."""
-    return {axis: cubic(at, parts) for axis, at in nodes.items()}
-
-
 def is_finer(bases: Bases) -> bool:
     """Return whether these are the functions that are tried where others leave steps."""
     return any(b.degree > 1 and len(b.knots) > INTERVALS + 1 for b in bases.values())
-
-
-def linear_bases(nodes: Mapping[str, Array]) -> Bases:
-    """Functions that are linear between the nodes of every axis."""
-    return {axis: linear(at) for axis, at in nodes.items()}
 
 
 def choose_shapes(
@@ -142,27 +135,32 @@ def choose_shapes(
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     progress: Progress,
+    tables: ErrorTables | None = None,
 ) -> ShapeChoice[AnyRun]:
     """Choose the functions that the motions are made of.
 
     Parameters
     ----------
-    nodes : mapping of axis to ndarray, m
+    nodes : mapping of axis to ndarray, m and rad
         Of the tables that machine.yaml asks for.
     progress : callable(stage, fraction)
+    tables : ErrorTables, optional
+        What is known of the errors for the first positions on the paths.
     """
     limit = config.unidentifiable_above
-    smooth = layout(smooth_bases(nodes), len(runs))
+    smooth = unknowns_of(runs, smooth_bases(runs[0].machine, nodes))
     seen = find_identifiable_blocks(runs, smooth, limit)
-    start, poses = _started(runs, smooth, Start({}, seen), config, progress)
-    moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
+    start, first = _started(runs, smooth, Start({}, seen, tables), config, progress)
+    moved = [
+        replace(r, pose=s.pose, places=s.run.places) for r, s in zip(runs, first, strict=True)
+    ]
     best, scores = _chosen(moved, nodes, start, limit)
     improved = improve_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
 
 
-_CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
+_CHOICES: dict[str, Callable[[Machine, Mapping[str, Array]], Bases]] = {
     SMOOTH: smooth_bases,
     FINER: partial(smooth_bases, parts=2 * INTERVALS),
     STRAIGHT: linear_bases,
@@ -175,8 +173,8 @@ def _started(
     start: Start,
     config: CalibrationConfig,
     progress: Progress,
-) -> tuple[Start, list[RigidTransform]]:
-    """First tables and poses."""
+) -> tuple[Start, tuple[SolvedRun, ...]]:
+    """First tables, poses and places."""
     quick, first = (
         replace(config, max_iterations=min(MAX_FIRST_ITERATIONS, config.max_iterations)),
         None,
@@ -186,7 +184,7 @@ def _started(
         with suppress(InputError):  # too few legs
             first = solve_jointly(some, smooth, quick, progress, start)
     first = first or solve_jointly(runs, smooth, config, progress, start)
-    return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
+    return Start.after(runs[0].machine, first), first.runs
 
 
 def _chosen(
@@ -200,21 +198,24 @@ def _chosen(
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    poses, smooth = [r.pose for r in runs], layout(smooth_bases(nodes), len(runs))
+    machine = runs[0].machine
+    smooth = unknowns_of(runs, smooth_bases(machine, nodes))
 
     def rows(of: Sequence[Observed]) -> tuple[list[System], list[Whitener]]:
-        systems = systems_of(of, poses, smooth, start.tables)
+        systems = systems_of(of, smooth, start.tables)
         return systems, whiteners_of(of, systems)
 
     def fit(name: str, systems: Sequence[System], whiteners: Sequence[Whitener]) -> LinearSolution:
-        unknowns = layout(_CHOICES[name](nodes), len(systems))
+        unknowns = unknowns_of(runs, _CHOICES[name](machine, nodes))
         own = [s.of_unknowns(unknowns) for s in systems]
         normal = sum_normal_equations(own, unknowns, whiteners, start.accepted)
-        return LinearSolution.of(normal, unknowns, start.accepted, limit, start.logs)
+        normal += place_equations(machine, unknowns, common_places(runs))
+        damped = normal + step_equations(unknowns, DAMPED)
+        return LinearSolution.of(damped, unknowns, start.accepted, limit, start.logs)
 
     some, every = rows(_thinned(runs)), rows(runs)
     best, scores = most_likely({name: fit(name, *some) for name in _CHOICES})
-    return _solved(fit(best, *every), *every, poses), scores
+    return _solved(fit(best, *every), *every, runs), scores
 
 
 def most_likely(tried: Mapping[str, LinearSolution]) -> tuple[str, dict[str, float]]:
@@ -300,16 +301,16 @@ def _solved(
     linear: LinearSolution,
     systems: Sequence[System],
     whiteners: Sequence[Whitener],
-    poses: Sequence[RigidTransform],
+    runs: Sequence[Observed],
 ) -> JointSolution:
     """A linear solution with what it leaves of the rows of any functions at the same poses."""
     own = [s.of_unknowns(linear.unknowns) for s in systems]
     residuals = residuals_of(own, linear.solution)
     own = [replace(s, rows=s.rows.released()) for s in own]
-    parts = zip(poses, own, whiteners, residuals, strict=True)
-    runs = tuple(SolvedRun(*p) for p in parts)
+    parts = zip(runs, own, whiteners, residuals, strict=True)
+    solved = tuple(SolvedRun(*p) for p in parts)
     return JointSolution(
-        linear.unknowns, linear.solution, linear.roughness, linear.normal, runs, 1
+        linear.unknowns, linear.solution, linear.roughness, linear.normal, solved, 1
     )
 
 
@@ -377,13 +378,14 @@ def solve_with_reversal(
     progress : callable(stage, fraction)
     """
     shapes = choose_shapes(runs, nodes, config, progress)
-    unknowns = layout(shapes.bases, len(runs))
+    unknowns = unknowns_of(runs, shapes.bases)
     plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
 
     choice = choose_reversal(*plain, config)
     if choice.model == 'none':
         return ReversalSolution(*plain, choice, plain)
-    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
+    names = reversal_names(runs[0].machine.motions, MODELS[choice.model])
+    unknowns = unknowns_of(runs, shapes.bases, names, held=choice.held)
     # reversal adds blocks: which of them the data determine is found out anew
     again = solve_robustly(shapes.runs, unknowns, config, progress)
     return ReversalSolution(*again, choice, plain)
@@ -436,17 +438,7 @@ def too_few(lines: int) -> str:
     return f'too few lines: {lines}, {MIN_LINES} needed'
 
 
-class _SolvedRun(Protocol):
-    @property
-    def whitener(self) -> Whitener: ...
-
-
-class _Solved(Protocol):
-    @property
-    def runs(self) -> Sequence[_SolvedRun]: ...
-
-
-def line_folds(joint: _Solved) -> list[Index]:
+def line_folds(joint: JointSolution) -> list[Index]:
     """Fold of every line of every run: passes over one line are held out together."""
     count = [int(solved.whitener.line.max()) + 1 for solved in joint.runs]
     return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
@@ -480,13 +472,12 @@ def _held_out_squares(
     runs: Sequence[Observed], joint: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
     """Squared whitened residual of every line under every model fitted to the other folds."""
-    unknowns = layout(joint.unknowns.bases, len(runs), max(MODELS.values()), held=held)
-    tables = tables_of(runs[0].machine, joint.unknowns, joint.solution)
-    rows, rivals = [], []
-    for k, (run, solved) in enumerate(zip(runs, joint.runs, strict=True)):
-        system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
-        rows.append((system, solved.whitener))
-        rivals.append(_rival_columns(run, system))
+    names = reversal_names(joint.machine.motions, max(MODELS.values()))
+    unknowns = unknowns_of(runs, joint.unknowns.bases, names, held=held)
+    tables = tables_of(joint.machine, joint.unknowns, joint.solution)
+    systems = systems_of([s.run for s in joint.runs], unknowns, tables)
+    rows = [(system, s.whitener) for system, s in zip(systems, joint.runs, strict=True)]
+    rivals = [_rival_columns(run, system) for run, system in zip(runs, systems, strict=True)]
     seen = joint.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]
     folded = FoldedLines.of(rows, fold, rivals, unknowns, blocks)

@@ -13,10 +13,10 @@ import numpy as np
 from otf_core.arrays import Array, Index
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
-from otf_core.model.courses import Courses
+from otf_core.model.chain import displacement
 from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import displacement
 from otf_core.model.path import Legs, leg_bounds
+from otf_core.model.signals import Courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
 from otf_core.solving.joint import JointSolution

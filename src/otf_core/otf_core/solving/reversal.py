@@ -13,20 +13,18 @@ The reversal value of a motion is its error in forward travel less that in backw
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.catalogue.direction_dependent_tables import ORDER, functions_along
-from otf_core.effects.state import state_of_travel
-from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import Axis, Machine
-from otf_core.model.motions import MOTIONS, ErrorMotion
-from otf_core.model.quantities import quantity
+from otf_core.model.chain import Sight
+from otf_core.model.expanded import quantity
+from otf_core.model.machine import Axis
+from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
-from otf_core.solving.unknowns import Unknowns, reversal_block, reversal_blocks
+from otf_core.solving.unknowns import Unknowns, reversal_blocks
 
 NONE, CONSTANT, TABLES, AUTO = 'none', 'constant', 'tables', 'auto'
 MODELS = {NONE: 0, CONSTANT: 1, TABLES: ORDER + 1}
@@ -107,32 +105,6 @@ class Reversal:
         return tuple(n for n, table in self.motions.items() if not table.identifiable)
 
 
-def reversal_weights(
-    machine: Machine, q: Array, direction: Array, side: Array, unknowns: Unknowns
-) -> Array:
-    """Part of every reversal coefficient in the motion that it belongs to: 1/2 sign(d_a) P_k(u_a).
-
-    Parameters
-    ----------
-    q, direction : ndarray, shape (n, 3), m and 1
-        Positions and unit directions of travel or approach; a zero vector where unknown.
-    side : ndarray, shape (n, 3)
-        Sign of the travel of each axis, of its last where it stands.
-    unknowns : Unknowns
-        With the number of polynomials per motion, and ``held``.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, k)
-        By axis and polynomial.
-    """
-    state = replace(state_of_travel(machine, q, direction), side=side)
-    sign = travel_sign(state, {HELD: float(unknowns.held)})
-    order, named = unknowns.reversal - 1, zip(machine.axis_names, q.T, strict=True)
-    along = [functions_along(machine.axes[a], values, order) for a, values in named]
-    return 0.5 * sign[:, :, None] * np.stack(along, axis=1)
-
-
 def reversal_tables(
     tables: ErrorTables,
     unknowns: Unknowns,
@@ -190,22 +162,24 @@ def backlash_at_target(
     tables, unknowns, estimate, covariance, accepted
         See ``reversal_tables``.
     """
-    if not unknowns.reversal:
-        return {}
     machine, backlash = tables.machine, {}
-    for axis, name in enumerate(machine.axis_names):
+    middle = 0.5 * (machine.lower + machine.upper)
+    for column, name in enumerate(machine.axis_names):
+        positioning = reversal_blocks(unknowns, f'E{name}{name}')
+        if machine.axes[name].rotary or not positioning or positioning[0] not in accepted:
+            continue
         nodes = tables.motions[f'E{name}{name}'].position
-        q = np.tile(0.5 * (machine.lower + machine.upper), (len(nodes), 1))
-        q[:, axis] = nodes
-        along = functions_along(machine.axes[name], nodes, unknowns.reversal - 1)
+        q = np.tile(middle, (len(nodes), 1))
+        q[:, column] = nodes
+        seen = Sight.of_tool(machine).at(q)
+        moved = np.einsum('ni,nik->nk', seen.velocity[:, :, column], seen.motions[name])
         row = np.zeros(len(estimate))
-        for motion in (m for m in MOTIONS if m.place == axis):
-            influence = motion_influence(machine, motion, q)[:, axis]
-            for k in range(unknowns.reversal):
-                block = reversal_block(motion, k)
+        for d, letter in enumerate(DIRECTIONS):
+            blocks = reversal_blocks(unknowns, f'E{letter}{name}')
+            along = functions_along(machine.axes[name], nodes, max(len(blocks) - 1, 0))
+            for block, weight in zip(blocks, along.T, strict=False):
                 if block in accepted:
-                    row[unknowns.blocks[block].start] += float(np.mean(influence * along[:, k]))
-        if reversal_block(ErrorMotion.of(f'E{name}{name}'), 0) in accepted:
-            u = float(np.sqrt(max(0.0, float(row @ covariance @ row))))
-            backlash[name] = Backlash(float(row @ estimate), u)
+                    row[unknowns.blocks[block].start] += float(np.mean(moved[:, d] * weight))
+        u = float(np.sqrt(max(0.0, float(row @ covariance @ row))))
+        backlash[name] = Backlash(float(row @ estimate), u)
     return backlash

@@ -16,15 +16,15 @@ is estimated with the tables, its normal matrix and right side are, with residua
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, State
-from otf_core.effects.state import state_on_path
-from otf_core.model.courses import Courses
+from otf_core.effects.state import state_in_parts, state_on_path
 from otf_core.model.frames import RigidTransform
+from otf_core.model.signals import Courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed
@@ -49,7 +49,8 @@ def piece_state(
     run: Observed, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
 ) -> State:
     """State of the pieces of one run; standstills count as points of the first leg."""
-    return state_at(run, solved.system.q, solved.pose, nodes, tables)
+    placed = replace(run, places=solved.run.places)
+    return state_at(placed, solved.system.q, solved.pose, nodes, tables)
 
 
 def state_at(
@@ -61,10 +62,27 @@ def state_at(
 ) -> State:
     """State of the pieces of one run, which lie at q (p, 3), m, on its path."""
     pieces = run.pieces
+    if run.shape is None:
+        return state_in_parts(
+            run.machine,
+            run.targets,
+            {name: run.sight(name).place for name in run.targets},
+            pieces.part,
+            pieces.stretch,
+            q,
+            pieces.rate,
+            pieces.side,
+            pieces.time,
+            pose,
+            nodes,
+            tables,
+            float(pieces.time.max() + pieces.duration[-1]),
+            np.abs(pieces.step) * pieces.spread[:, None],
+        )
     return state_on_path(
         run.machine,
         run.shape.corners,
-        np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
+        np.zeros_like(pieces.leg) if pieces.standstill else pieces.stretch,
         q,
         pieces.speed,
         run.late + pieces.time,

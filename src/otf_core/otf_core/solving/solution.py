@@ -81,6 +81,9 @@ def _diagonal(matrix: Array) -> Array:
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
+BENDS = 0.1
+"""The same where it is judged what the data show of single values: what they show is then known to
+less than the limit, what they do not to several times it."""
 SIZE_WEIGHT = 1e-2
 """Weight of the size of the values beside that of their second differences."""
 
@@ -252,6 +255,6 @@ def determined_by_data(
     """
     use = free_columns(unknowns, accepted)
     place = np.ix_(use, use)
-    weight = normal.matrix[place] * limit**2 + TIE_BREAK * smoothness(unknowns)[place]
+    weight = normal.matrix[place] * limit**2 + BENDS * smoothness(unknowns)[place]
     own = (rows @ unknowns.gauge)[:, use]
     return np.asarray(np.einsum('ij,ji->i', own, Positive(weight).solve(own.T)) <= 1.0)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """System of equations (paper 1.2.4): rows perpendicular to the path, or all three at a stop.
 
-Row i says: a_i . (R p + t - q) = a_i . e(q) - a_i . (dt + dr x (R p + t)), with the point q on the
-path, the error model e of ``kinematics`` and the pose correction dt, dr solved jointly.
+Row i says: a_i . (R x + t - p(q)) = a_i . e(q) - a_i . (dt + dr x (R x + t)), with the measured
+point x, the place q on the path, the nominal point p and the first-order error e of the chain, and
+the pose correction dt, dr solved jointly. A target whose place is not known adds the turn of its
+link times the correction of its place to p.
 """
 
 from __future__ import annotations
@@ -10,19 +12,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.model.beam_frame import beam_frame
-from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
+from otf_core.effects.catalogue.backlash import HELD, travel_sign
+from otf_core.effects.state import state_of_travel
+from otf_core.model.chain import ReflectorView, Sight
+from otf_core.model.frames import RigidTransform, beam_frame
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.design import Design
-from otf_core.solving.unknowns import Unknowns
+from otf_core.pieces.runs import Observed
+from otf_core.solving.design import Design, Influence
+from otf_core.solving.unknowns import Unknowns, lag_block, place_block, pose_block
 
 
 @dataclass(frozen=True)
@@ -31,8 +36,8 @@ class System:
 
     Attributes
     ----------
-    q : ndarray, shape (p, 3), m
-        Nominal position of each piece on its leg.
+    q : ndarray, shape (p, k), m and rad
+        Nominal axis positions of each piece on its path.
     axes : ndarray, shape (c, p, 3)
         Directions of the c rows of every piece: a2 and a3, or three at standstill.
     deviation : ndarray, shape (c, p), m
@@ -69,10 +74,18 @@ class System:
         return self.rows.csr
 
 
-def nominal_positions(
-    pieces: Pieces, points: Array, tables: ErrorTables | None, iterations: int = 3
+MOVES = 3
+"""Steps that take the position on the path to the errors there, once tables are known."""
+SETTLED = 1e-10
+"""m; smaller steps end that."""
+LONGEST = 0.2
+"""Longest step, in units of place."""
+
+
+def positions_on_path(
+    sight: Sight, pieces: Pieces, points: Array, tables: ErrorTables | None
 ) -> Array:
-    """Point of the path that each measured point belongs to.
+    """Axis positions (p, k) on the path that measured points belong to.
 
     The nearest point is off by the error along the path; once tables are known, their
     displacement is taken off first (not the reversal: 100 um of it move a table of 300 urad by
@@ -80,24 +93,23 @@ def nominal_positions(
 
     Parameters
     ----------
+    sight : Sight
+        Of the target of all pieces.
     points : ndarray, shape (p, 3), m
-        Measured points in the machine frame.
-
-    Returns
-    -------
-    ndarray, shape (p, 3), m
+        Measured points in its frame.
     """
-
-    def nearest(position: Array) -> Array:
-        along = np.einsum('ij,ij->i', position - pieces.origin, pieces.direction)
-        return np.asarray(pieces.origin + along[:, None] * pieces.direction)
-
-    if pieces.standstill:
-        return pieces.origin
-    q = nearest(points)
-    for _ in range(iterations if tables is not None else 0):
-        assert tables is not None
-        q = nearest(points - displacement(tables, q))
+    q = pieces.q
+    for _ in range(0 if pieces.standstill else 1 if tables is None else 1 + MOVES):
+        seen = sight.at(q)
+        off = points - seen.position
+        if tables is not None:
+            off -= seen.displacement(tables)
+        speed = np.einsum('nij,nj->ni', seen.velocity, pieces.step)
+        square = np.maximum(np.einsum('ni,ni->n', speed, speed), 1e-18)
+        share = np.clip(np.einsum('ni,ni->n', off, speed) / square, -LONGEST, LONGEST)
+        q = q + share[:, None] * pieces.step
+        if float(np.max(np.abs(share) * np.sqrt(square), initial=0.0)) < SETTLED:
+            break
     return q
 
 
@@ -121,10 +133,7 @@ def row_directions(pieces: Pieces, pose: RigidTransform) -> Array:
 
 def deviations(pieces: Pieces, pose: RigidTransform) -> Array:
     """Deviations across the path under a pose, before any tables, shape (c, p), m."""
-    points = pose.apply(pieces.xyz)
-    return components(
-        row_directions(pieces, pose), points - nominal_positions(pieces, points, None)
-    )
+    return components(row_directions(pieces, pose), pose.apply(pieces.xyz) - pieces.nominal)
 
 
 def components(axes: Array, offset: Array) -> Array:
@@ -133,24 +142,20 @@ def components(axes: Array, offset: Array) -> Array:
 
 
 def build_system(
-    machine: Machine,
-    pieces: Pieces,
-    pose: RigidTransform,
+    run: Observed,
     unknowns: Unknowns,
     tables: ErrorTables | None = None,
     *,
-    run: int = 0,
+    station: int = 0,
     nodal_lever: bool = False,
 ) -> System:
-    """Set up the rows of all pieces.
+    """Set up the rows of all pieces of a run, at its pose and the places of its targets.
 
     Parameters
     ----------
-    pose : RigidTransform
-        Tracker to machine, good to the errors sought.
     tables : ErrorTables, optional
         Tables of the last iteration, for the positions along the path.
-    run : int
+    station : int
         Which pose block the rows belong to.
     nodal_lever : bool
         Take an axis' own travel in a lever arm at the centre of every spline. A rotation that
@@ -159,33 +164,100 @@ def build_system(
         the tracker is one of the nominal positions, not of points that large errors move: for
         judging what is identifiable.
     """
-    points = pose.apply(pieces.xyz)
-    q = nominal_positions(pieces, points, tables)
-    axes = row_directions(pieces, pose)
-    # a piece is a mean over samples, not the value at its centre: from a curved motion the two
-    # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
-    shifts: tuple[Array, ...] = (np.zeros(3),)
-    if len(pieces.spread) and not nodal_lever:
-        reach = pieces.spread[:, None] * pieces.direction
-        shifts = (reach, -reach)
+    pieces, pose, machine = run.pieces, run.pose, run.machine
+    points, axes = pose.apply(pieces.xyz), row_directions(pieces, pose)
+    rows = _Rows(run, unknowns, axes, nodal_lever)
+    q, off = np.array(pieces.q), points - pieces.nominal
+    for name, own in run.by_target().items():
+        sight, some = run.sight(name), pieces if own.all() else pieces.without(~own)
+        q[own] = positions_on_path(sight, some, points[own], tables)
+        seen = sight.at(q[own])
+        if np.any(moved := run.moved(name)):
+            off[own] -= moved if seen.inner is None else seen.inner @ moved
+        rows.add(name, own, sight, seen)
+        if nodal_lever:
+            points[own] = seen.position
+    turned = -np.cross(points, axes)
+    pose_rows = {pose_block(station): np.concatenate([-axes, turned], axis=2)}
     return System(
         q=q,
         axes=axes,
-        deviation=components(axes, points - q),
-        rows=Design(
-            machine,
-            unknowns,
-            run,
-            q,
-            q if nodal_lever else points,
-            axes,
-            shifts,
-            pieces.direction,
-            pieces.side,
-            nodal_lever,
-        ),
+        deviation=components(axes, off),
+        rows=Design(machine, unknowns, {**pose_rows, **rows.fixed}, rows.influences()),
         shares=beam_shares(pieces.xyz, pose, axes),
     )
+
+
+class _Rows:
+    """Rows of a run, target by target."""
+
+    def __init__(self, run: Observed, unknowns: Unknowns, axes: Array, nodal_lever: bool) -> None:
+        self._run, self._unknowns, self._axes, self._nodal = run, unknowns, axes, nodal_lever
+        self.fixed: dict[str, Array] = {}
+        self._motions: dict[str, list[Array]] = {}
+        pieces, machine = run.pieces, run.machine
+        self._shifts = [0.0] if nodal_lever or pieces.standstill else [1.0, -1.0]
+        travel = replace(state_of_travel(machine, pieces.q, pieces.step), side=pieces.side)
+        self._half = 0.5 * travel_sign(travel, {HELD: float(unknowns.held)})
+
+    def add(self, name: str, own: NDArray[np.bool_], sight: Sight, seen: ReflectorView) -> None:
+        """Add what moves one target at its pieces."""
+        machine, axes, pieces = self._run.machine, self._axes[:, own], self._run.pieces
+        if place_block(name) in self._unknowns.blocks:
+            turned = axes if seen.inner is None else np.einsum('cni,nij->cnj', axes, seen.inner)
+            self._put(place_block(name), own, turned)
+        for scalar, moved in seen.scalars.items():
+            self._put(scalar, own, components(axes, moved)[:, :, None])
+        for axis in seen.axes:
+            if lag_block(axis) in self._unknowns.blocks:
+                k = machine.column(axis)
+                late = -seen.velocity[:, :, k] * pieces.rate[own, k, None]
+                self._put(lag_block(axis), own, components(axes, late)[:, :, None])
+        for number, shift in enumerate(self._shifts):
+            moved = shift * pieces.spread[own, None] * pieces.step[own]
+            at = sight.at(seen.q + moved) if shift else seen
+            for axis, six in at.motions.items():
+                self._move(axis, number, own, sight, at.q, six)
+
+    def _put(self, block: str, own: NDArray[np.bool_], values: Array) -> None:
+        count = len(self._run.pieces)
+        known = self.fixed.setdefault(block, np.zeros((len(values), count, values.shape[2])))
+        known[:, own] += values
+
+    def _move(
+        self, axis: str, shift: int, own: NDArray[np.bool_], sight: Sight, q: Array, six: Array
+    ) -> None:
+        """Influence of the motions of one axis at one shift."""
+        machine, count, c = self._run.machine, len(self._run.pieces), len(self._axes)
+        column, basis = machine.column(axis), self._unknowns.bases[axis]
+        place = machine.axes[axis].wrapped(q[:, column])
+        values = [six]
+        if self._nodal:
+            first, _ = basis.places(place)
+            of_splines = []
+            for k in range(basis.nonzero):
+                at = q.copy()
+                at[:, column] += basis.centres[(first + k) % basis.size] - place
+                of_splines.append(sight.at(at).motions[axis])
+            values.append(np.stack(of_splines, axis=3))
+        if axis not in self._motions:
+            shapes = [(c, count, *own.shape[2:]) for own in values]
+            shifts = len(self._shifts)
+            self._motions[axis] = [np.zeros((shifts, *shape)) for shape in [(count,), *shapes]]
+        position, *rows = self._motions[axis]
+        position[shift, own] = place
+        for row, value in zip(rows, values, strict=True):
+            row[shift][:, own] = np.einsum('cni,ni...->cn...', self._axes[:, own], value)
+
+    def influences(self) -> dict[str, Influence]:
+        """What the motions of every axis do."""
+        machine = self._run.machine
+        order = [axis for axis in machine.axis_names if axis in self._motions]
+        influences = {}
+        for axis in order:
+            q, six, *nodal = self._motions[axis]
+            influences[axis] = Influence(q, six, self._half[:, machine.column(axis)], *nodal)
+        return influences
 
 
 def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
@@ -193,17 +265,19 @@ def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
 
     Parameters
     ----------
-    q : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, k), m and rad
 
     Returns
     -------
     ndarray, shape (n, 3, full)
     """
-    rows = np.zeros((len(q), 3, unknowns.full))
-    for name in SQUARENESS:
-        rows[:, :, unknowns.blocks[name].start] = squareness_influence(name, q)
-    for name in MOTIONS:
-        along = unknowns.bases[name.axis].matrix(q[:, name.place])
-        influence = motion_influence(machine, name, q)
-        rows[:, :, unknowns.blocks[name]] = influence[:, :, None] * along[:, None, :]
+    seen, rows = Sight.of_tool(machine).at(q), np.zeros((len(q), 3, unknowns.full))
+    for name, moved in seen.scalars.items():
+        rows[:, :, unknowns.blocks[name].start] = moved
+    for motion in machine.motions:
+        if motion.axis in seen.axes:
+            place = machine.axes[motion.axis].wrapped(q[:, machine.column(motion.axis)])
+            along = unknowns.bases[motion.axis].matrix(place)
+            influence = seen.motions[motion.axis][:, :, DIRECTIONS.index(motion.direction)]
+            rows[:, :, unknowns.blocks[motion]] = influence[:, :, None] * along[:, None, :]
     return rows

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From smooth functions to tables.
+"""From smooth functions to tables, in the gauge of the tables.
 
 Node values are those of the table that is nearest to the function in the mean square over the
 range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
 (``table_pitch``), or at a whole fraction of it where the straight lines between them would cost
 more than ``MAX_SHARE_OF_U`` of the uncertainty of the grid.
+
+A displacement of the line of a rotary axis by D moves all that the axis carries by D - T D T^-1 at
+the angle q: as motion (I - R(q)) t in translation and (I - R(q)) r in rotation. The line that fits
+the motions best over the nodes is taken off them and added to the location errors; then the
+motions are set to zero at the zero position of the axis. None of it changes the errors of the
+machine by more than a rigid motion of table or target.
 """
 
 from __future__ import annotations
@@ -18,16 +24,27 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from otf_core.arrays import Array
-from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
-from otf_core.model.kinematics import motion_influence, turn_arms
+from otf_core.model.chain import Sight, rotations
+from otf_core.model.evaluation import (
+    evenly_spread,
+    free_rows,
+    mean_length,
+    without_rigid_motion,
+)
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
-from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.motions import AXES, DIRECTIONS, ErrorMotion, location_names
+from otf_core.model.nodes import hat_matrix, table_nodes
+from otf_core.model.tables import (
+    ErrorTables,
+    LocationError,
+    MotionTable,
+    Squareness,
+    with_uncertainty,
+)
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
-from otf_core.solving.unknowns import Basis, Unknowns, linear, motion_gauge
+from otf_core.solving.unknowns import Basis, Unknowns, linear, motion_gauge, reference_position
 
 MAX_SHARE_OF_U = 0.3
 """Share of the mean uncertainty of the grid that straight lines between nodes may cost."""
@@ -38,8 +55,6 @@ FIXED = 1e-12
 """Nodes that depend less on the unknowns are fixed by the gauge."""
 PARTS_OF_INTERVAL = 32
 """Parts of an interval at which it is judged what bends between nodes."""
-GRID_PLACES = 216
-"""At which the cost on the grid is judged."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +64,21 @@ class Tabulation:
     Attributes
     ----------
     tables : ErrorTables
-        Values; uncertainties are not filled in.
+        Their uncertainties are filled in by ``with_covariance``.
     rows : ndarray, shape (m, full)
-        C0Y, B0Z, A0Z and the nodes of EXX ... ECZ from the full vector of unknowns.
+        Squareness and location errors and nodes, in the order of a covariance, from the unknowns.
     fraction : int
         Nodes stand ``table_pitch / fraction`` apart.
     costs : mapping of fraction to TableCost
         What straight lines between nodes cost, for 1 (the wish) and for the fraction taken.
     bends : mapping of motion to float, m
         See ``unseen_bends``.
+    hidden : tuple of str
+        What the data do not show; zero in the tables.
+    left_out : ndarray, shape (m,), m and rad
+        What was estimated of it.
+    covariance : ndarray, shape (m, m)
+        Of the values of ``rows``, of what was left out and of what straight lines miss.
     """
 
     tables: ErrorTables
@@ -65,6 +86,9 @@ class Tabulation:
     fraction: int
     costs: Mapping[int, TableCost]
     bends: Mapping[ErrorMotion, float]
+    hidden: tuple[str, ...]
+    left_out: Array
+    covariance: Array
 
     @property
     def straight(self) -> Array:
@@ -72,12 +96,19 @@ class Tabulation:
 
         Independent nodes of variance v make 2/3 v on the average over the places between them.
         """
-        cost, motions = self.costs[self.fraction].motions, self.tables.motions
-        missed = {m: cost[m] ** 2 + self.bends.get(m, 0.0) ** 2 for m in MOTIONS}
-        parts = [np.zeros(len(SQUARENESS))]
-        parts += [np.full(len(motions[m].position), 1.5 * missed[m]) for m in MOTIONS]
-        free = np.abs(self.rows).max(axis=1) > FIXED
-        return np.asarray(np.concatenate(parts) * free)
+        cost, tables = self.costs[self.fraction].motions, self.tables
+        parts = [np.zeros(len(tables.machine.scalars))]
+        for motion in tables.machine.motions:
+            missed = cost[motion] ** 2 + self.bends.get(motion, 0.0) ** 2
+            parts.append(np.full(len(tables.motions[motion].position), 1.5 * missed))
+        return np.asarray(np.concatenate(parts) * (np.abs(self.rows).max(axis=1) > FIXED))
+
+    def with_covariance(self, whole: Array) -> Tabulation:
+        """The same with uncertainties for a covariance of all unknowns, (full, full)."""
+        cover = self.rows @ whole @ self.rows.T + np.diag(self.straight)
+        # what is written as zero may be what was estimated, within its uncertainty
+        cover += np.outer(self.left_out, self.left_out)
+        return replace(self, tables=with_uncertainty(self.tables, cover), covariance=cover)
 
 
 @dataclass(frozen=True)
@@ -114,43 +145,118 @@ def projection(motion: ErrorMotion, basis: Basis, nodes: Array) -> Array:
     return table.at_nodes(nodes, gauge @ best)
 
 
-def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
-    """C0Y, B0Z, A0Z and node values of EXX ... ECZ from the full vector, shape (m, full)."""
-    alike = {(m.axis, m.is_straightness): m for m in MOTIONS}  # of one gauge
+def line_motions(machine: Machine, axis: str, q: Array) -> Array:
+    """Displacement (n, 3, 3) that a displacement of the line of a rotary axis does as motion."""
+    spec = machine.axes[axis]
+    assert spec.direction is not None
+    sign = -1.0 if axis in machine.chain.table_side else 1.0
+    return np.asarray(sign * (np.eye(3) - rotations(sign * q, np.array(spec.direction))))
+
+
+def gauge_matrix(
+    machine: Machine, nodes: Mapping[str, Array], hidden: Collection[str] = ()
+) -> Array:
+    """Scalars and nodes (m, m) in the gauge of the tables from those in any other.
+
+    A line is not moved where that would give a share to a motion that is ``hidden``.
+    """
+    names = list(machine.scalars)
+    places, start = {n: k for k, n in enumerate(names)}, len(names)
+    spans = {}
+    for motion in machine.motions:
+        spans[str(motion)] = np.arange(start, start + len(nodes[motion.axis]))
+        start += len(nodes[motion.axis])
+    matrix = np.eye(start)
+    for axis in machine.rotary_names:
+        q = nodes[axis]
+        reference = reference_position(q[0], q[-1])
+        moved = line_motions(machine, axis, q)
+        at_zero = hat_matrix(q, np.array([reference]))[0]
+        for first in (0, 3):  # translations, rotations
+            letters = DIRECTIONS[first : first + 3]
+            if any(f'E{d}{axis}' in hidden for d in letters):
+                continue
+            free = [n for n in location_names(axis) if n[0] in letters]
+            columns = [letters.index(n[0]) for n in free]
+            shapes = moved[:, :, columns]  # (n, 3, 2)
+            design = np.zeros((len(q), 3, len(free) + 3))
+            design[:, :, : len(free)] = shapes
+            design[:, :, len(free) :] = np.eye(3)
+            own = np.concatenate([spans[f'E{d}{axis}'] for d in letters])
+            # one direction after the other, as the nodes lie in the vector
+            flat = design.transpose(1, 0, 2).reshape(3 * len(q), -1)
+            line = np.linalg.lstsq(flat, np.eye(3 * len(q)), rcond=1e-9)[0][: len(free)]
+            change = np.eye(3 * len(q)) - shapes.transpose(1, 0, 2).reshape(3 * len(q), -1) @ line
+            zero = np.kron(np.eye(3), np.outer(np.ones(len(q)), at_zero))
+            change = change - zero @ change
+            matrix[np.ix_(own, own)] = change
+            for k, name in enumerate(free):
+                matrix[places[name], own] = line[k]
+    return matrix
+
+
+def field_rows(machine: Machine, nodes: Mapping[str, Array], q: Array) -> Array:
+    """Derivatives of the error at positions (n, k) by scalars and nodes, (3 n, m), rigid out."""
+    from otf_core.prediction.uncertainty import prediction_rows
+
+    rows = prediction_rows(machine, {m: nodes[m.axis] for m in machine.motions}, q)
+    return remove_rigid_motions(machine, q, rows.reshape(-1, rows.shape[2]))
+
+
+def remove_rigid_motions(machine: Machine, q: Array, rows: Array) -> Array:
+    """Take the rigid motions of the table out of columns (3 n, m) of errors at q (n, k)."""
+    return free_rows(rows, Sight.of_tool(machine).nominal(q))
+
+
+def table_rows(
+    machine: Machine,
+    unknowns: Unknowns,
+    nodes: Mapping[str, Array],
+    hidden: Collection[str] = (),
+) -> Array:
+    """Squareness and location errors and nodes of all motions from the full vector, (m, full).
+
+    ``hidden`` are motions that stay zero.
+    """
+    alike = {(m.axis, m.is_straightness): m for m in machine.motions}  # of one gauge
     best = {k: projection(m, unknowns.bases[m.axis], nodes[m.axis]) for k, m in alike.items()}
-    blocks = [np.eye(1)] * len(SQUARENESS) + [best[m.axis, m.is_straightness] for m in MOTIONS]
-    order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
+    blocks = [np.eye(1)] * len(machine.scalars)
+    blocks += [best[m.axis, m.is_straightness] for m in machine.motions]
+    order = [unknowns.blocks[n] for n in (*machine.scalars, *machine.motions)]
     rows = np.zeros((sum(len(b) for b in blocks), unknowns.full))
     rows[:, np.concatenate([np.arange(b.start, b.stop) for b in order])] = block_diag(*blocks)
-    return rows
+    return gauge_matrix(machine, nodes, hidden) @ rows if machine.location else rows
 
 
-def by_motion(values: NDArray[Any], nodes: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
+def by_motion(
+    machine: Machine, values: NDArray[Any], nodes: Mapping[str, Array]
+) -> dict[str, NDArray[Any]]:
     """Node values of every motion among values (m,) in the order of ``table_rows``."""
-    ends = np.cumsum([len(SQUARENESS)] + [len(nodes[m.axis]) for m in MOTIONS])
-    return dict(zip(MOTIONS, np.split(values, ends[:-1])[1:], strict=True))
+    sizes = [len(machine.scalars)] + [len(nodes[m.axis]) for m in machine.motions]
+    parts = np.split(values, np.cumsum(sizes)[:-1])[1:]
+    return dict(zip(machine.motions, parts, strict=True))
 
 
-def _cost(
-    machine: Machine, joint: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
-) -> TableCost:
+def _cost(machine: Machine, joint: JointSolution, nodes: Mapping[str, Array]) -> TableCost:
     unknowns = joint.unknowns
-    grid = _inner_places(*_ends(machine, unknowns))
-    field = np.zeros_like(grid)
-    motions: dict[str, float] = {}
-    for name in MOTIONS:
+    grid = evenly_spread(*_ends(machine, unknowns))
+    seen = Sight.of_tool(machine).at(grid)
+    field, motions = np.zeros_like(seen.position), dict[str, float]()
+    for name in machine.motions:
         basis, at = unknowns.bases[name.axis], nodes[name.axis]
         coefficients = joint.solution.value[unknowns.blocks[name]]
+        values = projection(name, basis, at) @ coefficients
 
-        def left(q: Array, name: str = name, at: Array = at, basis: Basis = basis,
+        def left(q: Array, at: Array = at, basis: Basis = basis, values: Array = values,
                  coefficients: Array = coefficients) -> Array:  # fmt: skip
-            return np.asarray(basis.matrix(q) @ coefficients - np.interp(q, at, values[name]))
+            return np.asarray(basis.matrix(q) @ coefficients - np.interp(q, at, values))
 
         fine = linear(at).finer(16)
         motions[name] = float(np.sqrt(np.mean(np.square(left(fine)))))
-        own = left(grid[:, name.place])
-        field += own[:, None] * motion_influence(machine, name, grid)
-    return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
+        if name.axis in seen.motions:
+            influence = seen.motions[name.axis][:, :, DIRECTIONS.index(name.direction)]
+            field += left(grid[:, machine.column(name.axis)])[:, None] * influence
+    return TableCost(motions, mean_length(without_rigid_motion(field, seen.position)))
 
 
 def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, float]:
@@ -166,18 +272,22 @@ def unseen_bends(machine: Machine, joint: JointSolution) -> dict[ErrorMotion, fl
     if any(basis.degree > 1 for basis in unknowns.bases.values()):
         return bends
     steps = {axis: np.diff(knots) for axis, knots in unknowns.knots.items()}
-    rotations = [m for m in MOTIONS if not m.is_translation and steps[m.axis].size]
-    values = {m: joint.solution.value[unknowns.blocks[m]] for m in rotations if m in accepted}
+    turning = [
+        m
+        for m in machine.motions
+        if not m.is_translation and m.axis in AXES and steps[m.axis].size
+    ]
+    values = {m: joint.solution.value[unknowns.blocks[m]] for m in turning if m in accepted}
     slopes = [np.diff(value) / steps[m.axis] for m, value in values.items()]
     slope = float(np.sqrt(np.mean(np.concatenate(slopes) ** 2))) if slopes else 0.0
     for axis in machine.axis_names:
-        hidden = [m for m in rotations if m.axis == axis and m not in accepted]
+        hidden = [m for m in turning if m.axis == axis and m not in accepted]
         if not hidden or axis not in machine.chain.lever_axes(axis):
             continue
         size = slope * _bend(unknowns.bases[axis])
         for motion in hidden:
-            bent = turn_arms(motion.along, np.eye(3)[[motion.place]])[0]
-            for other in MOTIONS:
+            bent = np.cross(np.eye(3)[motion.along], np.eye(3)[motion.place])
+            for other in machine.motions:
                 if other.is_translation and other.axis == axis and bent[other.along]:
                     bends[other] = float(np.hypot(bends.get(other, 0.0), size))
     return bends
@@ -193,16 +303,6 @@ def _bend(basis: Basis) -> float:
     return float(np.sqrt(np.sum(remainder**2) / len(q)))
 
 
-def _inner_places(low: Array, high: Array) -> Array:
-    """Places that fill the volume evenly and keep no step with nodes, shape (n, 3), m.
-
-    Multiples of the powers of the root of g^4 = g + 1, the remainders by 1 (additive recurrence).
-    """
-    steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
-    share = (0.5 + np.arange(GRID_PLACES)[:, None] * steps) % 1.0
-    return np.asarray(low + share * (high - low))
-
-
 def tabulate(machine: Machine, joint: JointSolution, grid_u: float, limit: float) -> Tabulation:
     """Make tables of the functions that were solved for.
 
@@ -213,40 +313,60 @@ def tabulate(machine: Machine, joint: JointSolution, grid_u: float, limit: float
     limit : float
         m and rad; ``unidentifiable_above``.
     """
-    low, high = _ends(machine, joint.unknowns)
+    unknowns, accepted = joint.unknowns, joint.solution.accepted
+    low, high = _ends(machine, unknowns)
     costs: dict[int, TableCost] = {}
-    best = None
-    for fraction in FRACTIONS:
-        nodes = table_nodes(_finer(machine, fraction), low, high)
-        if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MAX_NODES:
+    fraction = FRACTIONS[0]
+    for tried in FRACTIONS:
+        finer = table_nodes(_finer(machine, tried), low, high)
+        if tried > 1 and 6 * sum(len(n) for n in finer.values()) > MAX_NODES:
             break
-        rows = table_rows(joint.unknowns, nodes)
-        value = rows @ joint.solution.value
-        split = by_motion(value, nodes)
-        costs[fraction] = _cost(machine, joint, nodes, split)
-        best = (fraction, nodes, rows, value, split)
+        fraction, nodes = tried, finer
+        costs[fraction] = _cost(machine, joint, nodes)
         if costs[fraction].grid <= MAX_SHARE_OF_U * grid_u:
             break
-    assert best is not None
-    fraction, nodes, rows, value, split = best
-    accepted = joint.solution.accepted
-    known = by_motion(
-        determined_by_data(joint.normal, joint.unknowns, accepted, limit, rows), nodes
-    )
+    rows = table_rows(machine, unknowns, nodes, [m for m in machine.motions if m not in accepted])
+    value = rows @ joint.solution.value
+    determined = determined_by_data(joint.normal, unknowns, accepted, limit, rows)
+    known, free = by_motion(machine, determined, nodes), np.abs(rows).max(axis=1) > FIXED
+    loose = by_motion(machine, free, nodes)
+    count = len(machine.scalars)
+    shown = {
+        name: name in accepted and (name in machine.squareness or bool(determined[k]))
+        for k, name in enumerate(machine.scalars)
+    }
+    for motion in machine.motions:
+        own = known[motion][loose[motion]]
+        # motions of a rotary axis trade with its line and with places of targets
+        seen = own.any() if machine.axes[motion.axis].rotary and own.size else True
+        shown[motion] = bool(seen) and motion in accepted
+    sizes = [1] * count + [len(nodes[m.axis]) for m in machine.motions]
+    stated = np.repeat([shown[n] for n in (*machine.scalars, *machine.motions)], sizes)
+    left_out, value = np.where(stated, 0.0, value), np.where(stated, value, 0.0) + 0.0
+    split = by_motion(machine, value, nodes)
     motions: dict[str, MotionTable] = {
         m: MotionTable(
-            nodes[m.axis],
-            split[m] + 0.0,
-            np.zeros(len(split[m])),
-            m in accepted,
-            known[m] if m in accepted else np.zeros(len(split[m]), dtype=bool),
+            nodes[m.axis], split[m], np.zeros(len(split[m])), shown[m], known[m] & shown[m]
         )
-        for m in MOTIONS
+        for m in machine.motions
     }
-    squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}
-    two_costs = {k: costs[k] for k in {1, fraction}}
-    tables, bends = ErrorTables(machine, motions, squareness), unseen_bends(machine, joint)
-    return Tabulation(tables, rows, fraction, two_costs, bends)
+    scalars = dict(zip(machine.scalars, value[:count].tolist(), strict=True))
+    tables = ErrorTables(
+        machine,
+        motions,
+        {n: Squareness(scalars[n]) for n in machine.squareness},
+        {n: LocationError(scalars[n], 0.0, shown[n]) for n in machine.location},
+    )
+    return Tabulation(
+        tables=tables,
+        rows=rows,
+        fraction=fraction,
+        costs={k: costs[k] for k in {1, fraction}},
+        bends=unseen_bends(machine, joint),
+        hidden=tuple(str(name) for name, seen in shown.items() if not seen),
+        left_out=left_out,
+        covariance=np.zeros((len(rows), len(rows))),
+    )
 
 
 def _finer(machine: Machine, fraction: int) -> Machine:
@@ -264,9 +384,9 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
     ----------
     covariance : ndarray, shape (full, full)
     """
-    grid = _inner_places(*_ends(machine, unknowns))
+    grid = evenly_spread(*_ends(machine, unknowns))
     rows = model_rows(machine, unknowns, grid)
-    free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+    free = remove_rigid_motions(machine, grid, rows.reshape(-1, rows.shape[2]))
     variance = np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0)
     return float(np.sqrt(variance.reshape(-1, 3).sum(axis=1)).mean())
 
@@ -282,7 +402,7 @@ USUAL_ANGLE = 2e-5
 
 def unseen_sizes(tables: ErrorTables, accepted: Collection[str]) -> dict[str, float]:
     """Standard deviations of the rotations that are not seen, rad: like those that are."""
-    rotations = [m for m in MOTIONS if not m.is_translation]
-    seen = [v for m in rotations if m in accepted for v in tables.motions[m].value]
+    turning = [m for m in tables.machine.motions if not m.is_translation]
+    seen = [v for m in turning if m in accepted for v in tables.motions[m].value]
     size = float(np.sqrt(np.mean(np.square(seen)))) if seen else 0.0
-    return {str(m): size or USUAL_ANGLE for m in rotations if m not in accepted}
+    return {str(m): size or USUAL_ANGLE for m in turning if m not in accepted}

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unknowns of a calibration and their gauge.
 
-Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
-spline coefficients of 18 error motions and, where it is modelled, reversal coefficients of these
-motions. The gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero
-position, else at its minimum; straightness is zero at both ends. Gauge conditions are met exactly,
-by leaving coefficients out: ``full = gauge @ free``.
+Unknowns are a pose correction for every place of the tracker (3 translations, 3 rotations), a
+correction of the place of every target that is not known, squareness and location errors, the
+spline coefficients of the error motions of all axes and, where they are modelled, reversal
+coefficients of these motions and lags of the axes. The gauge (docs/formulation.md): straightness
+of linear axes is zero at both ends; all else is zero at the axis' zero position, else at its
+minimum. What the line of a rotary axis does is left to the location errors, which are put into the
+gauge of the tables afterwards (``tabulate``). Gauge conditions are met exactly, by leaving
+coefficients out: ``full = gauge @ free``.
 
 Functions of one axis position are B-splines, f(q) = sum_k c_k B_k(q), cubic and smooth or linear
 between nodes. Knots at both ends are repeated, so the first and the last coefficient are the
 values there; outside the knots f is constant. Degree 1 gives the hat functions of tables: c_k is
-the value at knot k.
+the value at knot k. Those of an endless axis repeat after a turn.
 
 References
 ----------
@@ -20,7 +23,7 @@ Book, Springer 1997, algorithm A2.2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,9 +31,18 @@ import numpy as np
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, is_motion, unit_of
+from otf_core.model.machine import Machine
+from otf_core.model.motions import (
+    DIRECTIONS,
+    ROTARY,
+    ErrorMotion,
+    is_motion,
+    location_names,
+)
 
 CUBIC, LINEAR = 3, 1
+INTERVALS = 20
+"""Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,7 @@ class Basis:
         Returns
         -------
         first : ndarray of int64, shape (n,)
-            The first of them; the others follow.
+            The first of them; the others follow, after the last one the first.
         weight : ndarray, shape (n, nonzero)
             Their values, which add up to 1.
         """
@@ -100,7 +112,7 @@ class Basis:
         first, weight = self.places(q)
         dense = np.zeros((len(q), self.size))
         for step in range(self.nonzero):
-            dense[np.arange(len(q)), first + step] = weight[:, step]
+            dense[np.arange(len(q)), (first + step) % self.size] += weight[:, step]
         return dense
 
     @cached_property
@@ -145,7 +157,82 @@ def linear(nodes: Array) -> Basis:
     return Basis(nodes, LINEAR)
 
 
-POSE = 6
+@dataclass(frozen=True)
+class PeriodicBasis(Basis):
+    """B-splines over one turn: cubic over equal intervals, or linear between nodes.
+
+    Attributes
+    ----------
+    knots : ndarray, shape (k,), rad
+        The last one is the first one a turn later; equally spaced where cubic.
+    degree : int
+    """
+
+    @property
+    def period(self) -> float:
+        """A turn, rad."""
+        return float(self.knots[-1] - self.knots[0])
+
+    @property
+    def periodic(self) -> bool:
+        """They repeat."""
+        return True
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return len(self.knots) - 1
+
+    def places(self, q: Array) -> tuple[Index, Array]:
+        """Functions that differ from zero at positions q (n,), rad; see ``Basis.places``."""
+        inside = self.knots[0] + np.mod(q - self.knots[0], self.period)
+        cell = np.clip(np.searchsorted(self.knots, inside, 'right') - 1, 0, self.size - 1)
+        x = (inside - self.knots[cell]) / np.diff(self.knots)[cell]
+        if self.degree == LINEAR:
+            return cell, np.stack([1.0 - x, x], axis=1)
+        four = [(1 - x) ** 3, 3 * x**3 - 6 * x**2 + 4, -3 * x**3 + 3 * x**2 + 3 * x + 1, x**3]
+        return (cell - 1) % self.size, np.stack(four, axis=1) / 6.0
+
+    def linear_between(self, nodes: Array) -> PeriodicBasis:
+        """Functions of a turn that are linear between nodes (n,), both ends included."""
+        return PeriodicBasis(np.append(nodes[:-1], nodes[0] + 2.0 * np.pi), LINEAR)
+
+    def at_nodes(self, nodes: Array, values: Array) -> Array:
+        """Values at all nodes (n,): those at both ends are the same."""
+        return np.concatenate([values, values[: len(nodes) - self.size]])
+
+    @cached_property
+    def centres(self) -> Array:
+        """Where the functions are largest, shape (size,), rad."""
+        return self.knots[:-1]
+
+
+def over_turn(low: float, intervals: int) -> PeriodicBasis:
+    """Periodic cubic splines over a turn from a position on, in equal intervals."""
+    return PeriodicBasis(np.linspace(low, low + 2.0 * np.pi, intervals + 1), CUBIC)
+
+
+Bases = dict[str, Basis]
+
+
+def smooth_bases(machine: Machine, nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
+    """Cubic splines over equal parts of the range of every axis, or of a turn."""
+    bases: Bases = {}
+    for axis, at in nodes.items():
+        whole = machine.axes[axis].endless and at[-1] - at[0] > 2.0 * np.pi - 1e-2
+        bases[axis] = over_turn(float(at[0]), parts) if whole else cubic(at, parts)
+    return bases
+
+
+def linear_bases(machine: Machine, nodes: Mapping[str, Array]) -> Bases:
+    """Functions that are linear between the nodes of every axis, on a turn if smooth ones are."""
+    smooth = smooth_bases(machine, nodes)
+    return {axis: basis.linear_between(nodes[axis]) for axis, basis in smooth.items()}
+
+
+POSE, PLACE = 6, 3
+SQUARENESS_OF = {'C0Y': 'XY', 'B0Z': 'XZ', 'A0Z': 'YZ'}
+"""Axes that a squareness error is between."""
 
 
 @dataclass(frozen=True)
@@ -157,23 +244,20 @@ class Unknowns:
     bases : mapping of axis to Basis
         Functions that the motions of each axis are made of.
     blocks : mapping of block name to slice
-        Place of the poses, the squareness names, the motions and the reversal coefficients in
-        the full vector; a dependent one gives way to those before it: pose, squareness,
-        translations, rotations, then reversal polynomial by polynomial.
+        Place of every block in the full vector; a dependent one gives way to those before it:
+        poses, places of targets, squareness and location errors, translations, rotations, then
+        reversal polynomial by polynomial, and lags.
     gauge : sparse array, shape (full, free)
     free_blocks : mapping of block name to slice
         The same blocks in the free vector.
-    reversal : int
-        Reversal polynomials per motion.
     held : bool
         Axes that stand stay on the side of their last travel, see ``effects.catalogue.backlash``.
     """
 
-    bases: dict[str, Basis]
+    bases: Bases
     blocks: dict[str, slice]
     gauge: sparse.csr_array
     free_blocks: dict[str, slice]
-    reversal: int = 0
     held: bool = False
 
     @property
@@ -259,6 +343,11 @@ def reversal_block(motion: str, order: int) -> str:
     return f'{motion}_{order}'
 
 
+def is_step(block: str) -> bool:
+    """Return whether a block is a correction of a pose or of a place."""
+    return block.startswith(('pose ', 'place '))
+
+
 def is_reversal(block: str) -> bool:
     """Return whether a block is a reversal coefficient; its first letters are the motion."""
     return block[3:4] == '_' and is_motion(block[:3])
@@ -269,32 +358,64 @@ def reversal_order(block: str) -> int:
     return int(block[4:]) if is_reversal(block) else -1
 
 
+def reversal_names(motions: Sequence[ErrorMotion], count: int) -> list[str]:
+    """Blocks of so many reversal coefficients of motions, order by order."""
+    order = sorted(motions, key=lambda motion: not motion.is_translation)
+    return [reversal_block(motion, k) for k in range(count) for motion in order]
+
+
 def reversal_blocks(unknowns: Unknowns, motion: str) -> list[str]:
     """Blocks of the reversal coefficients of a motion, by their order."""
     return [n for n in unknowns.blocks if is_reversal(n) and n[:3] == motion]
 
 
+def place_block(target: str) -> str:
+    """Name of the block of the place of a target."""
+    return f'place {target}'
+
+
+def lag_block(axis: str) -> str:
+    """Name of the block of the time, s, by which an axis is late."""
+    return f'lag {axis}'
+
+
 def layout(
-    bases: dict[str, Basis], runs: int = 1, reversal: int = 0, *, held: bool = False
+    bases: Mapping[str, Basis],
+    stations: int = 1,
+    reversal: Sequence[str] = (),
+    *,
+    targets: Sequence[str] = (),
+    lags: Sequence[str] = (),
+    held: bool = False,
 ) -> Unknowns:
     """Lay out the unknowns.
 
     Parameters
     ----------
     bases : mapping of axis to Basis
-    runs : int
-        Each has its own pose.
-    reversal : int
-        Reversal polynomials per motion.
+        Of all axes of the machine.
+    stations : int
+        Places of the tracker, each with a pose of its own.
+    reversal : sequence of str
+        Blocks of reversal coefficients, see ``reversal_block``.
+    targets : sequence of str
+        Those whose places are not known.
+    lags : sequence of str
+        Axes that are late by a constant time.
     held : bool
         See ``Unknowns``.
     """
-    order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
-    parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
-    parts += [(name, np.eye(1)) for name in SQUARENESS]
-    parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
-    parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
-    return Unknowns(bases, *lay_out_blocks(parts), reversal, held)
+    motions = [ErrorMotion(d, axis) for axis in bases for d in DIRECTIONS]
+    motions.sort(key=lambda motion: not motion.is_translation)
+    scalars = [name for name, axes in SQUARENESS_OF.items() if set(axes) <= bases.keys()]
+    scalars += [n for axis in bases if axis in ROTARY for n in location_names(axis)]
+    parts: list[tuple[str, Array]] = [(pose_block(k), np.eye(POSE)) for k in range(stations)]
+    parts += [(place_block(name), np.eye(PLACE)) for name in targets]
+    parts += [(name, np.eye(1)) for name in scalars]
+    parts += [(motion, motion_gauge(motion, bases[motion.axis])) for motion in motions]
+    parts += [(name, np.eye(1)) for name in reversal]
+    parts += [(lag_block(axis), np.eye(1)) for axis in lags]
+    return Unknowns(dict(bases), *lay_out_blocks(parts), held)
 
 
 def free_values(unknowns: Unknowns, full: Array) -> Array:

@@ -224,10 +224,10 @@ def _hop_legs(match: Match) -> Index:
     return legs
 
 
-def _coverage(match: Match, guide: MatchingInput, slack: float) -> float:
+def driven_share_of(match: Match, guide: MatchingInput, slack: float) -> float:
     """Share of the nominal length that was driven."""
     vertices, curve = guide.vertices, guide.curve
-    length = Legs(vertices).length
+    length = np.where(guide.on_parts, Legs(vertices).length, 0.0)
     driven = np.zeros(len(length))
     if is_as_planned(visits(match, vertices, slack)):
         use = match.leg != OFF_PATH
@@ -312,7 +312,7 @@ def align(
         pose,
         driven.shape.corners,
         sample_chords(known.match, driven, pose, samples.xyz, exclusion, 4 * tolerance),
-        _coverage(known.match, known.guide, 4 * tolerance),
+        driven_share_of(known.match, known.guide, 4 * tolerance),
         known.to_the_end,
         driven.shape,
         driven.published,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import MIN_LEG, Legs
-from otf_core.tracking.curves import Lines, PathShape, shape_of
+from otf_core.tracking.curves import NO_PART, Lines, PathShape, shape_of
 from otf_core.tracking.measured_track import Track
 
 Bool = NDArray[np.bool_]
@@ -451,6 +451,102 @@ def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> 
     return Driven(
         shape_of(np.array(route.corners)), chord, last, np.array(route.published, dtype=np.int64)
     )
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What was driven of a part of the path without leaving it.
+
+    Attributes
+    ----------
+    part : int
+    places : ndarray, shape (n,)
+        Of the part, in legs, in the order in which they were driven: its corners, and both ends.
+    first, last : int
+        First sample, and one past the last.
+    knots : ndarray, shape (k, 2)
+        Samples and the places, counted along ``places``, where they are about.
+    """
+
+    part: int
+    places: Array
+    first: int
+    last: int
+    knots: Array
+
+
+def passages(match: Match, shape: PathShape, vertex: Index, slack: float) -> list[Passage]:
+    """Parts of a path as driven, in order of time; see ``driven_path``.
+
+    A new one begins where a leg was not driven on from the end of the one before.
+    """
+    place = shape.places
+    assert shape.part is not None
+    vertices, track = shape.corners[vertex], match.track
+    starts, ends = match.pose.apply(track.starts), match.pose.apply(track.ends)
+    legs, before = Legs(vertices), None
+    found: list[_Gathered] = []
+    for visit in visits(match, vertices, slack):
+        number = int(shape.part[vertex[visit.leg]])
+        if number == NO_PART:
+            continue
+        passed: list[int] = []
+        if before is not None and found[-1].part == number:
+            passed = list(_passed(before, visit, match, vertices, 2 * slack))
+        ways = [_ends_of(place[vertex], leg, visit.sense) for leg in (*passed, visit.leg)]
+        corner = legs.corners[visit.leg + (visit.sense == BACKWARD)]
+        joined = (
+            before is not None
+            and found[-1].part == number
+            and found[-1].places[-1] == ways[0][0]
+            and (passed or np.linalg.norm(starts[visit.first] - corner) < 2 * slack)
+        )
+        if not joined:
+            found.append(_Gathered(number, [ways[0][0]], [], []))
+        own = found[-1]
+        own.places.extend(end for _, end in ways)
+        for k in range(visit.first, visit.last + 1):
+            if match.leg[k] != visit.leg:
+                continue
+            own.measured.append(k)
+            for hop, point in ((track.start[k], starts[k]), (track.stop[k], ends[k])):
+                share = (point - legs.corners[visit.leg]) @ legs.unit[visit.leg]
+                share = np.clip(share / max(legs.length[visit.leg], 1e-12), 0.0, 1.0)
+                share = share if visit.sense == FORWARD else 1.0 - share
+                own.knots.append((int(track.hops[hop]), len(own.places) - 2 + float(share)))
+        before = visit
+    return [one.thinned(track) for one in found]
+
+
+def _ends_of(place: Array, leg: int, sense: int) -> tuple[float, float]:
+    """Places where a leg begins and ends as driven."""
+    begin, end = float(place[leg]), float(place[leg + 1])
+    return (begin, end) if sense == FORWARD else (end, begin)
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """A passage as its legs come; see ``Passage``, places still at all vertices."""
+
+    part: int
+    places: list[float]
+    measured: list[int]
+    knots: list[tuple[int, float]]
+
+    def thinned(self, track: Track) -> Passage:
+        """Leave out places on the way from corner to corner."""
+        at, knots = np.array(self.places), np.array(self.knots)
+        turned = np.diff(np.sign(np.diff(at))) != 0.0
+        keep = np.concatenate([[True], (at[1:-1] % 1.0 == 0.0) | turned, [True]])
+        kept = np.flatnonzero(keep)
+        # between two that are kept the place is linear in legs of the part
+        number = np.zeros(len(at))
+        for low, (a, b) in enumerate(pairwise(kept.tolist())):
+            number[a : b + 1] = low + (at[a : b + 1] - at[a]) / ((at[b] - at[a]) or 1.0)
+        knots[:, 1] = np.interp(knots[:, 1], np.arange(len(at)), number)
+        first = int(track.hops[track.start[self.measured[0]]])
+        last = int(track.hops[track.stop[self.measured[-1]]]) + 1
+        return Passage(self.part, at[keep], first, last, knots)
 
 
 def sample_chords(

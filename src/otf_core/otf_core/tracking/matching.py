@@ -18,12 +18,13 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.curves import PathShape, shape_of
+from otf_core.tracking.curves import NO_PART, PathShape, shape_of
 from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
 from otf_core.tracking.driving_order import Match as Match
 from otf_core.tracking.driving_order import assign_legs as follow
@@ -132,6 +133,7 @@ _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000
 _MAX_FULL = 24
 _SCORED = 1000
+_MAX_ROUGH = 3
 _MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
 MIN_MATCHED_SHARE = 0.3
 """Share of the measured length that must follow the path."""
@@ -336,6 +338,8 @@ def find_match(
     tolerance: float,
     cuts: Array | None = None,
     by_length: bool = True,
+    *,
+    rough: bool = False,
 ) -> Match | None:
     """Find pose and assignment without any prior knowledge.
 
@@ -349,6 +353,8 @@ def find_match(
         Those of them that lie on curves, where the track has no corner.
     by_length : bool
         Try lengths along the path where corners do not decide.
+    rough : bool
+        The path is only roughly known: places of reflectors and lines of axes are improved later.
 
     Returns
     -------
@@ -360,10 +366,11 @@ def find_match(
     best = None
     if poses:
         quick = _quick_scores(poses, track, corners, tolerance)
-        distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
+        most = _MAX_ROUGH if rough else _MAX_FULL
+        distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, most)
         best = best_match(distinct, track, corners, cuts, 2 * tolerance)
     if best is not None and best.explained > (
-        MIN_SHARE_AS_PLANNED if len(cuts) else MIN_SHARE_UNDOUBTED
+        MIN_SHARE_AS_PLANNED if len(cuts) and not rough else MIN_SHARE_UNDOUBTED
     ):
         return best
     if not by_length:
@@ -403,6 +410,14 @@ class MatchingInput:
         return self.shape.corners[self.vertex]
 
     @property
+    def on_parts(self) -> NDArray[np.bool_]:
+        """Which legs between successive vertices belong to a part, shape (v - 1,)."""
+        part = self.shape.part
+        if part is None:
+            return np.ones(len(self.vertex) - 1, dtype=bool)
+        return np.asarray(part[self.vertex[:-1]] != NO_PART)
+
+    @property
     def curve(self) -> Index:
         """Curve, numbered from 0, of the leg between successive vertices, shape (v - 1,)."""
         stretch = self.shape.stretch[self.vertex[:-1]]
@@ -417,4 +432,5 @@ class MatchingInput:
 
     def find(self, track: Track, tolerance: float, by_length: bool = True) -> Match | None:
         """Match a track without any prior knowledge, see ``find_match``."""
-        return find_match(track, self.vertices, tolerance, self.cuts, by_length)
+        rough = bool(self.shape.sights)
+        return find_match(track, self.vertices, tolerance, self.cuts, by_length, rough=rough)

@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_cells import Recording, corner_path, record, small_plan, some_machine, some_pose
+from core_cells import (
+    Recording,
+    corner_path,
+    plan_for_path,
+    record,
+    small_plan,
+    some_machine,
+    some_pose,
+)
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +22,6 @@ from otf_core.errors import InputError
 from otf_core.model.frames import rigid_fit
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import plan_for_path
 from otf_core.sim.cell import random_tables
 from otf_core.tracking.alignment import align, line_step
 from otf_core.tracking.matching import OFF_PATH

@@ -3,7 +3,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,16 +18,18 @@ from otf_core.budget.budget import (
     noise_parts,
     piece_states,
     slow_amplitudes,
+    standstill_freedom,
     welch_satterthwaite,
+    whole_check,
 )
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
-from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import result_to_dict
@@ -40,9 +41,8 @@ from otf_core.reports.calibration_facts import (
 )
 from otf_core.sim.tracker import measure
 from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
-from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.sensitivity import components_across, piece_state, sensitivity
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases
 
 NAMES = (*SQUARENESS, *MOTIONS)
 DECLARED = {
@@ -82,15 +82,20 @@ def solved(cell):
     (run,), nodes = prepare_runs([recording], config)
     logs = [0.0, 0.0, 0.0, *(2 * np.log(m) for m in MISFIT)]
     run = replace(run, fitted=np.array(logs))
-    unknowns = layout(linear_bases(nodes))
+    unknowns = layout(linear_bases(cell.machine, nodes))
     done = solve_jointly([run], unknowns, config, lambda stage, fraction: None)
     done = settle_covariance(done, config.unidentifiable_above)
     state = piece_state(run, done.runs[0], nodes, cell.truth)
-    tables = tables_of(cell.machine, unknowns, done.solution)
-    parts = noise_parts([run], done)
-    states = partial(piece_states, [run], done, tables)
-    budget = make_budget([run], done, parts, states, config.standstill_speed)
-    return SimpleNamespace(run=run, done=done, state=state, config=config, budget=budget)
+    budget = budget_of(run, samples, done)
+    return SimpleNamespace(run=run, done=done, state=state, samples=samples, budget=budget)
+
+
+def budget_of(run, samples, done):
+    """Budget of a solution of one run."""
+    states = piece_states([run], done, tables_of(run.machine, done.unknowns, done.solution))
+    still = standstill_freedom([samples], [run], CalibrationConfig().standstill_speed)
+    check = whole_check([run], done, [s.residual for s in done.runs])
+    return make_budget([run], done, noise_parts([run], done), states, still, check)
 
 
 def nodes_of(done):
@@ -176,7 +181,8 @@ def test_sensitivity_is_the_shift_of_the_tables_that_a_range_offset_makes(solved
 def solve_again(solved, xyz):
     """Solve the same run with other measured points."""
     run = replace(solved.run, pieces=replace(solved.run.pieces, xyz=xyz))
-    return solve_jointly([run], solved.done.unknowns, solved.config, lambda stage, fraction: None)
+    config = CalibrationConfig(piece_length=0.02)
+    return solve_jointly([run], solved.done.unknowns, config, lambda stage, fraction: None)
 
 
 def _weigh(solved, columns):
@@ -329,10 +335,7 @@ def test_misfit_is_its_part_of_the_weights_alone(solved):
 def test_residuals_beyond_the_weights_enter_as_misfit(solved):
     loud = [replace(s, residual=1e-6 * np.ones_like(s.residual)) for s in solved.done.runs]
     done = replace(solved.done, runs=tuple(loud))
-    tables = tables_of(solved.run.machine, done.unknowns, done.solution)
-    parts = noise_parts([solved.run], done)
-    states = partial(piece_states, [solved.run], done, tables)
-    budget = make_budget([solved.run], done, parts, states, solved.config.standstill_speed)
+    budget = budget_of(solved.run, solved.samples, done)
     assert budget.inflation > 5.0
     data = done.solution.covariance - (_source(solved, 'smoothness') - _drawn(solved))
     added = budget.whole - solved.budget.whole
@@ -396,7 +399,7 @@ def test_declaration_is_read_echoed_and_checked(tmp_path):
     file = tmp_path / 'machine.yaml'
     file.write_text(yaml.safe_dump(data))
     assert load_machine(file).to_dict() == data
-    assert set(DECLARED) == set(KEYS)
+    assert set(DECLARED) == set(DECLARABLE)
     for section, message in (
         ({'tracker_scal': 1e-6}, 'uncertainty: tracker_scal: unknown key; known here: tracker_sc'),
         ({'air_pressure': -1.0}, 'uncertainty: air_pressure: -1 is out of range'),

@@ -85,7 +85,7 @@ def test_uncertainty_of_predictions_is_positive_and_of_the_size_of_the_errors_le
 def test_tables_file_has_all_the_contract_asks_for(done):
     data = json.loads(done.tables.read_text())
     assert {'schema', 'machine', 'motions', 'squareness', 'alignment', 'fit'} <= set(data)
-    assert data['schema'] == 'otf-error-tables/1'
+    assert data['schema'] == 'otf-error-tables/2'
     assert data['machine'] == done.machine.to_dict()
     assert {
         'samples', 'used', 'unknowns', 'rank', 'path_mae_before', 'path_mae_after', 'residual_rms',

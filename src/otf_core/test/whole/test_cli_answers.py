@@ -99,4 +99,4 @@ def test_objects_of_the_other_quick_verbs(asked, tmp_path):
     code, answer, words = asked('simulate', '--machine', machine, '--path', path, '--rate', '50')
     assert code == 0 and f'{answer["samples"]} samples' in words
     code, answer, words = asked('plan', '--machine', machine, '--path', path, out='plan')
-    assert code == 0 and answer['schema'] == 'otf-plan/1' and 'no NC program' in words
+    assert code == 0 and answer['schema'] == 'otf-plan/2' and 'no NC program' in words

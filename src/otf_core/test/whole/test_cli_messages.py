@@ -108,18 +108,23 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
     assert json.loads((out / 'error_tables.json').read_text())['failed_gates']
 
 
+def plan_of(positions, feed, dwell):
+    """A plan.json of one part."""
+    part = {'target': 'tool', 'positions': positions, 'feed': feed, 'dwell': dwell}
+    assumed = {'tracker_link': 'w', 'tracker_place': [0, -1, 0]}
+    content = {'schema': 'otf-plan/2', 'axes': list('XYZ'), 'parts': [part], 'assumed': assumed}
+    return json.dumps(content)
+
+
 @pytest.mark.parametrize(
     ('content', 'options', 'words'),
     [
-        ('{"a": 1}', (), "plan: not a plan; expected the schema 'otf-plan/1'"),
-        ('{"schema": "otf-plan/1"}', (), 'plan: path: expected n x 3 finite numbers'),
-        ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]]}', (), 'plan: feed: expected 1'),
-        ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [0], "dwell": [1, 1]}',
-         (), 'plan: feed: leg 0: must be above 0'),
-        ('{"schema": "otf-plan/1", "path": [[0,0,0],[9,0,0]], "feed": [1], "dwell": [1, 1]}',
-         (), 'plan: path: point 1 leaves the range of axis X'),
-        ('{"schema": "otf-plan/1", "path": [[0,0,0],[0.1,0,0]], "feed": [1], "dwell": [1, 1]}',
-         ('--feed', '3000'), 'feed: '),
+        ('{"a": 1}', (), "plan: not a plan; expected the schema 'otf-plan/2'"),
+        ('{"schema": "otf-plan/2"}', (), 'plan: axes, parts: expected lists'),
+        (plan_of([[0, 0, 0], [0.1, 0, 0]], [], [1, 1]), (), 'plan: parts: 1: feed: expected 1'),
+        (plan_of([[0, 0, 0], [0.1, 0, 0]], [0], [1, 1]), (), 'feed: leg 0: must be above 0'),
+        (plan_of([[0, 0, 0], [9, 0, 0]], [1], [1, 1]), (), 'leaves the range of axis X'),
+        (plan_of([[0, 0, 0], [0.1, 0, 0]], [1], [1, 1]), ('--feed', '3000'), 'feed: '),
         ('{"schema', (), 'plan: not valid JSON'),
         ('G1 X0 Y0', (), 'plan: is an NC program that never states where Z stands'),
         ('a,b\n1,2', (), 'expected the header x,y,z'),

@@ -15,7 +15,10 @@ from otf_core.files.strict_yaml import value_text
 HUGE = '1' + '0' * 400
 ENDLESS = '1' + '0' * 5000
 EFFECT = '- effect: backlash\n  parameters: {B_X: NUMBER}\n'
-PLAN = '{"schema": "otf-plan/1", "path": [[0, 0, NUMBER], [1, 1, 1]]}'
+PLAN = (
+    '{"schema": "otf-plan/2", "axes": ["X", "Y", "Z"], '
+    '"parts": [{"target": "tool", "positions": [[0, 0, NUMBER], [1, 1, 1]]}]}'
+)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +82,7 @@ def test_message_of_any_length_is_cut(place, capsys):
             'a plain number in SI units, got inf',
         ),
         ('--effects', '[' * 5000, 'nested too deeply'),
-        ('--path', PLAN.replace('NUMBER', HUGE), 'path: expected n x 3 finite numbers'),
+        ('--path', PLAN.replace('NUMBER', HUGE), 'positions: expected n x 3 finite numbers'),
         ('--path', PLAN.replace('NUMBER', ENDLESS), 'thousands of digits'),
         ('--path', '{"a":' * 100_000, 'nested too deeply'),
         ('--tables', '[' * 100_000, 'nested too deeply'),

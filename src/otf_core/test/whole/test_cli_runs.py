@@ -153,10 +153,10 @@ def test_simulated_plan_drives_its_path_feeds_and_dwells_before_its_tracker(plan
                '--error-size', '0')  # fmt: skip
     assert code == 0
     bag = read_bag(tmp_path / 'bag')
-    np.testing.assert_array_equal(bag.path.points, plan['path'])
+    np.testing.assert_array_equal(bag.path.points, plan['parts'][0]['positions'])
     assert bag.samples.time[-1] == pytest.approx(plan['duration'], abs=0.02)
     distance = np.linalg.norm(bag.samples.xyz[0])
-    start = np.array(plan['path'][0]) - plan['assumed']['tracker_place']
+    start = np.array(plan['parts'][0]['positions'][0]) - plan['assumed']['tracker_place']
     assert distance == pytest.approx(np.linalg.norm(start), abs=1e-4)
 
 

@@ -27,13 +27,14 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions import quick_model, tracker_moves
-from otf_core.contradictions.table_checks import check_worth, volumetric
+from otf_core.contradictions.table_checks import check_worth
 from otf_core.effects import REGISTRY
 from otf_core.errors import InputError
 from otf_core.model.machine import Axis, Chain, TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import prepare_runs
+from otf_core.prediction.volumetric import VolumetricError
 
 
 def with_machine(recording, **fields):
@@ -276,7 +277,9 @@ def test_noise_that_wanders_is_no_step():
 
 def test_tables_as_uncertain_as_the_errors_fail():
     result = calibrate_runs([recorded()], CONFIG)
-    error, u = volumetric(result.tables, result.covariance)
+    volume = VolumetricError(result.tables, result.covariance)
+    error = np.sqrt(np.mean(volume.length**2))
+    u = np.sqrt(np.median(volume.u_size**2))
     assert u < 0.2 * error
     assert check_worth(result.tables, result.covariance, 1e-6) == []
     scale = (1.1 * error / u) ** 2

@@ -28,10 +28,9 @@ from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
 from otf_core.solving.joint import solve_jointly, tables_of
-from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.reversal import Backlash, Reversal
 from otf_core.solving.sensitivity import piece_state
-from otf_core.solving.unknowns import free_values, layout
+from otf_core.solving.unknowns import free_values, layout, linear_bases
 
 CONFIG = CalibrationConfig(piece_length=0.02)
 GROWTH = {'tau': 100.0, 'until': 80.0, 'order': 2.0, 'S_X': 3e-5, 'S_Y': 1e-6, 'S_X_2': 0.0}
@@ -62,7 +61,7 @@ def runs_and_nodes():
 def solved(runs, nodes, effects=()):
     if effects:
         runs = correct_runs(runs, effects, nodes, None)
-    unknowns = layout(linear_bases(nodes), len(runs))
+    unknowns = layout(linear_bases(runs[0].machine, nodes), len(runs))
     return runs, solve_jointly(runs, unknowns, CONFIG, lambda stage, fraction: None)
 
 
@@ -306,6 +305,7 @@ class Plain:
     warnings: tuple
     runs: tuple = (None,)
     effects_sentence: str = ''
+    applied: tuple = ()
     reversal: Reversal = field(default_factory=lambda: Reversal('none', {}, {}))
 
 
@@ -315,11 +315,11 @@ def test_what_is_not_taken_off_is_said_with_what_holds_it():
     plain = Plain('1', (), reversal=reversal)
     told = CauseWords(1.0, (), 'backlash of X', ('X',))
     found = CausesToRemove((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
-    words = pair_with_corrected(plain, None, found, CONFIG, 'There it is.').words
+    words = pair_with_corrected(plain, None, found, CONFIG, 'There it is.').effects_sentence
     assert 'Backlash of X is in the reversal tables (X 5.20 +/- 0.40 um, k = 2: ' in words
     assert words.endswith('nothing else to remove.') and 'No effect was removed' not in words
     waves = CausesToRemove((), ((),), ('cyclic error of X',))
-    words = pair_with_corrected(plain, None, waves, CONFIG, 'There it is.').words
+    words = pair_with_corrected(plain, None, waves, CONFIG, 'There it is.').effects_sentence
     assert 'Cyclic error of X is in the error tables, which follow it' in words
 
 
@@ -330,6 +330,6 @@ def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     diagnosis = SimpleNamespace(verdict='unknown', calibration=made)
     monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)
-    assert done.applied == ((),) and done.result.run_id == '1'
-    assert 'no effect explains. No effect was removed' in done.result.warnings[0]
-    assert done.result.warnings[1] == 'other'
+    assert done.applied == () and done.run_id == '1'
+    assert 'no effect explains. No effect was removed' in done.warnings[0]
+    assert done.warnings[1] == 'other'

@@ -17,8 +17,8 @@ from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
 from otf_core.model.tables import load_tables
@@ -122,7 +122,7 @@ def test_gap_shrinks_to_little_where_the_cause_is_known(with_backlash):
 
 def test_tables_with_the_cause_taken_off_are_nearer_to_those_without_it(folder, clean):
     points = lattice(MACHINE)
-    wanted = clean.calibration.result.tables
+    wanted = clean.calibration.tables
 
     def distance(name):
         tables = load_tables(folder / name / 'error_tables.json').tables

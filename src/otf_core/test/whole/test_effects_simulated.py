@@ -17,28 +17,27 @@ from effect_cells import (
     driven_state,
     shape_of,
     some_plan,
+    state_of,
 )
 
 from otf_core import cli
 from otf_core.bags.bag import read_bag
 from otf_core.config import CalibrationConfig, SimulationConfig
-from otf_core.effects import REGISTRY, AppliedEffect, total_displacement
+from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import state_on_path
 from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
-from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import simulate
-from otf_core.sim.drive import Drive
-from otf_core.sim.effects import changed_noise, run_state
+from otf_core.sim.drive import drives_of
+from otf_core.sim.effects import changed_noise, total_displacement
 from otf_core.solving.joint import solve_jointly, tables_of
-from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import sum_groups
 from otf_core.solving.solution import TIE_BREAK, smoothness
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear_bases
 from otf_core.solving.whitener import Whitener
 
 displacing = pytest.mark.parametrize('name', DISPLACING)
@@ -78,31 +77,29 @@ def test_state_describes_the_drive():
 def test_standing_samples_keep_the_direction_of_the_leg_just_driven():
     machine = some_machine()
     points = np.array([(0, 0, 0), (0.1, 0, 0), (0.1, 0, 0), (0.2, 0, 0), (0.2, 0.1, 0)]) - 0.0
-    plan = Plan(NominalPath(points), np.full(4, 0.1), np.full(5, 1.0))
-    drive = Drive(plan, 1.0)
-    time = np.arange(0, drive.duration, 0.01)
-    leg, speed = drive.leg_and_speed(time)
+    plan = Plan.along(points, np.full(4, 0.1), np.full(5, 1.0))
+    drives = drives_of(machine, plan, 1.0)
+    time = np.arange(0, drives[0].duration, 0.01)
+    leg = drives[0].motion(time).leg
     pose = RigidTransform(np.eye(3), np.array([-1.0, 0, 0]))
-    state = run_state(machine, plan, drive, time, time, pose, driven_state().tables)
-    expected = np.where((leg == 3)[:, None], [0.0, 1, 0], [1.0, 0, 0])
+    state = state_of(driven_state().tables, drives, time, time, pose)
+    expected = np.where((leg == 2)[:, None], [0.0, 1, 0], [1.0, 0, 0])
     np.testing.assert_array_equal(state.direction, expected)
-    assert np.all(speed[time < 1.0] == 0) and leg[0] == 0
+    assert np.all(state.speed[time < 1.0] == 0) and leg[0] == 0
     # a repeated point and a stop on the straight are no corners
     at_stop = np.argmin(np.abs(state.q[:, 0] - 0.1))
     assert state.from_corner[at_stop] == pytest.approx(0.1, abs=1e-3)
     assert state.to_corner[at_stop] == pytest.approx(0.1, abs=1e-3)
-    np.testing.assert_array_equal(state.after[leg < 3], np.tile([0.0, 1, 0], ((leg < 3).sum(), 1)))
+    np.testing.assert_array_equal(state.after[leg < 2], np.tile([0.0, 1, 0], ((leg < 2).sum(), 1)))
 
 
 @displacing
 def test_run_with_an_effect_differs_by_its_displacement(name, machine, plan, plain):
     run = simulate(machine, plan, CONFIG, effects=[applied(name)])
-    drive = Drive(plan, CONFIG.acceleration)
     time = plain.samples.time / (1 + CONFIG.clock_drift)
-    pose = RigidTransform(plain.rotation.T, plain.place)
-    state = run_state(machine, plan, drive, time, plain.samples.time, pose, plain.truth)
+    state = state_of(plain.truth, plain.drives, time, plain.samples.time, plain.pose)
     expected = REGISTRY[name].displacement(state, EXAMPLES[name])
-    moved = (run.samples.xyz - plain.samples.xyz) @ plain.rotation
+    moved = (run.samples.xyz - plain.samples.xyz) @ plain.pose.rotation.T
     assert np.abs(expected).max() > 1e-6
     # noise grows with the range, so a little of it changes too
     np.testing.assert_allclose(moved, expected, atol=2e-10)
@@ -273,7 +270,7 @@ def information(name, machine, plan, samples):
     """
     config = CalibrationConfig(piece_length=SHORT_PIECES.get(name, 8e-3))
     runs, nodes = prepare_runs([Recording(samples, plan.path, machine)], config)
-    unknowns = layout(linear_bases(nodes))
+    unknowns = layout(linear_bases(machine, nodes))
     done = solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
     run, pose, system = runs[0], done.runs[0].pose, done.runs[0].system
     tables = tables_of(machine, unknowns, done.solution)
@@ -315,18 +312,3 @@ def test_effect_is_found_again_in_a_noisy_run(name, machine, plan):
     estimate = basis[:, seen].T @ (right * size) / strength[seen]
     deviation = (estimate - basis[:, seen].T @ (true / size)) * np.sqrt(strength[seen])
     assert np.sqrt(np.mean(deviation**2)) < 1.0 + 3.0 / np.sqrt(2.0 * seen.sum())
-
-
-def test_recorded_coordinates_may_be_rounded(machine, plan, plain):
-    rounded = simulate(machine, plan, dataclasses.replace(CONFIG, resolution=1e-6)).samples
-    assert np.abs(rounded.xyz - plain.samples.xyz).max() <= 0.5e-6 * (1 + 1e-6)
-    np.testing.assert_allclose(rounded.xyz, np.rint(rounded.xyz * 1e6) * 1e-6, atol=1e-15)
-
-
-def test_packets_are_lost_whole_and_the_rest_is_untouched(machine, plan, plain):
-    lossy = simulate(machine, plan, dataclasses.replace(CONFIG, packet_loss=0.2)).samples
-    kept = np.isin(plain.samples.stamp_ns, lossy.stamp_ns)
-    np.testing.assert_array_equal(lossy.xyz, plain.samples.xyz[kept])
-    assert 0.05 < 1 - kept.mean() < 0.4
-    gaps = np.diff(lossy.stamp_ns) * 1e-9
-    assert gaps[gaps > 0.1].min() == pytest.approx(1 / 3, abs=0.02)

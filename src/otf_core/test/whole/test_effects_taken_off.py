@@ -94,15 +94,15 @@ def test_tables_with_an_effect_taken_off_predict(folder):
 def test_growth_is_found_and_taken_off():
     recording = GROWING.recording(rate=40.0)
     done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
-    assert [e.effect for e in done.result.effects] == ['thermal_axis_expansion']
-    assert done.result.effects[0].how == 'found' and 'Removed: ' in done.words
-    left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done.result)]
+    assert [e.effect for e in done.effects] == ['thermal_axis_expansion']
+    assert done.effects[0].how == 'found' and 'Removed: ' in done.effects_sentence
+    left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done)]
     assert left[1] < 0.25 * left[0]
 
 
 def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
-    assert done.result.effects == () and done.applied == ((),)
-    assert 'No gap' in done.words and 'No effect was removed' in done.words
-    assert 'No effect was removed' in calibration_html(facts_of(done.result))
-    assert done.result.run_id == done.plain.run_id
+    assert done.effects == () and done.applied == ()
+    assert 'No gap' in done.effects_sentence and 'No effect was removed' in done.effects_sentence
+    assert 'No effect was removed' in calibration_html(facts_of(done))
+    assert done.run_id == done.plain.run_id

@@ -103,10 +103,11 @@ def test_plan_and_program(run, tmp_path):
     said = run('plan_and_program')
     points, length, seconds = numbers(said, 'points, ')
     plan = json.loads((tmp_path / 'plan/plan.json').read_text())
-    assert points == len(plan['path']) and seconds == pytest.approx(plan['duration'], abs=1)
-    driven = np.linalg.norm(np.diff(plan['path'], axis=0), axis=1).sum()
+    (part,) = plan['parts']
+    assert points == len(part['positions']) and seconds == pytest.approx(plan['duration'], abs=1)
+    driven = np.linalg.norm(np.diff(part['positions'], axis=0), axis=1).sum()
     assert length == pytest.approx(driven, abs=0.06)
-    assert (tmp_path / 'plan/otf_path.ngc').read_text().startswith('(')
+    assert (tmp_path / 'plan/otf_path_1.ngc').read_text().startswith('(')
 
 
 def test_check_the_uncertainty(run):

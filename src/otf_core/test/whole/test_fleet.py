@@ -39,8 +39,8 @@ data = {'headline': {'error': sizes, 'U_of_largest': 1e-6,
         'verdicts': {'measurement': {'good': 'gate' not in name, 'sentence': 'NOT GOOD'},
                      'machine': {'state': 'fail' if 'limit' in name else 'not stated'}},
         'machine': {'name': 'm', 'target_offset': offset},
-        'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag,
-        'squareness': {k: {'value': 1e-6, 'U': 1e-7} for k in ('C0Y', 'B0Z', 'A0Z')},
+        'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag, 'not_identifiable': [],
+        'squareness': {k: {'value': 1e-6, 'u': 5e-8} for k in ('C0Y', 'B0Z', 'A0Z')},
         'target_offset_bound': {'offset': offset,
                                 'contains': {'A0Z': ['EAZ']} if 'offset' in name else {}}}
 (out / 'error_tables.json').write_text(json.dumps(data))
@@ -290,8 +290,8 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
         'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},
-        'squareness': {'C0Y': {'value': 1e-6, 'U': 1e-7}, 'B0Z': {'value': 0.0, 'U': 0.0},
-                       'A0Z': {'value': 0.0, 'U': 1e-7}},
+        'squareness': {'C0Y': {'value': 1e-6, 'u': 5e-8}, 'B0Z': {'value': 0.0, 'u': 0.0},
+                       'A0Z': {'value': 0.0, 'u': 5e-8}},
     }  # fmt: skip
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))

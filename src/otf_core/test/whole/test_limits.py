@@ -18,9 +18,9 @@ from otf_core.calibration.calibration_result import headline_of
 from otf_core.calibration.machine_verdict import Verdicts, judge
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
-from otf_core.model.limits import KEYS, Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.sections import Limits
 from otf_core.model.tables import MotionTable
 from otf_core.prediction.volumetric import VolumetricError
 
@@ -46,7 +46,8 @@ def test_sections_survive_a_round_trip_and_may_be_missing():
 
 
 def test_every_error_of_the_model_can_have_a_limit():
-    assert set(KEYS) == {'volumetric_error', 'uncertainty', *MOTIONS, *SQUARENESS}
+    limits = dict.fromkeys(('volumetric_error', 'uncertainty', *MOTIONS, *SQUARENESS), 1e-6)
+    assert machine_from_dict(described(limits=limits)).limits.values == limits
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def believed_positions(program):
     for line in after.splitlines():
         if line.startswith('G4'):
             parts.append(np.repeat(at[None], int(RATE * float(line[4:])), axis=0))
-        elif line.startswith('G53'):
+        elif 'G53' in line:
             *to, feed = (float(v) for v in re.findall(r'[XYZF](-?[\d.]+)', line))
             periods = max(2, int(RATE * np.linalg.norm(np.subtract(to, at)) / (feed / 60.0)))
             parts.append(at + np.linspace(0.0, 1.0, periods)[:, None] * np.subtract(to, at))

@@ -11,7 +11,7 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.errors import ConfigError
 from otf_core.planning.follow_up import OpenQuestion, answer_of_pieces, open_questions, plan_after
-from otf_core.planning.forecast import MeasuredRun, Setup, forecast, joint_rows, planned_solution
+from otf_core.planning.forecast import MeasuredRun, Setup, forecast, joint_rows
 from otf_core.planning.path_creation import plan_path
 
 MACHINE = some_machine(pitch=0.1)
@@ -66,7 +66,7 @@ def test_a_run_that_was_measured_adds_to_what_a_further_one_says():
     setup = Setup.of(MACHINE)
     plan = plan_path(MACHINE, PlannerConfig(levels=2))
     before = MeasuredRun.of(as_measured(plan, setup.place), 'gap.json')
-    planned = planned_solution(plan, setup, forecast(plan, setup))
+    planned = forecast(plan, setup)
     question = OpenQuestion('servo_mismatch', 'backlash', LAG)
     alone, both = (
         answer_of_pieces(joint_rows(planned, known, 1e-4), question).log_odds

@@ -13,15 +13,14 @@ from core_cells import some_machine
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import ForecastConfig
 from otf_core.errors import ConfigError
-from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
+from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.planning.forecast import (
     Setup,
     forecast,
-    grid_uncertainty,
-    planned_solution,
+    free_uncertainty,
     planned_systematic,
 )
 from otf_core.planning.plan_report import PlanReport
@@ -62,8 +61,8 @@ def test_tracker_and_workshop_together_declare_everything():
     for tracker in TRACKERS:
         for workshop in WORKSHOPS:
             machine = described({'preset': tracker}, {'preset': workshop})
-            assert set(machine.uncertainty.values) == set(KEYS)
-    assert set(typical_values()) == set(KEYS)
+            assert set(machine.uncertainty.values) == set(DECLARABLE)
+    assert set(typical_values()) == set(DECLARABLE)
 
 
 def test_given_keys_win_over_presets():
@@ -88,7 +87,7 @@ def test_the_echo_names_the_presets_and_stands_on_its_own():
         'preset': 'absolute-distance-meter',
     }
     assert echo['uncertainty']['preset'] == 'workshop'
-    assert set(echo['uncertainty']) == {*KEYS, 'preset'}
+    assert set(echo['uncertainty']) == {*DECLARABLE, 'preset'}
     assert machine_from_dict(echo).to_dict() == echo
     plain = json.loads(json.dumps(echo))
     del plain['tracker']['preset'], plain['uncertainty']['preset']
@@ -136,7 +135,7 @@ def test_harder_conditions_are_not_less_uncertain():
                 assert other.values[key] >= value or key == 'tracker_scale', (other.what, key)
     for preset in (*TRACKERS.values(), *WORKSHOPS.values()):
         assert preset.sources
-        assert set(preset.values) <= {*KEYS, *NOISE}
+        assert set(preset.values) <= {*DECLARABLE, *NOISE}
 
 
 def test_documentation_shows_the_presets_of_the_software(monkeypatch):
@@ -205,7 +204,7 @@ def test_the_headline_is_the_same_whether_typical_values_are_declared_or_assumed
 
 
 def test_nothing_systematic_is_assumed_where_it_is_declared_to_be_zero(cell):
-    nothing = with_declared(cell, dict.fromkeys(KEYS, 0.0)).headline
+    nothing = with_declared(cell, dict.fromkeys(DECLARABLE, 0.0)).headline
     assert nothing.expanded == pytest.approx(nothing.observed)
 
 
@@ -225,13 +224,13 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
 
 
 def test_zero_declares_that_there_is_nothing(cell, calibrated):
-    nothing = with_declared(cell, dict.fromkeys(KEYS, 0.0))
+    nothing = with_declared(cell, dict.fromkeys(DECLARABLE, 0.0))
     assert nothing.typical is None
     assert nothing.budget.not_stated == ()
     np.testing.assert_allclose(
         nothing.tables.motions['EXX'].u, calibrated.tables.motions['EXX'].u, rtol=1e-9
     )
-    machine = described(uncertainty=dict.fromkeys(KEYS, 0.0))
+    machine = described(uncertainty=dict.fromkeys(DECLARABLE, 0.0))
     assert set(machine.uncertainty.values.values()) == {0.0}
 
 
@@ -242,8 +241,8 @@ def planned(machine, plan):
     """What the forecast says of systematic contributions, and its text."""
     setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
     found = forecast(plan, setup)
-    systematic = planned_systematic(planned_solution(plan, setup, found), found)
-    report = PlanReport(plan, 'given', setup, found, (), (), (), systematic=systematic)
+    systematic = planned_systematic(found)
+    report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, ())
     return systematic, plan_summary(report), report_to_dict(report)
 
 
@@ -271,7 +270,7 @@ def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(c
     found, text, _ = planned(machine, cell.plan)
     assert found.missing == ()
     nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
-    free = grid_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))[1]
+    free = free_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))
     stated = np.linalg.norm(free, axis=1).mean()
     assert found.with_declared == pytest.approx(stated, rel=0.05)
     first = result.headline

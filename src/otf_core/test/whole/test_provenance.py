@@ -20,8 +20,8 @@ import otf_core
 from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
@@ -216,14 +216,15 @@ def test_squareness_in_words_is_the_angle_that_the_axes_enclose(name, one, other
 def test_tables_in_csv_have_expanded_uncertainty_and_tidy_positions(cell):
     header, *rows = (cell.tables.parent / 'error_tables.csv').read_text().splitlines()
     assert header == (
-        'motion,axis,position,value,unit,u,identifiable,U,k,U_with_typical,target_offset'
+        'motion,axis,position,position_unit,value,unit,u,identifiable,U,k,U_with_typical,'
+        'target_offset'
     )
     data = json.loads(cell.tables.read_text())
     for row in (r.split(',') for r in rows):
         entry = data['squareness' if row[0][0] in 'ABC' else 'motions'][row[0]]
-        if row[8]:
-            assert float(row[8]) == entry['k']
-            assert float(row[7]) == pytest.approx(entry['k'] * float(row[5]), abs=1e-20)
+        if row[9]:
+            assert float(row[9]) == entry['k']
+            assert float(row[8]) == pytest.approx(entry['k'] * float(row[6]), abs=1e-20)
         assert not row[2] or float(row[2]) == round(float(row[2]), 12)
         assert '-0.0' not in row
 
@@ -237,4 +238,4 @@ def test_positions_are_written_tidy(value, text):
 
 
 def test_positions_of_a_program_are_never_minus_zero():
-    assert words('XYZ', np.array([-0.0, -1e-5, -0.0006])) == 'X0.000 Y0.000 Z-0.001'
+    assert words({'X': -0.0, 'Y': -1e-5, 'Z': -0.0006}) == 'X0.000 Y0.000 Z-0.001'

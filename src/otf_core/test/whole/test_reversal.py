@@ -8,7 +8,9 @@ import pytest
 from core_cells import (
     corner_path,
     grid_error,
+    observed,
     pieces_of,
+    plan_for_path,
     some_machine,
     transform_pose,
     white,
@@ -20,22 +22,20 @@ from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
-from otf_core.exports.lattice import half_reversal
+from otf_core.exports.terms import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import load_tables
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import calibration_html, facts_of, write_calibration
 from otf_core.reports.calibration_sections.error_motions import reversal_section
 from otf_core.sim.cell import simulate
-from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import is_reversal, layout
+from otf_core.solving.unknowns import is_reversal, layout, linear_bases, reversal_names
 from otf_core.solving.whitener import Whitener
 
 CHAIN = 'w-Y-b-X-Z-t'
@@ -221,10 +221,9 @@ def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
         pieces = pieces_of(machine, path, zero_tables(machine), pose)
         # the edges between the diagonals show backlash too
         pieces = pieces.without(np.count_nonzero(np.abs(pieces.direction) > 1e-9, axis=1) < 3)
-        unknowns = layout(
-            linear_bases(table_nodes(machine, machine.lower, machine.upper)), reversal=1
-        )
-        system = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
+        bases = linear_bases(machine, table_nodes(machine, machine.lower, machine.upper))
+        unknowns = layout(bases, 1, reversal_names(machine.motions, 1))
+        system = build_system(observed(machine, pieces, pose), unknowns, nodal_lever=True)
         normal = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
         blocks = identifiable_blocks(normal, unknowns, 1e-4)
         assert all(b[:3] in blocks for b in blocks if is_reversal(b))
@@ -255,13 +254,13 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
     content = load_tables(tmp_path / 'error_tables.json')
     stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
     text = ' '.join(reversal_section(facts_of(chosen)).words)
-    for k, axis in enumerate(AXES):
+    for axis in AXES:
         found = chosen.reversal.backlash[axis]
         assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6
         assert found.u <= chosen.reversal.motions[f'E{axis}{axis}'].u.mean() * (1 + 1e-9)
         assert stored[axis] == {'value': found.value, 'u': found.u}
         exported = 2.0 * half_reversal(
-            content, k, content.tables.motions[f'E{axis}{axis}'].position
+            content, axis, content.tables.motions[f'E{axis}{axis}'].position
         )
         assert found.value == pytest.approx(exported.mean(), abs=1e-12)
         assert f'{axis} {found.words}' in text

@@ -2,26 +2,21 @@
 """Runs of a machine with rotary axes, from the simulation of an effect to its name."""
 
 import json
-from pathlib import Path
 
 import pytest
+from rotary_cells import BAG, machine, parts, plan_of
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.cli import main
 from otf_core.config import SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.model.machine import load_machine
-from otf_core.sim.axis_cell import simulate_parts, usual_parts
-
-BAG = Path(__file__).parents[4] / 'bags' / 'trunnion'
+from otf_core.sim.cell import simulate
 
 
-def run_with(tmp_path, effects, seed=31, **options):
-    m = load_machine(BAG / 'machine.yaml')
+def run_with(tmp_path, effects, seed=31):
+    m = machine()
     config = SimulationConfig(seed=seed, rate=50.0)
-    run = simulate_parts(
-        m, usual_parts(m), config, dwell=0.5, feed=0.1, effects=effects, **options
-    )
+    run = simulate(m, plan_of(parts(), dwell=0.5), config, effects=effects)
     write_bag(tmp_path / 'bag', BagContent(run.samples, None, axis_paths=run.parts))
     yaml, out = str(BAG / 'machine.yaml'), tmp_path / 'out'
     assert main(['diagnose', str(tmp_path / 'bag'), '--machine', yaml, '--out', str(out)]) == 0

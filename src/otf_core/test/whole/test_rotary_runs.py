@@ -8,29 +8,25 @@ from functools import cache
 import numpy as np
 import pytest
 from cli_cells import run
-from rotary_cells import BAG, machine, recorded, truth
+from rotary_cells import BAG, machine, parts, recorded, simulated, truth
 
 from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
-from otf_core.model.axis_path import AxisPath, nominal_track
-from otf_core.model.circumstances import Circumstances
-from otf_core.model.declared import DeclaredUncertainty
+from otf_core.model.axis_path import AxisPath
+from otf_core.model.chain import Sight, displacement
 from otf_core.model.evaluation import evenly_spread
-from otf_core.model.joints import Sight
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import facing_names, machine_from_dict
-from otf_core.pieces.runs import Recording
+from otf_core.model.sections import Circumstances, DeclaredUncertainty
+from otf_core.planning.chains import parts_of
 from otf_core.planning.facings import facing_chains
 from otf_core.planning.line_of_sight import default_tracker_place
-from otf_core.planning.rotary_paths import parts_of
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.reports.rotary_calibration import verdicts_of, write_calibration
+from otf_core.reports.calibration import write_calibration
 from otf_core.rotary.curve_matching import match, split_parts
-from otf_core.rotary.tabulation import remove_rigid_motions
-from otf_core.sim.axis_cell import JointDrive, simulate_parts, usual_parts
+from otf_core.solving.tabulate import remove_rigid_motions
 
 
 @cache
@@ -53,17 +49,18 @@ def test_recorded_trunnion_comes_out_as_it_is():
     result, true = calibrated(), truth()
     q = evenly_spread(machine().lower, machine().upper, 800)
     assert left(result.tables, true, q) < 0.05
-    bases = result.solution.unknowns.bases  # its errors are straight between coarse nodes
-    assert all(b.degree == 1 and len(b.knots) == len(true.motions[f'EX{a}'].position)
-               for a, b in bases.items())  # fmt: skip
-    assert set(result.made.hidden) == {'ECX', 'ECZ'}
+    # its errors are straight between coarse nodes
+    assert {n: len(t.position) for n, t in result.tables.motions.items()} == {
+        n: len(t.position) for n, t in true.motions.items()
+    }
+    assert set(result.not_identifiable) == {'ECX', 'ECZ'}
     lean = result.tables.motions['EBZ']  # a spindle that leans is no rotation of Z near its zero
     there = np.interp(
         lean.position, *(getattr(true.motions['EBZ'], n) for n in ('position', 'value'))
     )
     off = lean.value - there + there[0]
     assert np.sqrt(np.mean(off**2)) < 2.0 * np.sqrt(np.mean(lean.u**2))
-    assert all('spindle axis' in result.advice[n] for n in result.made.hidden)
+    assert all('spindle axis' in result.advice[n] for n in result.not_identifiable)
     assert not result.failed_gates and result.fit.inflation < 1.2
     d = displacement(result.tables, q) - displacement(true, q)
     away = remove_rigid_motions(machine(), q, d.reshape(-1, 1)).reshape(-1, 3)
@@ -79,13 +76,13 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
     plain, samples = calibrated(), recording.samples
     wrong = replace(recording, samples=replace(samples, xyz=(1.0 + size) * samples.xyz))
     result = calibrate_axes([wrong], CalibrationConfig(), silent)
-    budget, rows = result.budget, result.made.rows
+    budget, rows = result.budget, result.budget.rows
     assert np.allclose(budget.covariance, rows @ budget.whole @ rows.T + np.diag(budget.straight))
     assert 'tracker scale' not in result.typical.missing and 'air' in result.typical.missing
     scale = next(s for s in budget.sources if s.name == 'tracker scale')
     q = evenly_spread(machine().lower, machine().upper, 200)
     moved = displacement(result.tables, q) - displacement(plain.tables, q)
-    part = replace(result, made=replace(result.made, covariance=rows @ scale.covariance @ rows.T))
+    part = replace(result, covariance=rows @ scale.covariance @ rows.T)
     expected = predict_u(part, q)
     assert expected.max() > 1e-6
     assert np.linalg.norm(np.abs(moved) - expected) < 0.1 * np.linalg.norm(expected)
@@ -93,7 +90,7 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
 
 def test_files_hold_residuals_budget_and_certificate(tmp_path):
     stated = replace(machine(), stated=Circumstances(certificate={'number': '2026-0117'}))
-    result = replace(calibrated(), machine=stated)
+    result = replace(calibrated(), tables=replace(calibrated().tables, machine=stated))
     files = write_calibration(result, tmp_path, residuals_csv=True, report=False)
     assert {'residuals.npz', 'residuals.csv', 'certificate.html'} <= {f.name for f in files}
     rows = np.genfromtxt(tmp_path / 'residuals.csv', delimiter=',', names=True)
@@ -102,7 +99,7 @@ def test_files_hold_residuals_budget_and_certificate(tmp_path):
     left = np.hypot(rows['residual2'], rows['residual3'])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(result.fit.residual_rms)
     page = (tmp_path / 'certificate.html').read_text(encoding='utf-8')
-    names = (*result.machine.motions, *result.machine.scalars)
+    names = (*stated.motions, *stated.scalars)
     assert all(f'>{name}<' in page for name in names) and 'not known' in page
     data = json.loads((tmp_path / 'error_tables.json').read_text())
     entry, parts = data['location']['X0C'], data['budget']['u_rms']['X0C']
@@ -116,12 +113,12 @@ def test_files_hold_residuals_budget_and_certificate(tmp_path):
 
 def test_places_of_reflectors_and_tracker_are_found():
     data = json.loads((BAG / 'truth.json').read_text())
-    for name, (place, u) in calibrated().targets.items():
-        off = np.abs(place - np.array(data['targets'][name]['place']))
+    for name, own in calibrated().targets.items():
+        off = np.abs(own.place - np.array(data['targets'][name]['place']))
         known = machine().targets[name].u == 0.0
         assert np.all(off <= 2e-5), name  # the truth has its own gauge
-        assert known == (not u.any())
-    pose = calibrated().solution.poses[0]
+        assert known == (not own.u.any())
+    pose = calibrated().T_machine_tracker
     assert np.abs(pose.translation - np.array(data['alignment']['translation'])).max() < 5e-5
 
 
@@ -129,14 +126,14 @@ def predict_u(result, q):
     """Standard uncertainty of the predicted errors."""
     m, tables = machine(), result.tables
     nodes = {k: tables.motions[k].position for k in m.motions}
-    return prediction_uncertainty(m, nodes, result.made.covariance, q)
+    return prediction_uncertainty(m, nodes, result.covariance, q)
 
 
 @cache
 def circles_only(tilted):
     """Lines with the tool; circles of C and arcs of A on three places, never both at once."""
-    m, parts = machine(), []
-    for part in usual_parts(machine()):
+    m, paths = machine(), []
+    for part in parts():
         q = part.positions
         if part.target.startswith('nest'):
             a = (0.5, 1.2) if tilted else (0.0,)
@@ -145,27 +142,23 @@ def circles_only(tilted):
                 rows += [[0, 0, 0, angle, c] for c in (0, 2 * np.pi, 0)]
             rows += [[0, 0, 0, x, 0] for x in (-0.5, 1.6, -0.5)]
             q = np.array(rows, dtype=float)
-        parts.append(AxisPath(m.axis_names, q, part.target))
-    config = SimulationConfig(seed=11, rate=40.0)
-    run = simulate_parts(m, parts, config, feed=0.1, dwell=0.1)
-    recording = Recording(
-        run.samples, nominal_track(m, run.parts), m, 'circles', axis_paths=run.parts
-    )
-    return calibrate_axes([recording], CalibrationConfig(), silent)
+        paths.append(AxisPath(m.axis_names, q, part.target))
+    return calibrate_axes([simulated(paths, 11)[0]], CalibrationConfig(), silent)
 
 
 def test_circles_alone_do_not_show_the_angular_positioning():
     result = circles_only(False)
-    assert {'ECC', 'EAA'} <= set(result.made.hidden)
-    assert not {'EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'X0C', 'Y0C', 'A0C'} & set(result.made.hidden)
+    assert {'ECC', 'EAA'} <= set(result.not_identifiable)
+    seen = {'EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'X0C', 'Y0C', 'A0C'}
+    assert not seen & set(result.not_identifiable)
     assert not result.tables.motions['ECC'].value.any()
     assert 'together in both senses' in result.advice['ECC']
 
 
 def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
     result = circles_only(True)
-    assert {'ECC', 'EAA', 'A0C'} <= set(result.made.hidden)
-    assert 'EXC' not in result.made.hidden
+    assert {'ECC', 'EAA', 'A0C'} <= set(result.not_identifiable)
+    assert 'EXC' not in result.not_identifiable
     assert not result.tables.location['A0C'].identifiable
 
 
@@ -173,10 +166,10 @@ def test_path_that_shows_little_ends_with_what_it_shows():
     q = np.zeros((3, 5))
     q[:, 3] = (-0.3, 0.3, -0.3)
     parts = [AxisPath(machine().axis_names, q, f'nest-{k}') for k in (1, 2, 3)]
-    result = calibrate_axes([simulated(parts, feed=0.1)[0]], CalibrationConfig(), silent)
-    assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.made.hidden)
-    assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.made.hidden)
-    assert set(result.advice) == set(result.made.hidden) and all(result.advice.values())
+    result = calibrate_axes([simulated(parts)[0]], CalibrationConfig(), silent)
+    assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.not_identifiable)
+    assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.not_identifiable)
+    assert set(result.advice) == set(result.not_identifiable) and all(result.advice.values())
 
 
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
@@ -195,7 +188,7 @@ def test_centre_and_a_length_that_are_wrong_fail_the_gate():
     long = replace(m.targets['long'], place=(x, y, z + 3e-5), u=0.0)
     wrong = replace(m, axes=axes, stated_targets={**m.stated_targets, 'long': long})
     result = calibrate_axes([replace(recorded(), machine=wrong)], CalibrationConfig(), silent)
-    assert verdicts_of(result).exit_code == 4
+    assert result.verdicts.exit_code == 4
     length, centre = result.failed_gates[0], result.failed_gates[-1]
     assert "target 'long'" in length and 'u: 3e-05' in length
     assert 'axes: A: centre' in centre
@@ -213,7 +206,7 @@ def test_places_off_by_ten_millimetres_still_converge():
     off = replace(m, stated_targets=targets)
     found = match(recorded().samples, off, recorded().axis_paths)
     for name in ('nest-1', 'nest-2', 'nest-3'):
-        assert np.abs(found.places[name] - calibrated().targets[name][0]).max() < 1e-4
+        assert np.abs(found.places[name] - calibrated().targets[name].place).max() < 1e-4
 
 
 def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
@@ -244,21 +237,13 @@ def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
     assert 'average line of C' in page and 'Radial motion of C' in page
 
 
-def simulated(parts, seed=12, **options):
-    """A simulated recording of the small trunnion."""
-    m = machine()
-    run = simulate_parts(m, parts, SimulationConfig(seed=seed, rate=40.0), dwell=0.1, **options)
-    path = nominal_track(m, run.parts)
-    return Recording(run.samples, path, m, 'simulated', axis_paths=run.parts), run
-
-
 def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
     changing = {'ECC_1': 4e-5, 'ECC_2': -3e-5, 'order': 3.0, 'held': 1.0}
     effects = [
         AppliedEffect(EVERY['direction_dependent_tables'], changing),
         AppliedEffect(EVERY['backlash'], {'B_C': -4e-5, 'held': 1.0}),
     ]
-    recording, _ = simulated(usual_parts(machine()), feed=0.1, effects=effects)
+    recording, _ = simulated(parts(), effects=effects)
     reversal = calibrate_axes([recording], CalibrationConfig(), silent).reversal
     assert reversal.model == 'tables' and reversal.evidence['decided_by'] == 'held-out lines'
     assert list(reversal.motions) == ['ECC']
@@ -268,8 +253,9 @@ def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
 
 
 def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
-    plain, run = simulated(usual_parts(machine()), feed=0.1)
-    recording, _ = simulated(usual_parts(machine()), feed=0.1, lag={'C': 2e-4})
+    plain, run = simulated(parts())
+    lag = AppliedEffect(EVERY['servo_mismatch'], {'T_C': 2e-4})
+    recording, _ = simulated(parts(), effects=[lag])
     without, result = (
         calibrate_axes([r], CalibrationConfig(), silent) for r in (plain, recording)
     )
@@ -314,38 +300,32 @@ def test_facings_of_a_reflector_are_one_nest_to_the_solution():
         own |= {'facings': 5, 'u_facing': 2e-6} if own['link'] == 'w' else {}
     m = machine_from_dict(data)
     chains = facing_chains(m, default_tracker_place(m))
-    parts = [p for p in usual_parts(machine()) if m.targets[p.target].link == 't']
-    parts += [p.path for p in parts_of(m, chains)]
-    run = simulate_parts(
-        m, parts, SimulationConfig(seed=21, rate=40.0), dwell=0.1,
-        tracker_place=default_tracker_place(m),
-    )  # fmt: skip
-    path = nominal_track(m, run.parts)
-    recording = Recording(run.samples, path, m, 'turned', axis_paths=run.parts)
+    paths = [p for p in parts() if m.targets[p.target].link == 't']
+    paths += [p.path for p in parts_of(m, chains, PlannerConfig())]
+    recording, run = simulated(paths, 21, m, tracker_place=default_tracker_place(m))
     result = calibrate_axes([recording], CalibrationConfig(), silent)
     assert not result.failed_gates
     assert left(result.tables, run.truth, evenly_spread(m.lower, m.upper, 400)) < 0.1
     for nest in (n for n, t in m.targets.items() if t.nest == n):
-        places = [result.targets[n][0] for n in facing_names(nest, 5)]
+        places = [result.targets[n].place for n in facing_names(nest, 5)]
         apart = [run.places[n] for n in facing_names(nest, 5)]
         found, true = (np.array(v) - np.mean(v, axis=0) for v in (places, apart))
         assert np.all(np.abs(found - true) < 6e-6)
 
 
 def test_reflector_that_was_reseated_is_named():
-    tool, _, nest, *_ = usual_parts(machine())
-    recording, run = simulated([tool, nest, nest], feed=0.1)
+    tool, _, nest, *_ = parts()
+    recording, run = simulated([tool, nest, nest])
     samples = recording.samples
     last = int(np.flatnonzero(np.diff(samples.stamp_ns) > 1.9e9)[-1]) + 1
     xyz = samples.xyz.copy()
-    own = run.parts[-1].positions
     moved = {}
     for shift in (0.0, 6e-5):
         place = run.places['nest-1'] + shift
         sight = Sight(machine(), 'b', 'w', place)
         time = samples.time[last:] - samples.time[last]
-        q = JointDrive(machine(), own, 0.1, 2.0, 0.1).at(time)
-        moved[shift] = sight.nominal(q) @ run.rotation.T
+        q = run.drives[-1].at(time)
+        moved[shift] = sight.nominal(q) @ run.pose.rotation
     xyz[last:] += moved[6e-5] - moved[0.0]
     other = replace(recording, samples=replace(samples, xyz=xyz))
     result = calibrate_axes([other], CalibrationConfig(), silent)

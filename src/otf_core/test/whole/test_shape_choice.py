@@ -36,7 +36,7 @@ def chosen(cell, prepare=prepare_runs, rate=60.0):
     found = choose_shapes(runs, nodes, CONFIG, no_progress)
     moved = found.runs[0].pose.apply(runs[0].pieces.xyz) - runs[0].pose.apply(runs[0].pieces.xyz)
     assert 1e-7 < np.abs(moved).max() < 1e-3  # the pose of the first solution is where to go on
-    return nodes, found
+    return cell.machine, nodes, found
 
 
 def same(bases, others):
@@ -47,18 +47,18 @@ def same(bases, others):
 
 
 def test_smooth_motions_need_nothing_else():
-    nodes, found = chosen(small())
+    machine, nodes, found = chosen(small())
     assert found.evidence['smooth'] > -MIN_GAIN_OF_FINER
     assert found.evidence['straight between nodes'] < -100.0
-    assert same(found.bases, smooth_bases(nodes))
+    assert same(found.bases, smooth_bases(machine, nodes))
     assert {len(found.bases[a].knots) for a in 'XYZ'} == {INTERVALS + 1}
     assert {found.bases[a].degree for a in 'XYZ'} == {CUBIC}
     assert set(found.start.logs) <= set(NAMES)
 
 
 def test_motions_straight_between_nodes_are_taken_as_such():
-    nodes, found = chosen(small('polygon'))
-    assert same(found.bases, linear_bases(nodes))
+    machine, nodes, found = chosen(small('polygon'))
+    assert same(found.bases, linear_bases(machine, nodes))
     assert {found.bases[a].degree for a in 'XYZ'} == {LINEAR}
     assert found.evidence['straight between nodes'] == 0.0
     assert max(v for k, v in found.evidence.items() if k != 'straight between nodes') < -10.0
@@ -72,15 +72,15 @@ def test_twelve_waves_over_an_axis_call_for_finer_splines():
         phase = LETTERS.index(name[1])
         wave = 8e-6 * np.sin(2 * np.pi * 12 * s + phase)
         cell.curves[name] = Curve(axis.min + s * (axis.max - axis.min), wave)
-    nodes, found = chosen(cell)
-    assert same(found.bases, smooth_bases(nodes, 2 * INTERVALS))
+    machine, nodes, found = chosen(cell)
+    assert same(found.bases, smooth_bases(machine, nodes, 2 * INTERVALS))
     assert found.evidence['smooth'] < -100.0
 
 
 def test_stops_find_smooth_motions_smooth():
     machine = some_machine()
     points = np.concatenate([edge_points(machine, 40), spread_points(machine, 60)])
-    found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)[1]
+    found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)[2]
     assert max(found.evidence.values()) == 0.0
     assert found.evidence['straight between nodes'] < 0.0
     assert {b.degree for b in found.bases.values()} == {CUBIC}

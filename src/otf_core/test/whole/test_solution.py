@@ -12,6 +12,7 @@ from core_cells import (
     fit_pieces,
     grid_error,
     pieces_of,
+    plan_for_path,
     position_of,
     record,
     small_plan,
@@ -25,7 +26,6 @@ from otf_core.config import PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.machine import Axis
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.plan import plan_for_path
 from otf_core.pieces.pieces import Pieces
 from otf_core.sim.cell import random_tables
 from otf_core.solving.solution import determined_by_data

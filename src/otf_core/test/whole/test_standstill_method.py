@@ -15,8 +15,8 @@ from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
 from otf_core.files.writing import write_csv
+from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.methods import (
@@ -198,7 +198,7 @@ def test_command_calibrates_a_standstill_run(tmp_path):
     numbers = np.array([row.split(',') for row in rows], dtype=float)
     with np.load(tmp_path / 'out' / 'residuals.npz') as arrays:
         assert arrays['axes'].shape == (100, 3, 3)
-        np.testing.assert_array_equal(arrays['q'], numbers[:, 5:8])
+        np.testing.assert_array_equal(arrays['q'], numbers[:, 6:9])
         np.testing.assert_array_equal(
             arrays['axes'][:, 1, 2], numbers[:, header.split(',').index('a2z')]
         )

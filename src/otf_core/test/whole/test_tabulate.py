@@ -16,7 +16,6 @@ from otf_core.model.nodes import table_nodes
 from otf_core.pieces.runs import prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly, tables_of
-from otf_core.solving.model_choice import linear_bases, smooth_bases
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.tabulate import (
     FRACTIONS,
@@ -29,7 +28,14 @@ from otf_core.solving.tabulate import (
     tabulate,
     unseen_bends,
 )
-from otf_core.solving.unknowns import cubic, layout, linear, reference_position
+from otf_core.solving.unknowns import (
+    cubic,
+    layout,
+    linear,
+    linear_bases,
+    reference_position,
+    smooth_bases,
+)
 
 LIMIT = 1e-4
 RANGE = np.array([0.0, 1.0])
@@ -91,7 +97,7 @@ def test_functions_that_are_tables_already_stay_as_they_are():
 def curved(pitch, waves=1.5, size=2e-5):
     """A solution with sines for motions, as if solved for; nodes of ``pitch``."""
     machine = some_machine(pitch=pitch)
-    unknowns = layout(smooth_bases(table_nodes(machine, machine.lower, machine.upper)))
+    unknowns = layout(smooth_bases(machine, table_nodes(machine, machine.lower, machine.upper)))
     full = np.zeros(unknowns.full)
     for k, name in enumerate(MOTIONS):
         basis = unknowns.bases[name[2]]
@@ -180,10 +186,10 @@ def test_rows_make_the_tables_in_their_order():
     machine, done = curved(0.05)
     found = tabulate(machine, done, 1.0, LIMIT)
     nodes = {a: found.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
-    rows = table_rows(done.unknowns, nodes)
+    rows = table_rows(machine, done.unknowns, nodes)
     np.testing.assert_array_equal(found.rows, rows)
     values = found.rows @ done.solution.value
-    split = by_motion(values, nodes)
+    split = by_motion(machine, values, nodes)
     for name in MOTIONS:
         np.testing.assert_allclose(found.tables.motions[name].value, split[name], atol=1e-18)
         assert found.tables.motions[name].identifiable
@@ -197,7 +203,9 @@ def test_coarse_wishes_do_not_spoil_the_prediction_of_a_smooth_machine():
     cell = Cell(3, size=tuple(size), pitch=size / 4, path='short', passes=1)
     config = CalibrationConfig(piece_length=0.012)
     runs, nodes = prepare_runs([cell.recording(60.0)], config)
-    done = solve_jointly(runs, layout(smooth_bases(nodes)), config, lambda stage, fraction: None)
+    done = solve_jointly(
+        runs, layout(smooth_bases(cell.machine, nodes)), config, lambda stage, fraction: None
+    )
     grid_u = mean_grid_uncertainty(cell.machine, done.unknowns, done.solution.covariance)
     found = tabulate(cell.machine, done, grid_u, config.unidentifiable_above)
     best = judge(cell, tables_of(cell.machine, done.unknowns, done.solution)).left_um
@@ -233,7 +241,7 @@ def bends_of(truth, hidden):
 def test_what_unseen_rotations_bend_between_straight_nodes_is_as_large_as_stated(chain):
     """A rotation of a table axis turns the target about where its axis stands."""
     machine = some_machine(chain, ((0.5, 0.9), (-0.8, -0.4), (-0.7, -0.3)), pitch=0.1)
-    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)))
+    unknowns = layout(linear_bases(machine, table_nodes(machine, machine.lower, machine.upper)))
     carried = {a: set(machine.chain.lever_axes(a)) - {a} for a in machine.axis_names}
     turns = [m for m in MOTIONS if not m.is_translation]
     hidden = {m for m in turns if carried[m.axis] <= {machine.axis_names[m.along]}}

@@ -25,7 +25,7 @@ from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.plan import AxisPlan, Plan
+from otf_core.model.plan import Plan
 from otf_tracker_driver.health import Health, Hindrance
 
 OPERATIONS = (
@@ -121,7 +121,7 @@ class Backend(ABC):
         OtfError if it cannot be used; Unreachable if it is not there, or not ready, yet.
         """
 
-    def prepare(self, plan: Plan | AxisPlan | None) -> None:  # noqa: B027 - not every source needs it
+    def prepare(self, plan: Plan | None) -> None:  # noqa: B027 - not every source needs it
         """Get ready for a new stream; returns at once, ``preparing`` tells when it is done."""
 
     @property

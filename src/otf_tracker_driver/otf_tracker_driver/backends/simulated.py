@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from otf_core.config import SimulationConfig, parameter
-from otf_core.errors import ConfigError, InputError
+from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine, load_machine
-from otf_core.model.plan import AxisPlan, Plan, check_inside
+from otf_core.model.plan import Plan, check_inside
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_tracker_driver.backends.base import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
 
 if TYPE_CHECKING:
     from otf_core.effects import AppliedEffect
-    from otf_core.sim.axis_cell import SimulatedParts
     from otf_core.sim.cell import SimulatedRun
 
 
@@ -39,8 +38,8 @@ class SimulatedConfig(SimulationConfig):
 class SimulatedTracker(PacedBackend):
     """Streams a simulated run of the plan, start and end standstill included.
 
-    On a machine with rotary axes the reflector is moved by hand between the parts of the plan: the
-    beam is broken, and found again at the next target.
+    Between the parts of the plan the reflector is moved by hand: the beam is broken, and found
+    again at the next target.
     """
 
     parameters = SimulatedConfig
@@ -53,7 +52,7 @@ class SimulatedTracker(PacedBackend):
         self._truth: ErrorTables | None = None
         self._effects: tuple[AppliedEffect, ...] = ()
         self._worker = ThreadPoolExecutor(1, 'simulation')
-        self._run: Future[SimulatedRun] | Future[SimulatedParts] | None = None
+        self._run: Future[SimulatedRun] | None = None
         self._targets: tuple[str, ...] = ()
         self.rate = own.rate
 
@@ -73,30 +72,14 @@ class SimulatedTracker(PacedBackend):
         errors += ''.join(f' and {one.effect.name}' for one in self._effects)
         return f'simulated cell {self._machine.name}, errors from {errors}, {self.rate:.0f} Hz'
 
-    def prepare(self, plan: Plan | AxisPlan | None) -> None:
+    def prepare(self, plan: Plan | None) -> None:
         """Simulate the whole run in a thread; takes about a second per 100 000 samples."""
-        from otf_core.sim.axis_cell import simulate_parts
         from otf_core.sim.cell import simulate
 
         assert self._machine is not None and plan is not None, 'connected, and given a plan'
-        if isinstance(plan, AxisPlan) != bool(self._machine.rotary_names):
-            raise InputError(f'it is for a machine with other axes than {self._machine.name}')
-        if isinstance(plan, AxisPlan):
-            parts = [part.of(self._machine) for part in plan.parts]
-            self._targets = tuple(part.target for part in parts)
-            self._run = self._worker.submit(
-                simulate_parts,
-                self._machine,
-                parts,
-                self.own,
-                self._truth,
-                feed=plan.feed,
-                dwell=plan.dwell,
-                stops=plan.stops,
-                effects=self._effects,
-            )
-            return
-        check_inside(plan.path, self._machine)
+        plan = plan.of(self._machine)
+        check_inside(plan, self._machine)
+        self._targets = tuple(part.target for part in plan.parts)
         arguments = self._machine, plan, self.own, self._truth, self._effects
         self._run = self._worker.submit(simulate, *arguments)
 

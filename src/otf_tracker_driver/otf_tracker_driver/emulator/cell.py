@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the target of the simulated cell is, seen by the tracker, at every tick of its clock.
 
-On a machine with rotary axes the reflector is moved by hand between the parts of the run: the beam
-is broken, and can be found again at the next target before that part is driven.
+Between the parts of a run the reflector is moved by hand: the beam is broken, and can be found
+again at the next target before that part is driven.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.machine import Machine
+from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
-from otf_core.planning.part_choice import axis_plan, planned_parts
-from otf_core.planning.path_creation import plan_path
-from otf_core.planning.rotary_paths import PlannedPart
-from otf_core.sim.axis_cell import simulate_parts
+from otf_core.planning.forecast import Setup
+from otf_core.planning.part_choice import planned
 from otf_core.sim.cell import simulate
 
 TICK = 1e-3
@@ -45,8 +42,8 @@ class Cell:
         Rate of the tracker's clock, less one.
     truth : ErrorTables, optional
         Errors of the machine; drawn from the seed if not given.
-    parts : sequence of PlannedPart, optional
-        Of a machine with rotary axes, instead of those that are planned for it.
+    plan : Plan, optional
+        Instead of the one that is made for the machine.
     """
 
     def __init__(
@@ -56,44 +53,23 @@ class Cell:
         seed: int,
         drift: float,
         truth: ErrorTables | None = None,
-        parts: Sequence[PlannedPart] = (),
+        plan: Plan | None = None,
     ) -> None:
         rate = (1 + drift) / TICK
         config = SimulationConfig(seed=seed, rate=rate, clock_drift=0.0)
         if truth is not None:
             truth = truth.on(machine)
-        if machine.rotary_names:
-            self._drive_parts(
-                machine, parts or planned_parts(machine, planning), planning, config, truth
-            )
-            return
-        run = simulate(machine, plan_path(machine, planning), config, truth)
-        self._xyz, self._lit = run.samples.xyz, np.ones(len(run.samples), dtype=bool)
-        self.truth = run.truth
-
-    def _drive_parts(
-        self,
-        machine: Machine,
-        parts: Sequence[PlannedPart],
-        planning: PlannerConfig,
-        config: SimulationConfig,
-        truth: ErrorTables | None,
-    ) -> None:
-        """Simulate parts, and what the tracker sees between them."""
-        plan = axis_plan(machine, parts, planning)
-        run = simulate_parts(
-            machine, plan.parts, config, truth, feed=plan.feed, dwell=plan.dwell, stops=plan.stops
-        )
+        run = simulate(machine, plan or planned(Setup.of(machine), planning), config, truth)
         self.truth = run.truth
         ends = np.flatnonzero(np.diff(run.samples.stamp_ns) > 1e9) + 1
         points, lit = [], []
-        for k, own in enumerate(np.split(run.samples.xyz, ends)):
-            still = max(1, round(0.5 * plan.dwell[k] / TICK))
-            if k:
+        for drive, own in zip(run.drives, np.split(run.samples.xyz, ends), strict=True):
+            if points:
+                still = max(1, round(0.5 * drive.part.dwell[0] / TICK))
                 points += [np.zeros((BY_HAND, 3)), np.resize(own[:still], (BACK, 3))]
                 lit += [np.zeros(BY_HAND, dtype=bool), np.ones(BACK, dtype=bool)]
-            points += [own, np.resize(own[-still:], (STANDING, 3))]
-            lit.append(np.ones(len(own) + STANDING, dtype=bool))
+            points.append(own)
+            lit.append(np.ones(len(own), dtype=bool))
         self._xyz, self._lit = np.concatenate(points), np.concatenate(lit)
 
     @property

@@ -68,10 +68,16 @@ from otf_core.model.observation import Samples
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Run
-from otf_core.solving.joint import JointSolution, Start, solve_jointly, sum_normal_equations
-from otf_core.solving.model_choice import is_finer, linear_bases, smooth_bases
+from otf_core.solving.joint import (
+    JointSolution,
+    Start,
+    solve_jointly,
+    sum_normal_equations,
+    unknowns_of,
+)
+from otf_core.solving.model_choice import is_finer
 from otf_core.solving.roughness import Search
-from otf_core.solving.unknowns import Basis, layout
+from otf_core.solving.unknowns import Basis, linear_bases, smooth_bases
 
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of
@@ -107,7 +113,8 @@ def rows_to_diagnose(
     effects = _at_places(exclude)
     if not is_finer(joint.unknowns.bases) or not effects:
         return rows
-    both = (linear_bases(nodes), smooth_bases(nodes))
+    machine = runs[0].machine
+    both = (linear_bases(machine, nodes), smooth_bases(machine, nodes))
     solved = share_out(lambda bases: _solved(runs, joint, bases, config), both, (runs, joint))
     others = [build_rows(loud, one, limit) for one in solved if one is not None]
     fine, *alone = share_out(_likelihood, [rows, *others])
@@ -149,7 +156,7 @@ def straight_rows(
     known = [c for c in causes if not _stays_at_places(c.option.effect)]
     if not (smooth and waves and known):
         return None
-    solved = _solved(rows.runs, joint, linear_bases(nodes), config)
+    solved = _solved(rows.runs, joint, linear_bases(rows.runs[0].machine, nodes), config)
     if solved is None:
         return None
     straight = build_rows(rows.runs, solved, config.unidentifiable_above)
@@ -196,7 +203,7 @@ def _solved(
     runs: Sequence[Run], joint: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
 ) -> JointSolution | None:
     """Solve the same pieces, with the same noise, for other functions; None if none settles."""
-    unknowns = layout(bases, len(runs))
+    unknowns = unknowns_of(runs, bases)
     start = Start.after(runs[0].machine, joint)
     try:
         return solve_jointly(runs, unknowns, config, silent, start)

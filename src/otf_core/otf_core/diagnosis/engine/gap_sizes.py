@@ -341,8 +341,9 @@ def simulated_residual_um(
 
 def _left_of_twins(rows: Rows, runs: Sequence[Run]) -> list[Array]:
     """What tables and poses leave of the pieces of twins, shape (c, p) of every run, m."""
-    joint, poses = rows.done, [solved.pose for solved in rows.done.runs]
-    systems = systems_of(runs, poses, joint.unknowns, rows.tables)
+    joint, pairs = rows.done, zip(runs, rows.done.runs, strict=True)
+    posed = [replace(run, pose=solved.pose) for run, solved in pairs]
+    systems = systems_of(posed, joint.unknowns, rows.tables)
     solved = [replace(s, system=own) for s, own in zip(joint.runs, systems, strict=True)]
     twins = replace(
         rows,

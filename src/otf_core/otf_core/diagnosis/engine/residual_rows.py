@@ -38,7 +38,7 @@ from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.action import Acting
 from otf_core.effects.free_form import FreeForm
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import ErrorMotion, is_motion
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed, Run
 from otf_core.solving.joint import (
@@ -468,7 +468,8 @@ class Rows:
         """
         unknowns, logs = self.done.unknowns, self.done.roughness.logs
         known = TIE_BREAK * smoothness(unknowns)
-        for motion in [m for m in MOTIONS if m not in self.done.solution.accepted]:
+        accepted, blocks = self.done.solution.accepted, unknowns.free_blocks
+        for motion in [ErrorMotion.of(n) for n in blocks if is_motion(n) and n not in accepted]:
             block = unknowns.free_blocks[motion]
             like = precision_like_others(motion, unknowns.bases[motion.axis], logs)
             if like is not None and block.stop > block.start:

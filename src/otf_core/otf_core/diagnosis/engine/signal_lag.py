@@ -23,8 +23,7 @@ from otf_core.diagnosis.engine.effect_products import ProductsBeside, ShapeProdu
 from otf_core.effects.free import follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
-from otf_core.model.courses import Courses, lag_of
-from otf_core.model.signals import LAGS
+from otf_core.model.signals import LAGS, Courses, lag_of
 
 SHORTEST = 2.0
 """s; a shorter lag is none."""

@@ -100,6 +100,11 @@ class RunView:
         """Factor and unit in which positions of an axis are stated."""
         return (DEGREE, 'deg') if self.axis_names[axis] in self.rotary else (1e3, 'mm')
 
+    @property
+    def place(self) -> Array:
+        """Nominal position of the target, shape (p, 3), m."""
+        return self.q if self.point is None else self.point
+
     @cached_property
     def bounds(self) -> list[tuple[int, int]]:
         """First piece and one past the last of every leg."""
@@ -251,17 +256,19 @@ def by_line(views: Sequence[RunView]) -> Grouping:
     axes = views[0].axis_names
     if views[0].rotary:
         return replace(by_moving_axes(views), kind='line')
-    senses = [f'{s}{a}' for a in axes for s in '+-']
-    planes = [f'diagonal {"".join(p)}' for p in (*combinations(axes, 2), axes)]
+    senses, count = [f'{s}{a}' for a in axes for s in '+-'], len(axes)
+    planes = [c for size in range(2, count + 1) for c in combinations(range(count), size)]
+    number = {sum(1 << k for k in own): 2 * count + i for i, own in enumerate(planes)}
+    place_of = np.array([number.get(code, -1) for code in range(1 << count)])
     indices = []
     for view in views:
         moving = np.abs(view.direction) > TRAVELS
         axis = np.argmax(np.abs(view.direction), axis=1)
         backward = np.take_along_axis(view.direction, axis[:, None], 1)[:, 0] < 0
-        still = np.where(moving[:, 2], np.where(moving[:, 1], 2, 1), 0)
-        plane = np.where(moving.all(axis=1), 3, still)
-        indices.append(np.where(moving.sum(axis=1) == 1, 2 * axis + backward, 6 + plane))
-    return Grouping('line', senses + planes, indices)
+        plane = place_of[moving.astype(np.int64) @ (1 << np.arange(count))]
+        indices.append(np.where(moving.sum(axis=1) == 1, 2 * axis + backward, plane))
+    labels = [f'diagonal {"".join(axes[k] for k in own)}' for own in planes]
+    return Grouping('line', senses + labels, indices)
 
 
 def by_moving_axes(views: Sequence[RunView]) -> Grouping:

@@ -21,7 +21,7 @@ from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, 
 from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.free import Free
 from otf_core.effects.inputs import harmonics
-from otf_core.model.kinematics import motion_influence
+from otf_core.model.chain import Sight
 from otf_core.model.machine import Axis
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
 
@@ -39,7 +39,7 @@ def functions_along(axis: Axis, q: Array, order: int) -> Array:
 def influence_of(state: State, motion: ErrorMotion) -> Array:
     """Displacement of the target per unit of a motion, shape (n, 3)."""
     if state.turning is None:
-        return motion_influence(state.machine, motion, state.q)
+        return Sight.of_tool(state.machine).at(state.q).influence(motion)
     column = state.machine.column(motion.axis)
     return state.turning.motions[:, :, column, DIRECTIONS.index(motion.direction)]
 

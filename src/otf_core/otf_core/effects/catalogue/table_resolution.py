@@ -20,12 +20,10 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import motion_influence
-from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
+from otf_core.model.chain import Sight
+from otf_core.model.motions import ErrorMotion, unit_of
 
 NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
-TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')
-
 BOW_SQUARE, WAVE_SQUARE = 8.0 / 15.0, 18.0 / 35.0
 """Mean squares of the two functions between two nodes."""
 
@@ -103,7 +101,7 @@ class TableResolution(Effect):
         names: list[str] = []
         moved: list[ErrorMotion] = []
         parts = []
-        for motion in MOTIONS if order > 2 else TRANSLATIONS:
+        for motion in (m for m in state.machine.motions if order > 2 or m.is_translation):
             nodes = np.round(state.nodes[motion.axis], 6)
             parts.append((motion, nodes, len(names)))
             pairs = [p for p in pairwise(nodes) for _ in (False, True)[:order]]
@@ -111,11 +109,12 @@ class TableResolution(Effect):
             names += [_label(motion, *p, w) for p, w in zip(pairs, waves, strict=True)]
             moved += [motion] * len(pairs)
         columns, row = np.zeros((len(state), 3, len(names))), np.arange(len(state))
+        view = Sight.of_tool(state.machine).at(state.q)
         for motion, nodes, start in parts:
             if len(nodes) < 2:
                 continue
-            influence = motion_influence(state.machine, motion, state.q)
-            q = state.q[:, motion.place]
+            influence = view.influence(motion)
+            q = state.q[:, state.machine.column(motion.axis)]
             part = np.clip(np.searchsorted(nodes, q, side='right') - 1, 0, len(nodes) - 2)
             for k, wave in enumerate((False, True)[:order]):
                 along = _bump(q, nodes[part], nodes[part + 1], wave)
@@ -133,10 +132,10 @@ class TableResolution(Effect):
     def block_displacement(self, state: State, shape: Shape, parameters: Shape) -> Array:
         """Displacement of a few points for checked parameters, shape (n, 3), m."""
         total = np.zeros((len(state), 3))
+        view = Sight.of_tool(state.machine).at(state.q)
         for name in parameters:
             if name not in self.shape_names:
                 motion, low, high, wave = _parsed(name)
-                along = _bump(state.q[:, motion.place], low, high, wave)
-                influence = motion_influence(state.machine, motion, state.q)
-                total += parameters[name] * along[:, None] * influence
+                along = _bump(state.q[:, state.machine.column(motion.axis)], low, high, wave)
+                total += parameters[name] * along[:, None] * view.influence(motion)
         return total

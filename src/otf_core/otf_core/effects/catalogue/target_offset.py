@@ -37,7 +37,7 @@ class TargetOffset(Effect):
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return dT_X, dT_Y, dT_Z."""
-        rotation = np.zeros_like(state.q)
+        rotation = np.zeros((len(state.q), 3))
         if state.tables is not None:
             for k, letter in enumerate('ABC'):
                 for a, axis in enumerate(state.machine.axis_names):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a dialect is: points in mm to 1 um, feeds in mm/min, stops; see ``programs`` for the order.
+"""What a dialect is: blocks in mm and degrees to 0.001, feeds or times, stops; see ``programs``.
 
-Programs of machines with rotary axes (``axis_programs``) have angles in degrees and a time for
-every block. Endless axes are moved by increments where a control reduces absolute angles to one
-turn. Light: the command line loads it for the names of the dialects.
+Where only linear axes exist a block has a feed in mm/min; with rotary ones it has a time, since a
+feed means nothing where they move. Endless axes are moved by increments where a control reduces
+absolute angles to one turn. Light: the command line loads it for the names of the dialects.
 """
 
 from __future__ import annotations
@@ -13,20 +13,44 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from otf_core.arrays import Array
-from otf_core.errors import ConfigError
-
 _WIDTH = 70
+LEAST_DWELL = 1e-3
+"""s; controls take no shorter ones."""
 
 
 @dataclass(frozen=True)
-class AxisMove:
-    """One block of a machine with rotary axes.
+class Program:
+    """What a program is for.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    turns : bool
+        The machine has rotary axes: every block has a time.
+    tcp : bool
+        The control holds the tool centre point, in coordinates of the workpiece; else positions
+        are those of the axes.
+    """
+
+    number: int = 1
+    turns: bool = False
+    tcp: bool = False
+
+    @property
+    def feed_mode(self) -> str:
+        """G94, feed per minute, or G93, time of a block."""
+        return 'G93' if self.turns else 'G94'
+
+
+@dataclass(frozen=True)
+class Move:
+    """One block.
 
     Attributes
     ----------
     to : mapping of axis to float, mm and degrees
-        Positions of all axes at its end.
+        Positions of all axes that are programmed, at its end.
     by : mapping of axis to float, mm and degrees
         Increments of the axes that move.
     endless : tuple of str
@@ -35,6 +59,8 @@ class AxisMove:
         Travel, mm and degrees: of the linear axes, where none moves of the rotary ones.
     stop : bool
         Exact stop at the end.
+    dwell : float
+        s, standstill after it.
     """
 
     to: Mapping[str, float]
@@ -42,7 +68,8 @@ class AxisMove:
     endless: tuple[str, ...]
     seconds: float
     length: float
-    stop: bool
+    stop: bool = True
+    dwell: float = 0.0
 
     @property
     def absolute(self) -> dict[str, float]:
@@ -59,6 +86,15 @@ class AxisMove:
         """Inverse time, 1/min."""
         return 60.0 / self.seconds
 
+    @property
+    def feed(self) -> int:
+        """Feed along the linear axes, mm/min, or of rotary ones alone, degrees/min."""
+        return round(self.length * self.per_minute)
+
+    def speed(self, program: Program) -> str:
+        """Word of the feed, or of the inverse time."""
+        return f'F{self.per_minute:.3f}' if program.turns else f'F{self.feed}'
+
 
 class Dialect(ABC):
     """How one control writes a program.
@@ -69,8 +105,6 @@ class Dialect(ABC):
         As given on the command line.
     longest_dwell : float
         s.
-    needs_dwell : bool
-        True where only a dwell makes the machine stop exactly at a corner.
     unchecked : str
         What of a program for rotary axes no manual at hand confirmed.
     """
@@ -78,7 +112,6 @@ class Dialect(ABC):
     name: str
     file_name: str
     longest_dwell: float = 9999.0
-    needs_dwell: bool = False
     unchecked: str = ''
 
     @abstractmethod
@@ -86,21 +119,12 @@ class Dialect(ABC):
         """Comment line."""
 
     @abstractmethod
-    def begin(self, header: Sequence[str]) -> list[str]:
-        """Header comments and modal settings: mm, absolute, feed per minute, exact stop."""
+    def begin(self, header: Sequence[str], program: Program) -> list[str]:
+        """Header comments and modal settings: mm, absolute, feed or time, TCP off or on."""
 
     @abstractmethod
-    def move(self, axes: str, point: Array, feed: int) -> str:
-        """Straight line in machine coordinates.
-
-        Parameters
-        ----------
-        axes : str
-            Axes that are programmed, of 'XYZ'.
-        point : ndarray, shape (3,), mm
-        feed : int
-            mm/min.
-        """
+    def move(self, move: Move, program: Program) -> list[str]:
+        """Straight line in the positions of all axes, machine coordinates unless TCP is on."""
 
     @abstractmethod
     def dwell(self, seconds: float) -> list[str]:
@@ -111,28 +135,8 @@ class Dialect(ABC):
         """Program stop until the operator goes on."""
 
     @abstractmethod
-    def end(self) -> list[str]:
+    def end(self, program: Program) -> list[str]:
         """End of the program."""
-
-    def begin_axes(self, header: Sequence[str], number: int, tcp: bool) -> list[str]:
-        """Begin program ``number`` for rotary axes: a time per block, TCP off or on.
-
-        TCP off: machine coordinates. TCP on: coordinates of the workpiece.
-
-        Raises
-        ------
-        ConfigError
-            If the dialect has no programs for rotary axes.
-        """
-        raise ConfigError(f'--dialect {self.name}: has no programs for rotary axes')
-
-    def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
-        """Straight line in the positions of all axes; see ``begin_axes``."""
-        raise ConfigError(f'--dialect {self.name}: has no programs for rotary axes')
-
-    def end_axes(self, tcp: bool) -> list[str]:
-        """End of a program for rotary axes, TCP off; see ``begin_axes``."""
-        raise ConfigError(f'--dialect {self.name}: has no programs for rotary axes')
 
     def say(self, text: str) -> list[str]:
         """Tell the operator what to do at the stop that follows."""
@@ -148,15 +152,8 @@ class Dialect(ABC):
         return lines
 
 
-def words(axes: str, point: Array, sign: bool = False) -> str:
-    """Axis words in mm: ``X10.000 Y20.000``; ``sign`` writes a plus too."""
-    style = f'{"+" if sign else ""}.3f'
-    values = {a: round(float(point['XYZ'.index(a)]), 3) + 0.0 for a in axes}
-    return ' '.join(f'{a}{value:{style}}' for a, value in values.items())
-
-
-def axis_words(values: Mapping[str, float], sign: bool = False, prefix: str = '') -> str:
-    """Axis words in mm and degrees: ``X10.000 C90.000``, in the order given."""
+def words(values: Mapping[str, float], sign: bool = False, prefix: str = '') -> str:
+    """Axis words in mm and degrees: ``X10.000 C90.000``; ``sign`` writes a plus too."""
     style = f'{"+" if sign else ""}.3f'
     return ' '.join(f'{prefix}{a}{round(v, 3) + 0.0:{style}}' for a, v in values.items())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""FANUC: G61 exact stop mode, G04 X in seconds, G54 set equal to machine coordinates.
+"""FANUC: G09 exact stop of one block, G04 X in seconds, G54 set equal to machine coordinates.
 
 G53 moves at rapid only, so feed moves need a work offset: the operator sets G54 and the external
 offset to zero; the program cannot check it and does not overwrite it. G04 P would count
@@ -15,8 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.arrays import Array
-from otf_core.planning.nc.dialect import AxisMove, Dialect, axis_words, plain, words
+from otf_core.planning.nc.dialect import Dialect, Move, Program, plain, words
 
 
 class Fanuc(Dialect):
@@ -30,15 +29,23 @@ class Fanuc(Dialect):
         """Comment line: capitals only."""
         return f'({plain(text).upper()})'
 
-    def begin(self, header: Sequence[str]) -> list[str]:
+    def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
-        notes = (*header, 'SET G54 AND THE EXTERNAL OFFSET TO ZERO: G54 MUST EQUAL MACHINE COORD.')
-        modal = ['G21 G90 G94 G17 G40 G49 G80', 'G54', 'G61']
-        return ['%', 'O1001 (OTF PATH)', *map(self.comment, notes), *modal]
+        note = (
+            'G54: WORKPIECE ZERO; H01: LENGTH OF THE REFLECTOR'
+            if program.tcp
+            else 'SET G54 AND THE EXTERNAL OFFSET TO ZERO: G54 MUST EQUAL MACHINE COORD.'
+        )
+        start = ['%', f'O{1000 + program.number} (OTF PATH)', *map(self.comment, (*header, note))]
+        modal = [f'G21 G90 {program.feed_mode} G17 G40 G49 G80', 'G54', 'G64']
+        return [*start, *modal, *(['G43.4 H01'] if program.tcp else [])]
 
-    def move(self, axes: str, point: Array, feed: int) -> str:
-        """Straight line in G54."""
-        return f'G01 {words(axes, point)} F{feed}.'
+    def move(self, move: Move, program: Program) -> list[str]:
+        """Straight line; a block that turns endless axes is incremental as a whole."""
+        own, mode = (move.by, 'G91') if move.endless else (move.to, 'G90')
+        stop = 'G09 ' if move.stop else ''
+        point = '' if program.turns else '.'
+        return [f'{stop}{mode} G01 {words(own)} {move.speed(program)}{point}']
 
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""
@@ -48,35 +55,10 @@ class Fanuc(Dialect):
         """Program stop until the operator goes on."""
         return ['M00']
 
-    def end(self) -> list[str]:
-        """End of the program, back to cutting mode."""
-        return ['G64', 'M30', '%']
-
-    def begin_axes(self, header: Sequence[str], number: int, tcp: bool) -> list[str]:
-        """Header comments and modal settings."""
-        note = (
-            'G54: WORKPIECE ZERO; H01: LENGTH OF THE REFLECTOR'
-            if tcp
-            else 'SET G54 AND THE EXTERNAL OFFSET TO ZERO: G54 MUST EQUAL MACHINE COORD.'
-        )
-        start = ['%', f'O{self._number(number)} (OTF PATH)', *map(self.comment, (*header, note))]
-        modal = ['G21 G90 G94 G17 G40 G49 G80', 'G54', 'G64']
-        return [*start, *modal, *(['G43.4 H01'] if tcp else []), 'G93']
-
-    def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
-        """Straight line; a block that turns endless axes is incremental as a whole."""
-        own, mode = (move.by, 'G91') if move.endless else (move.to, 'G90')
-        stop = 'G09 ' if move.stop else ''
-        return [f'{stop}{mode} G01 {axis_words(own)} F{move.per_minute:.3f}']
-
-    def end_axes(self, tcp: bool) -> list[str]:
+    def end(self, program: Program) -> list[str]:
         """End of the program."""
         return ['G94 G90 G49', 'M30', '%']
 
     def file_of(self, number: int) -> str:
         """Name after the number of the program."""
-        return f'O{self._number(number)}.NC'
-
-    @staticmethod
-    def _number(number: int) -> int:
-        return 1000 + number
+        return f'O{1000 + number}.NC'

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.arrays import Array
-from otf_core.planning.nc.dialect import AxisMove, Dialect, axis_words, words
+from otf_core.planning.nc.dialect import Dialect, Move, Program, words
 
 
 class LinuxCnc(Dialect):
@@ -26,13 +25,23 @@ class LinuxCnc(Dialect):
         """Comment line."""
         return f'({text})'
 
-    def begin(self, header: Sequence[str]) -> list[str]:
+    def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
-        return [*map(self.comment, header), 'G21 G90 G94 G17 G40 G49 G80', 'G61.1']
+        modal = [f'G21 G90 {program.feed_mode} G17 G40 {"G43 H1" if program.tcp else "G49"} G80']
+        if not program.turns:
+            return [*map(self.comment, header), *modal]
+        kinematics = 'THE KINEMATICS OF THE ROTARY AXES' if program.tcp else 'IDENTITY KINEMATICS'
+        switch = f'SWITCH TO {kinematics} BEFORE - M428, M429 IN THE SAMPLES OF LINUXCNC'
+        notes = [*header, switch, 'WRAPPED_ROTARY MUST BE 0']
+        if program.tcp:
+            notes.append('G43 H1: TOOL 1 OF THE TOOL TABLE HAS THE LENGTH OF TARGET-OFFSET')
+            modal.append('G54')
+        return [*map(self.comment, notes), *modal]
 
-    def move(self, axes: str, point: Array, feed: int) -> str:
-        """Straight line in machine coordinates."""
-        return f'G53 G1 {words(axes, point)} F{feed}'
+    def move(self, move: Move, program: Program) -> list[str]:
+        """Straight line in absolute angles; stops by G61.1."""
+        mode, frame = 'G61.1' if move.stop else 'G61', '' if program.tcp else 'G53 '
+        return [f'{mode} {frame}G1 {words(move.to)} {move.speed(program)}']
 
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""
@@ -42,29 +51,6 @@ class LinuxCnc(Dialect):
         """Program stop until the operator goes on."""
         return ['M0']
 
-    def end(self) -> list[str]:
+    def end(self, program: Program) -> list[str]:
         """End of the program."""
-        return ['M2']
-
-    def begin_axes(self, header: Sequence[str], number: int, tcp: bool) -> list[str]:
-        """Header comments and modal settings."""
-        kinematics = 'THE KINEMATICS OF THE ROTARY AXES' if tcp else 'IDENTITY KINEMATICS'
-        notes = (
-            *header,
-            f'SWITCH TO {kinematics} BEFORE - M428, M429 IN THE SAMPLES OF LINUXCNC',
-            'WRAPPED_ROTARY MUST BE 0',
-            *(['G43 H1: TOOL 1 OF THE TOOL TABLE HAS THE LENGTH OF TARGET-OFFSET'] if tcp else []),
-        )
-        length = 'G43 H1' if tcp else 'G49'
-        modal = [f'G21 G90 G94 G17 G40 {length} G80', *(['G54'] if tcp else []), 'G61', 'G93']
-        return [*map(self.comment, notes), *modal]
-
-    def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
-        """Straight line in absolute angles; stops by G61.1."""
-        frame = '' if tcp else 'G53 '
-        stop = 'G61.1' if move.stop else 'G61'
-        return [f'{stop} {frame}G1 {axis_words(move.to)} F{move.per_minute:.3f}']
-
-    def end_axes(self, tcp: bool) -> list[str]:
-        """End of the program."""
-        return [*(['G49'] if tcp else []), 'G94', 'M2']
+        return [*(['G49'] if program.tcp else []), 'G94', 'M2']

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SINUMERIK 840D sl, 828D: G60 with G601 exact stop fine (modal), SUPA per block, G4 F own block.
+"""SINUMERIK 840D sl, 828D: G9 with G601 exact stop fine, SUPA per block, G4 F own block.
 
-Source: SINUMERIK 840D sl programming manuals (G60/G601 fundamentals, G4 F in seconds, SUPA
+Source: SINUMERIK 840D sl programming manuals (G9/G601 fundamentals, G4 F in seconds, SUPA
 suppresses all frames for one block, G710 metric for lengths and feed). Rotary axes: SINUMERIK ONE
 programming manual 12/2019, 2.7 (G93: F2 drives a block in 0.5 min); 840D sl job planning 06/2009,
 6.2 (TRAORI); 808D programming manual, 1.2 (IC for one axis, whatever G90 says). G9 stops at the
@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.arrays import Array
-from otf_core.planning.nc.dialect import AxisMove, Dialect, axis_words, plain, words
+from otf_core.planning.nc.dialect import Dialect, Move, Program, plain, words
 
 
 class Sinumerik(Dialect):
@@ -27,14 +26,19 @@ class Sinumerik(Dialect):
         """Comment line."""
         return f'; {text}'
 
-    def begin(self, header: Sequence[str]) -> list[str]:
+    def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
-        notes = (*header, 'POSITIONS ARE MACHINE COORDINATES - SUPA, D0 - LINEAR AXES X Y Z')
-        return [*map(self.comment, notes), 'G17 G40 G710 G90 G94', 'G60 G601', 'D0']
+        note = 'WORKPIECE COORDINATES' if program.tcp else 'MACHINE COORDINATES - SUPA, D0'
+        off = ['TRAFOOF'] if program.turns else []
+        modal = [f'G17 G40 G710 G90 {program.feed_mode}', 'G64 G601']
+        frame = ['G54', 'TRAORI'] if program.tcp else ['D0']
+        return [*map(self.comment, (*header, note)), *off, *modal, *frame]
 
-    def move(self, axes: str, point: Array, feed: int) -> str:
-        """Straight line in machine coordinates."""
-        return f'SUPA G1 {words(axes, point)} F{feed}'
+    def move(self, move: Move, program: Program) -> list[str]:
+        """Straight line; endless axes by increments."""
+        by = [f'{a}=IC({round(v, 3) + 0.0:.3f})' for a, v in move.turned.items()]
+        mode = [*(['G9'] if move.stop else []), *([] if program.tcp else ['SUPA']), 'G1']
+        return [' '.join([*mode, words(move.absolute), *by, move.speed(program)])]
 
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""
@@ -44,26 +48,9 @@ class Sinumerik(Dialect):
         """Program stop until the operator goes on."""
         return ['M0']
 
-    def end(self) -> list[str]:
+    def end(self, program: Program) -> list[str]:
         """End of the program."""
-        return ['M30']
-
-    def begin_axes(self, header: Sequence[str], number: int, tcp: bool) -> list[str]:
-        """Header comments and modal settings."""
-        note = 'WORKPIECE COORDINATES' if tcp else 'MACHINE COORDINATES - SUPA, D0'
-        tool = ['G54', 'TRAORI'] if tcp else ['D0']
-        modal = ['TRAFOOF', 'G17 G40 G710 G90 G93', 'G64 G601', *tool]
-        return [*map(self.comment, (*header, note)), *modal]
-
-    def move_axes(self, move: AxisMove, tcp: bool) -> list[str]:
-        """Straight line; endless axes by increments."""
-        by = [f'{a}=IC({round(v, 3) + 0.0:.3f})' for a, v in move.turned.items()]
-        mode = [*(['G9'] if move.stop else []), *([] if tcp else ['SUPA']), 'G1']
-        return [' '.join([*mode, axis_words(move.absolute), *by, f'F{move.per_minute:.3f}'])]
-
-    def end_axes(self, tcp: bool) -> list[str]:
-        """End of the program."""
-        return [*(['TRAFOOF'] if tcp else []), 'G94', 'M30']
+        return [*(['TRAFOOF'] if program.tcp else []), 'G94', 'M30']
 
     def say(self, text: str) -> list[str]:
         """Message on the screen until the next one."""

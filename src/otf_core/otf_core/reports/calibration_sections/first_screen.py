@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First screen of a page, summary on a terminal, verdict: is it good, how large is the error."""
+"""First screen of a page, summary on a terminal, verdict: is it good, how large is the error.
+
+The first pictures of a calibration: the volume before and after, all errors with limits.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +31,16 @@ from otf_core.model.expanded import (
     micro_significant,
     micro_with_expanded,
     significant,
-    with_expanded,
 )
-from otf_core.model.limits import VOLUMETRIC
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
-from otf_core.reports.calibration_facts import CalibrationFacts, measurement_dates
+from otf_core.model.machine import TABLE
+from otf_core.model.motions import unit_of
+from otf_core.model.sections import VOLUMETRIC
+from otf_core.prediction.volumetric import table_places
+from otf_core.reports.calibration_facts import (
+    CalibrationFacts,
+    measurement_dates,
+    position_words,
+)
 from otf_core.reports.drawing.panel import LEVELS, Bar, bars, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.scene import (
     SCRIPT,
@@ -57,15 +65,12 @@ from otf_core.reports.page import (
     join_names,
     micro,
     micro_unit,
-    place,
 )
 
-# First pictures of a calibration: the volume before and after, all 21 errors with limits.
-
-GRID_POINTS_PER_AXIS = 4
-"""Points of the grid per axis that are drawn: every other of seven."""
+DRAWN_POINTS = 64
+"""Points of the volume that are drawn, about."""
 ARROW_REACH = 0.9
-"""Length of the longest arrow, in distances between arrows along the shortest edge."""
+"""Length of the longest arrow, in distances between arrows along the shortest edge of a cube."""
 BOUND = '*'
 """Stands behind the name of an error that holds at one target offset only."""
 DOT_RADII = 8
@@ -76,14 +81,14 @@ STATE_KINDS = {PASS: 'good', FAIL: 'bad', OPEN: 'open'}
 
 @dataclass(frozen=True)
 class ErrorSize:
-    """How large one of the 21 errors is.
+    """How large one of the errors is.
 
     Attributes
     ----------
     unit : str
         m or rad.
     value, U : float
-        Span of a motion, size of a squareness error; expanded uncertainty (95 %).
+        Span of a motion, size of a scalar; expanded uncertainty (95 %).
     state : str
         Of the limit; empty without one.
     known : bool
@@ -103,12 +108,12 @@ class ErrorSize:
 
 
 def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
-    """All 21 errors in the order of the tables: motions, then squareness."""
+    """All errors in the order of the tables: motions, then scalars."""
     result, verdict = facts.result, facts.result.machine_verdict
     limits = facts.machine.limits.values if facts.machine.limits else {}
     states = {one.name: one.state for one in verdict.judged} if verdict else {}
     sizes = []
-    for name in (*MOTIONS, *SQUARENESS):
+    for name in (*map(str, facts.machine.motions), *facts.machine.scalars):
         known = name not in result.not_identifiable
         value, wide = (
             size_and_expanded(name, facts.tables, result.budget_with_typical)
@@ -122,7 +127,7 @@ def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
 
 
 def error_bars(facts: CalibrationFacts) -> Picture:
-    """All 21 errors as bars with U and limits: displacements left, angles right."""
+    """All errors as bars with U and limits: displacements left, angles right."""
     sizes = error_sizes(facts)
     parts = []
     for unit in ('m', 'rad'):
@@ -139,11 +144,11 @@ def error_bars(facts: CalibrationFacts) -> Picture:
     )
     stroke = ' Vertical mark: the limit.' if limited else ''
     caption = (
-        f'Span (largest minus smallest value) of an error motion, size of a squareness error; '
+        f'Span (largest minus smallest value) of an error motion, size of any other error; '
         f'line at the end of a bar: U (95 %).{stroke}{bound_words(facts)}'
     )
     legend = f'<p class="soft keys">{key}</p>' if limited else ''
-    return Picture(tuple(parts), caption, columns=2, title='All 21 errors', key=legend)
+    return Picture(tuple(parts), caption, columns=2, title=f'All {len(sizes)} errors', key=legend)
 
 
 def bound_words(facts: CalibrationFacts) -> str:
@@ -167,13 +172,12 @@ def _bar(one: ErrorSize) -> Bar:
 
 def volume_pictures(facts: CalibrationFacts) -> Picture:
     """The volume before and after at one scale of colours and of arrows."""
-    length, u = facts.volume.length, facts.k_volume * facts.volume.u_size
-    longest = float(length.max())
-    step = heat_step(1e6 * length)
-    span = float((facts.machine.upper - facts.machine.lower).min())
-    shown = magnification(
-        max(longest, float(u.max())), ARROW_REACH * span / (GRID_POINTS_PER_AXIS - 1)
-    )
+    volume, k = facts.volume, facts.result.headline.k
+    longest = float(volume.length.max())
+    step = heat_step(1e6 * volume.length)
+    low, high = facts.box
+    spacing = float((high - low).min()) / (DRAWN_POINTS ** (1 / 3) - 1.0)
+    shown = magnification(max(longest, k * float(volume.u_size.max())), ARROW_REACH * spacing)
     limit = facts.machine.limits.values.get(VOLUMETRIC) if facts.machine.limits else None
     stated = '' if limit is None else f', limit {1e6 * limit:g} um'
     return Picture(
@@ -188,27 +192,28 @@ def volume_pictures(facts: CalibrationFacts) -> Picture:
 
 
 def _drawn(facts: CalibrationFacts) -> NDArray[np.int64]:
-    """Which points of the grid are drawn."""
-    count = round(len(facts.volume.grid) ** (1 / 3))
-    use = np.unique(np.linspace(0, count - 1, GRID_POINTS_PER_AXIS).round().astype(int))
-    every = np.arange(count**3).reshape(count, count, count)
-    return np.asarray(every[np.ix_(use, use, use)].ravel())
+    """Which points of the volume are drawn: every other of a lattice, the first of others."""
+    size, axes = len(facts.volume.grid), len(facts.machine.axis_names)
+    count = round(size ** (1 / axes))
+    if count**axes != size or axes > 3:
+        return np.arange(min(size, DRAWN_POINTS))
+    use = np.arange(0, count, 2)
+    every = np.arange(size).reshape((count,) * axes)
+    return np.asarray(every[np.ix_(*[use] * axes)].ravel())
 
 
 def trackers(facts: CalibrationFacts) -> list[Item]:
-    """Marks of the places of the tracker, runs from one place once."""
-    low, high = facts.machine.lower, facts.machine.upper
+    """Marks of the places of the tracker, runs from one place once; of one on the table."""
     places: list[Array] = []
-    for run in facts.result.runs:
+    for run in facts.result.runs if facts.machine.tracker.link == TABLE else ():
         own = run.T_machine_tracker.translation
         if all(np.linalg.norm(own - other) > 1e-2 for other in places):
             places.append(own)
-    return [item for place in places for item in tracker_items(place, low, high)]
+    return [item for place in places for item in tracker_items(place, *facts.box)]
 
 
 def _arrows(facts: CalibrationFacts, step: float, shown: Magnification) -> str:
-    low, high = facts.machine.lower, facts.machine.upper
-    at = _drawn(facts)
+    at, (low, high) = _drawn(facts), facts.box
     grid = facts.volume.grid[at]
     tips = grid + shown.factor * facts.volume.error[at]
     classes = heat_classes(1e6 * facts.volume.length[at], step)
@@ -222,16 +227,13 @@ def _arrows(facts: CalibrationFacts, step: float, shown: Magnification) -> str:
 
 
 def _spheres(facts: CalibrationFacts, shown: Magnification) -> str:
-    low, high = facts.machine.lower, facts.machine.upper
-    u = facts.k_volume * facts.volume.u_size[_drawn(facts)]
-    grid = facts.volume.grid[_drawn(facts)]
+    at, (low, high) = _drawn(facts), facts.box
+    u, grid = facts.result.headline.k * facts.volume.u_size[at], facts.volume.grid[at]
     items: list[Item] = [*box(low, high), *trackers(facts)]
-    order = np.array_split(np.argsort(u), DOT_RADII)
+    order = np.array_split(np.argsort(u), min(DOT_RADII, len(u)))
     items += [Dots('after disc', grid[own], shown.factor * float(u[own].mean())) for own in order]
     return scene(items, low, high, 'uncertainty after compensation in the volume', shown=shown)
 
-
-# First screen of a page, summary of a terminal, verdict: is it good, how large is the error.
 
 NAMED_CONTRIBUTORS = 3
 """Motions that are named as the largest contributors."""
@@ -246,13 +248,13 @@ def overview_section(facts: CalibrationFacts) -> Section:
     """First screen: is it good, how large is the error, where is it worst, what is not known."""
     result, volume = facts.result, facts.volume
     now = result.headline.error
-    at = volume.grid[int(np.argmax(volume.length))]
+    at = volume.positions[int(np.argmax(volume.length))]
     worst = contributions(facts)[:NAMED_CONTRIBUTORS]
     mean = result.headline.expanded['mean']
     words = [
-        f'Worst: the longest error vector of the grid, '
+        f'Worst: the longest error vector of {facts.points}, '
         f'{micro_figure(now["max"], result.headline.of_largest)}, lies at '
-        f'{place(at)}. It is mainly due to '
+        f'{position_words(facts.machine, at)}. It is mainly due to '
         + join_names(f'{name} ({micro_figure(size, mean)})' for name, size in worst)
         + ', each alone, root mean square over the volume.',
         *_unknown_words(facts),
@@ -277,8 +279,8 @@ def overview_section(facts: CalibrationFacts) -> Section:
 
 
 def contributions(facts: CalibrationFacts) -> list[tuple[str, float]]:
-    """What every motion and squareness error makes alone, root mean square, m; largest first."""
-    names = [n for n in (*SQUARENESS, *MOTIONS) if n not in facts.result.not_identifiable]
+    """What every error makes alone, root mean square, m; largest first."""
+    names = [n for n in table_places(facts.tables) if n not in facts.result.not_identifiable]
     sizes = [float(np.sqrt(np.mean(np.sum(facts.volume.part(n) ** 2, axis=1)))) for n in names]
     return sorted(zip(names, sizes, strict=True), key=lambda pair: -pair[1])
 
@@ -324,6 +326,7 @@ def _unknown_words(facts: CalibrationFacts) -> list[str]:
             f'Not known: {join_names(result.not_identifiable)} cannot be determined from these '
             f'data; they are zero in the tables.'
         )
+        lines += [f'{line}.' for line in result.needs]
     if facts.typical:
         lines.append(
             f'Not declared in machine.yaml: {join_names(facts.typical.missing)}; U includes '
@@ -389,42 +392,39 @@ def _limit_row(one: LimitVerdict) -> tuple[Cell, ...]:
 def calibration_summary(facts: CalibrationFacts) -> str:
     """Return the lines of a terminal; ``calibration_sections`` hold all the rest."""
     result, fit = facts.result, facts.result.fit
+    machine, mean = facts.machine, facts.result.headline.expanded['mean']
+    largest = ', '.join(
+        f'{name} {micro_figure(size, mean)}'
+        for name, size in contributions(facts)[:SUMMARY_CONTRIBUTORS]
+    )
     lines = [
-        f'{facts.machine.name}, chain {facts.machine.chain}, run {result.run_id}',
+        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
         *result.verdicts.words,
         *result.headline.words,
-        _contributors_line(facts),
-        _squareness_line(facts),
+        f'largest contributions, each alone, rms over the volume: {largest}',
+        *(
+            f'{what}: {", ".join(_scalar_words(facts, name) for name in names)}'
+            for what, names in (('squareness', machine.squareness), ('location', machine.location))
+            if names
+        ),
         *filter(None, [result.offset_bound.sentence]),
         f'distance from the path: mean {_distance_figure(fit.path_mae_before, fit)} before, '
         f'{_distance_figure(fit.path_mae_after, fit)} after compensation, on the run itself',
     ]
     if result.not_identifiable:
         lines.append(f'not determined, zero in the tables: {", ".join(result.not_identifiable)}')
+        lines += result.needs
     if result.effects_sentence:
         lines.append(result.effects_sentence)
     lines += _warning_lines(facts)
     return '\n'.join(lines)
 
 
-def _contributors_line(facts: CalibrationFacts) -> str:
-    first = facts.result.headline
-    named = (
-        f'{name} {micro_figure(size, first.expanded["mean"])}'
-        for name, size in contributions(facts)[:SUMMARY_CONTRIBUTORS]
-    )
-    return f'largest contributions, each alone, rms over the volume: {", ".join(named)}'
-
-
-def _squareness_line(facts: CalibrationFacts) -> str:
-    result, parts = facts.result, []
-    for name in SQUARENESS:
-        if name in result.not_identifiable:
-            parts.append(f'{name} not known')
-            continue
-        value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
-        parts.append(f'{name} {with_expanded(1e6 * value, 1e6 * wide)} urad')
-    return f'squareness: {", ".join(parts)}'
+def _scalar_words(facts: CalibrationFacts, name: str) -> str:
+    if name in facts.result.not_identifiable:
+        return f'{name} not known'
+    wide = float(facts.result.expanded[name][0])
+    return f'{name} {micro_with_expanded(facts.tables.scalar(name), wide, unit_of(name))}'
 
 
 def _distance_figure(value: float, fit: Fit) -> str:

@@ -15,7 +15,7 @@ from scipy.special import gammaincc
 
 from otf_core.arrays import Array
 from otf_core.budget.budget import NOISE
-from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.calibration_result import CalibrationResult, RunResult, gauge_of
 from otf_core.effects.stated_effect import FOUND, effects_to_list
 from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
@@ -46,8 +46,6 @@ from otf_core.reports.page import (
     micro,
     whole_dof,
 )
-
-# The measurement: conditions, residuals along the path, samples, drift, fit.
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""
@@ -109,13 +107,15 @@ def _path_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
 
 
 def _path_in_space(facts: CalibrationFacts, run: RunResult) -> str:
-    low, high = facts.machine.lower, facts.machine.upper
+    low, high = facts.box
     length = 1e6 * np.linalg.norm(run.residual, axis=0)
+    seen = run.T_machine_tracker.apply(run.pieces.xyz)
+    low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
     items: list[Item] = [*box(low, high), *trackers(facts)]
     if run.pieces.standstill:
-        size, points, ends = length, run.q, None
+        size, points, ends = length, seen, None
     else:
-        size, ends = _stretches(run, length)
+        size, ends = _stretches(run, seen, length)
         points = ends[:, 0]
     step = heat_step(size)
     classes = heat_classes(size, step)
@@ -128,7 +128,7 @@ def _path_in_space(facts: CalibrationFacts, run: RunResult) -> str:
     return scene(items, low, high, 'path in space, coloured by the residual') + key
 
 
-def _stretches(run: RunResult, length: Array) -> tuple[Array, Array]:
+def _stretches(run: RunResult, seen: Array, length: Array) -> tuple[Array, Array]:
     """Root mean square residual and ends, (n, 2, 3), of parts of legs."""
     bounds = leg_bounds(run.pieces.leg)
     share = max(1, round(len(length) / DRAWN_STRETCHES))
@@ -137,7 +137,7 @@ def _stretches(run: RunResult, length: Array) -> tuple[Array, Array]:
         cuts = np.linspace(a, b, max(1, (b - a) // share) + 1).astype(int)
         for c, d in pairwise(cuts):
             sizes.append(np.sqrt(np.mean(length[c:d] ** 2)))
-            ends.append((run.q[c], run.q[min(d, b - 1)]))
+            ends.append((seen[c], seen[min(d, b - 1)]))
     return np.array(sizes), np.array(ends)
 
 
@@ -393,32 +393,37 @@ def reference_words(result: CalibrationResult) -> str:
         if bound
         else 'All values that were determined apply to any target offset'
     )
+    turns = (
+        '; motions of a rotary axis act about its centre, as machine.yaml states it'
+        if result.tables.location
+        else ''
+    )
     return (
         f'The reference point of straightness, positioning and squareness, about which '
         f'rotations act, is the machine zero carried along by the axes'
-        f'; {where} (all axes at zero). {holds}.'
+        f'{turns}; {where} (all axes at zero). {holds}.'
     )
 
 
 def conventions_section(facts: CalibrationFacts) -> Section:
     """Conventions and gauge in words: signs, reference points, what u and U are."""
-    machine = facts.machine
-    carried = {
-        'table': ', '.join(machine.chain.table_side) or 'none',
-        'target': ', '.join(machine.chain.target_side) or 'none',
-    }
+    machine, gauge = facts.machine, gauge_of(facts.machine)
+    table, target = (
+        ', '.join(side) or 'none' for side in (machine.chain.table_side, machine.chain.target_side)
+    )
     k, dof = facts.result.headline.k, facts.by_name['grid'].dof
     words = (
-        'Names are those of ISO 230-1: E, the direction of the error, the axis that moves; EXX is '
-        'the positioning error of X, EYX its straightness in Y, EAX its rotation about X.',
+        'Names are those of ISO 230-1 and ISO 230-7: E, the direction of the error, the axis that '
+        'moves; EXX is the positioning error of X, EYX its straightness in Y, EAX its rotation '
+        'about X.',
         'Sign: an error is actual minus nominal position of the target relative to the table, in '
-        'the right-handed machine frame; rotations are right-handed. A correction has the '
-        'opposite sign.',
+        'the right-handed frame of the table: the machine frame, all axes at zero; rotations are '
+        'right-handed. A correction has the opposite sign.',
         f'Kinematic chain {machine.chain}, from workpiece to tool: axes that carry the table: '
-        f'{carried["table"]}; axes that carry the target: {carried["target"]}. '
+        f'{table}; axes that carry the target: {target}. '
         f'{PLACE_OF_B[:1].upper()}{PLACE_OF_B[1:]}.',
         reference_words(facts.result),
-        f'Gauge: {GAUGE}. At these reference positions U is zero by definition: U is that of a '
+        f'Gauge: {gauge}. At these reference positions U is zero by definition: U is that of a '
         f'difference to the reference.',
         'The volumetric error is stated without the best-fitting rigid motion of the whole '
         'volume, which depends on the choice of the machine frame.',
@@ -428,7 +433,7 @@ def conventions_section(facts: CalibrationFacts) -> Section:
         f"Student's t); bands are pointwise. "
         f'The full covariance is in error_tables.json (JCGM 102).',
     )
-    return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE})
+    return Section('conventions', 'Conventions and gauge', words, {'gauge': gauge})
 
 
 def provenance_section(facts: CalibrationFacts) -> Section:

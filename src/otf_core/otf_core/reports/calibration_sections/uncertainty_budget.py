@@ -19,10 +19,10 @@ from otf_core.budget.budget import (
     TYPICAL_SOURCE,
     Budget,
 )
-from otf_core.model.declared import KEYS
+from otf_core.model.expanded import quantity, readable_unit
 from otf_core.model.machine import Machine
 from otf_core.model.presets import TYPICAL
-from otf_core.model.quantities import quantity, readable_unit
+from otf_core.model.sections import DECLARABLE
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_facts import (
@@ -130,13 +130,13 @@ def _stated_words(machine: Machine, name: str, part: float) -> tuple[str, str]:
     if not values:
         return 'from the data', '-'
     words = ', '.join(
-        f'{key.replace("_", " ")} {quantity(value, None, KEYS[key][0])}'
+        f'{key.replace("_", " ")} {quantity(value, None, DECLARABLE[key][0])}'
         for key, value in values.items()
     )
     if len(values) > 1:
         return words, '-'
     (key, value), *_ = values.items()
-    factor, unit = readable_unit(KEYS[key][0], value)
+    factor, unit = readable_unit(DECLARABLE[key][0], value)
     return words, f'{1e6 * part / (factor * value):.3g} per {unit}'
 
 

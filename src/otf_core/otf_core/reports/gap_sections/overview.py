@@ -11,16 +11,14 @@ from itertools import combinations
 
 import numpy as np
 
-from otf_core.calibration.axis_calibration import AxisCalibration
 from otf_core.diagnosis.cause_parameters import SCALES, Curve, at_words
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.placement import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.effects import EVERY, BelongsTo
 from otf_core.effects.inputs import label_of
-from otf_core.model.expanded import COVERAGE_FACTOR
+from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.provenance import moment
-from otf_core.model.quantities import quantity
 from otf_core.reports.calibration_facts import measurement_dates, run_table, stated_tables
 from otf_core.reports.drawing.panel import Bar, Panel, Scale, bars, scale_around
 from otf_core.reports.gap_sections.residual_views import (
@@ -76,8 +74,6 @@ def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
     """What the reversal tables of the calibration hold of a cause; empty of any other."""
     known = EVERY.get(cause.effect)
     if known is None or known.belongs_to is not BelongsTo.REVERSAL:
-        return ''
-    if diagnosis.reversal is None:
         return ''
     held = in_reversal_tables(diagnosis.reversal, cause.axes)
     name = effect_name(cause.effect)
@@ -568,9 +564,7 @@ def conditions_section(diagnosis: Diagnosis) -> Section:
         when = f'{dates[0]} to {dates[1]}' if all(dates) else 'the stamps contain no date'
         rows += [(f'{name}: measured', when), (f'{name}: SHA-256', one.sha256)]
     tables, words = stated_tables(diagnosis.machine)
-    shown = tuple(rows)
-    if not isinstance(plain, AxisCalibration):
-        tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
-        shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
+    tables += [run_table(number, run) for number, run in enumerate(plain.runs, start=1)]
+    shown = tuple(row for row in rows if row[0] not in RUN_CONDITIONS)
     tables.append(Table(('', ''), shown, title='Recordings and versions'))
     return Section('conditions', 'Conditions and instrument', words, dict(rows), tuple(tables))

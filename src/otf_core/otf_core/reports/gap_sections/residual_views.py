@@ -263,7 +263,7 @@ def place_section(diagnosis: Diagnosis) -> Section:
 
 def cells(views: Sequence[RunView], vectors: Array, plane: tuple[int, int]) -> Cells:
     """Cells of the views of all runs for vectors (p, 3), m; of the longest axis there are 8."""
-    q = np.concatenate([v.q for v in views])
+    q = np.concatenate([v.place for v in views])
     wished = max(float(np.ptp(q, axis=0).max()) / CELLS_ALONG, 1e-6)
     q = q[:, plane]
     low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-6)
@@ -320,7 +320,7 @@ def _plane_panel(
     longest: float,
     label: str,
 ) -> str:
-    q = np.concatenate([v.q[:, plane] for v in views])
+    q = np.concatenate([v.place[:, plane] for v in views])
     middle, span = 0.5 * (q.min(axis=0) + q.max(axis=0)), np.ptp(q, axis=0)
     metre = max(float(span[0]) / VIEW_WIDTH, float(span[1]) / VIEW_HEIGHT, 1e-9) * 1.08
     half = 0.5 * metre * np.array([VIEW_WIDTH, VIEW_HEIGHT])

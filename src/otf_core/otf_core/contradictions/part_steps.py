@@ -18,17 +18,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.model.machine import TABLE, TOOL
-from otf_core.rotary.axis_solution import AxisSolution, SolvedAxisRun
-from otf_core.rotary.axis_unknowns import place_block
-from otf_core.rotary.rows import place_columns
+from otf_core.solving.joint import JointSolution, SolvedRun, station_numbers
 from otf_core.solving.sensitivity import BesideTables, beside_tables
-from otf_core.solving.unknowns import pose_block
+from otf_core.solving.unknowns import place_block, pose_block
 
 SIGNIFICANT = 6.0
 """Standard uncertainties of a step that count."""
@@ -57,7 +54,7 @@ class _Step:
         The target is displaced in all parts from its place in machine.yaml.
     """
 
-    run: SolvedAxisRun
+    run: SolvedRun
     part: int
     target: str
     columns: Array
@@ -101,7 +98,7 @@ class _Step:
         )
 
 
-def find_steps(joint: AxisSolution, least_of_tracker: float = LEAST_OF_TRACKER) -> list[str]:
+def find_steps(joint: JointSolution, least_of_tracker: float = LEAST_OF_TRACKER) -> list[str]:
     """Words on what moved between parts of every run, the clearest of a run first.
 
     Parameters
@@ -110,40 +107,49 @@ def find_steps(joint: AxisSolution, least_of_tracker: float = LEAST_OF_TRACKER) 
         Smaller steps of the tracker are left out.
     """
     messages = []
-    for number, solved in enumerate(joint.runs):
-        steps = list(_steps_of(solved))
+    stations = station_numbers([solved.run for solved in joint.runs])
+    for number, (solved, station) in enumerate(zip(joint.runs, stations, strict=True)):
+        pose = solved.system.rows.fixed[pose_block(station)]
+        steps = list(_steps_of(solved, pose))
         if steps:
-            messages += _found(joint, number, steps, least_of_tracker)
+            messages += _found(joint, number, steps, pose, least_of_tracker)
     return messages
 
 
-def _steps_of(solved: SolvedAxisRun) -> Iterator[_Step]:
+def _steps_of(solved: SolvedRun, pose: Array) -> Iterator[_Step]:
     """Steps of a run that are tried: places stated, targets named before, the tracker."""
     run, part, fixed = solved.run, solved.run.pieces.part, solved.system.rows.fixed
     for name, own in run.by_target().items():
         if name != TOOL and run.machine.targets[name].u == 0.0:
-            columns = place_columns(run, solved.system, name, own)
+            inner = run.sight(name).at(solved.system.q[own]).inner
+            axes, columns = solved.system.axes, np.zeros_like(solved.system.axes)
+            turned = (
+                axes[:, own] if inner is None else np.einsum('cni,nij->cnj', axes[:, own], inner)
+            )
+            columns[:, own] = turned
             yield _Step(solved, 0, name, columns, stated=True)
     present = np.unique(part).tolist()
-    for name in run.free:
-        if run.machine.targets[name].link != TABLE:
+    for name in dict.fromkeys(run.targets):
+        if run.machine.targets[name].link != TABLE or place_block(name) not in fixed:
             continue
-        parts = [k for k in present if run.parts[k].path.target == name]
+        parts = [k for k in present if run.targets[k] == name]
         for k in parts[1:]:
             own = (part == k)[None, :, None]
             yield _Step(solved, k, name, fixed[place_block(name)] * own)
-    pose = fixed[pose_block(run.station)]
     for k in present[1:]:
         yield _Step(solved, k, '', pose * (part >= k)[None, :, None])
 
 
 def _found(
-    joint: AxisSolution, number: int, steps: Sequence[_Step], least_of_tracker: float
+    joint: JointSolution,
+    number: int,
+    steps: Sequence[_Step],
+    pose: Array,
+    least_of_tracker: float,
 ) -> list[str]:
     """Words on the steps of one run, the clearest first."""
     solved = joint.runs[number]
     time = 2.0 * solved.run.pieces.time / max(float(solved.run.pieces.time.max()), 1e-9) - 1.0
-    pose = solved.system.rows.fixed[pose_block(solved.run.station)]
     drift = [pose * time[None, :, None] ** k for k in range(1, DRIFT + 1)]
     columns = np.concatenate([*drift, *(s.columns for s in steps)], axis=2)
     count = columns.shape[2]
@@ -151,7 +157,7 @@ def _found(
         columns if k == number else np.zeros((*s.residual.shape, 0))
         for k, s in enumerate(joint.runs)
     ]
-    sums = beside_tables(cast(Any, joint), every, [np.arange(c.shape[2]) for c in every], count)
+    sums = beside_tables(joint, every, [np.arange(c.shape[2]) for c in every], count)
     white = solved.whitener.whiten(solved.residual)
     ratio = max(1.0, float(np.mean(white**2)))
     ends = np.cumsum([DRIFT * pose.shape[2], *(s.columns.shape[2] for s in steps)])

@@ -10,18 +10,21 @@ axis that stands after its travel shows backlash, but no lag.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import Machine
-from otf_core.rotary.axis_solution import AxisSolution, place_equations, tables_of
-from otf_core.rotary.axis_unknowns import lag_block
-from otf_core.rotary.rows import build_rows
+from otf_core.solving.joint import (
+    JointSolution,
+    place_equations,
+    systems_of,
+    tables_of,
+    unknowns_of,
+)
 from otf_core.solving.model_choice import (
     MIN_LINES,
     Choice,
@@ -33,7 +36,13 @@ from otf_core.solving.model_choice import (
 )
 from otf_core.solving.reversal import AUTO, CONSTANT, NONE, TABLES, count_functions
 from otf_core.solving.solution import free_columns, solve
-from otf_core.solving.unknowns import Unknowns, is_reversal, reversal_block, reversal_order
+from otf_core.solving.unknowns import (
+    Unknowns,
+    is_reversal,
+    lag_block,
+    reversal_block,
+    reversal_order,
+)
 
 SIGNIFICANT = 5.0
 """Standard uncertainties; by chance one of thirty constants exceeds them in 60 000 runs."""
@@ -49,9 +58,6 @@ drive together only, or at one speed, the data do not tell them apart."""
 VAGUE_LAG = 1e2
 """Lags, s, may be less certain than ``unidentifiable_above`` by this factor."""
 
-Layout = Callable[[Sequence[str], Sequence[str]], Unknowns]
-"""Unknowns with some reversal coefficients, by their blocks, and lags of some axes."""
-
 
 @dataclass(frozen=True)
 class AxisLag:
@@ -62,7 +68,7 @@ class AxisLag:
     u: float
 
 
-def lags(joint: AxisSolution, covariance: Array) -> list[AxisLag]:
+def lags(joint: JointSolution, covariance: Array) -> list[AxisLag]:
     """Lags of a solution, by a covariance (full, full) of its unknowns."""
     found = []
     for axis in joint.machine.axis_names:
@@ -73,16 +79,13 @@ def lags(joint: AxisSolution, covariance: Array) -> list[AxisLag]:
     return found
 
 
-def choose_reversal(
-    joint: AxisSolution, layout: Layout, config: CalibrationConfig
-) -> tuple[Choice, Unknowns]:
+def choose_reversal(joint: JointSolution, config: CalibrationConfig) -> tuple[Choice, Unknowns]:
     """Choose what differs between both senses of travel.
 
     Parameters
     ----------
-    joint : AxisSolution
+    joint : JointSolution
         Without reversal.
-    layout : callable(blocks, axes)
 
     Returns
     -------
@@ -93,15 +96,19 @@ def choose_reversal(
     given, machine = config.reversal, joint.machine
     if given == NONE:
         return Choice(NONE, True, {'decided_by': 'configuration'}), joint.unknowns
-    every = _blocks(machine, CONSTANT if given == CONSTANT else TABLES)
-    trial = _Trial.of(joint, layout(every, machine.axis_names))
+    every = [
+        name
+        for name in _blocks(machine, CONSTANT if given == CONSTANT else TABLES)
+        if name[:3] in joint.solution.accepted
+    ]
+    trial = _Trial.of(joint, every)
     if given != AUTO:
         seen = trial.visible(every, config.unidentifiable_above)
-        return Choice(given, True, {'decided_by': 'configuration'}), layout(seen, ())
+        return Choice(given, True, {'decided_by': 'configuration'}), _of(joint, seen)
     found = {model: trial.significant(model, config) for model in (CONSTANT, TABLES)}
     if not any(map(is_reversal, found[TABLES])):
         nothing: Evidence = {'decided_by': 'no motion differs significantly'}
-        return Choice(NONE, True, nothing), _of(layout, found[CONSTANT])
+        return Choice(NONE, True, nothing), _of(joint, found[CONSTANT])
     late = tuple(n for n in found[CONSTANT] if not is_reversal(n))
     models = {NONE: late, **found}
     if not any(reversal_order(n) > 0 for n in found[TABLES]):
@@ -109,15 +116,17 @@ def choose_reversal(
     lines = sum(map(len, trial.folded.fold))
     if lines < MIN_LINES:
         few: Evidence = {'decided_by': f'significance, {too_few(lines)}', 'lines': lines}
-        return Choice(CONSTANT, True, few), _of(layout, found[CONSTANT])
+        return Choice(CONSTANT, True, few), _of(joint, found[CONSTANT])
     choice = choose_model(trial.held_out(models), True)
-    return choice, _of(layout, models[choice.model])
+    return choice, _of(joint, models[choice.model])
 
 
-def _of(layout: Layout, names: Sequence[str]) -> Unknowns:
+def _of(joint: JointSolution, names: Sequence[str]) -> Unknowns:
     """Unknowns with some blocks: reversal coefficients and lags."""
     blocks = [n for n in names if is_reversal(n)]
-    return layout(blocks, [n.split()[1] for n in names if not is_reversal(n)])
+    late = [n.split()[1] for n in names if not is_reversal(n)]
+    runs = [solved.run for solved in joint.runs]
+    return unknowns_of(runs, joint.unknowns.bases, blocks, late, held=True)
 
 
 def _blocks(machine: Machine, model: str) -> list[str]:
@@ -135,6 +144,8 @@ class _Trial:
 
     Attributes
     ----------
+    common : tuple of str
+        Blocks that were solved for.
     folded : FoldedLines
     prior : ndarray, shape (free, free), 1 / (m, rad)^2
     value, covariance : ndarray, shape (full,) and (full, full)
@@ -144,6 +155,7 @@ class _Trial:
 
     machine: Machine
     unknowns: Unknowns
+    common: tuple[str, ...]
     folded: FoldedLines
     prior: Array
     value: Array
@@ -151,24 +163,27 @@ class _Trial:
     rates: Array
 
     @classmethod
-    def of(cls, joint: AxisSolution, unknowns: Unknowns) -> _Trial:
+    def of(cls, joint: JointSolution, blocks: Sequence[str]) -> _Trial:
         """With coefficients of reversal for motions, and a lag for every axis."""
-        tables = tables_of(joint.machine, joint.unknowns, joint.solution.value)
-        rows: list[Any] = [(build_rows(s.run, unknowns, tables), s.whitener) for s in joint.runs]
-        known = place_equations(joint.machine, unknowns, joint.runs[0].run.places)
-        nothing = [np.zeros((*system.deviation.shape, 0)) for system, _ in rows]
-        folds = line_folds(cast(Any, joint))
-        folded = FoldedLines.of(rows, folds, nothing, unknowns, None, [known])
+        machine = joint.machine
+        unknowns = _of(joint, [*blocks, *map(lag_block, machine.axis_names)])
+        tables = tables_of(machine, joint.unknowns, joint.solution)
+        systems = systems_of([s.run for s in joint.runs], unknowns, tables)
+        rows = [(system, s.whitener) for system, s in zip(systems, joint.runs, strict=True)]
+        known = place_equations(machine, unknowns, joint.places)
+        nothing = [np.zeros((*system.deviation.shape, 0)) for system in systems]
+        folded = FoldedLines.of(rows, line_folds(joint), nothing, unknowns, None, [known])
         sizes = np.full(unknowns.free, MOST)
-        for axis in joint.machine.axis_names:
+        for axis in machine.axis_names:
             sizes[unknowns.free_blocks[lag_block(axis)]] = MOST_LAG
         prior, old = np.diag(sizes**-2.0), joint.unknowns.free
         prior[:old, :old] = joint.roughness.precision
-        names = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
-        solution = solve(folded.total, unknowns, 1e-6, names, prior)
+        common = joint.solution.accepted
+        further = [n for n in unknowns.blocks if n not in joint.unknowns.blocks]
+        solution = solve(folded.total, unknowns, 1e-6, (*common, *further), prior)
         rates = np.concatenate([np.abs(s.run.pieces.rate) for s in joint.runs]).max(axis=0)
         return cls(
-            joint.machine, unknowns, folded, prior, solution.value, solution.covariance, rates
+            machine, unknowns, common, folded, prior, solution.value, solution.covariance, rates
         )
 
     def visible(self, blocks: Sequence[str], limit: float) -> list[str]:
@@ -184,9 +199,9 @@ class _Trial:
 
     def held_out(self, models: dict[str, tuple[str, ...]]) -> dict[str, Array]:
         """Squares that models with some of the further blocks leave of held-out lines."""
-        common = [n for n, s in self.unknowns.free_blocks.items() if s.stop > s.start]
-        common = [n for n in common if n not in self._further]
-        columns = {m: free_columns(self.unknowns, [*common, *own]) for m, own in models.items()}
+        columns = {
+            m: free_columns(self.unknowns, [*self.common, *own]) for m, own in models.items()
+        }
         return self.folded.squares(columns, self.prior)
 
     @property
@@ -205,6 +220,7 @@ class _Trial:
         group = [[k] for k, n in enumerate(names) if reversal_order(n) <= 0]
         for motion in self.machine.motions if model == TABLES else ():
             group.append([k for k, n in enumerate(names) if is_reversal(n) and n[:3] == motion])
+        group = list(filter(None, group))
         every = self._further
         at = [self.unknowns.blocks[n].start for n in every]
         weight = np.asarray(np.linalg.inv(self.covariance[np.ix_(at, at)]), dtype=np.float64)

@@ -1,13 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CSV of direct measurements; the layout is described in ``direct_measurement``."""
+"""Direct measurement of error motions (paper 2.3): six errors along each axis, several runs.
+
+An instrument measures along one line per linear axis, rotary axes at zero, so its translations
+hold the rotations of the axis times the lever of that line (Abbe). With the measured rotations the
+lever is taken off: t = measured - r x L. Of a rotary axis the readings are its error motions at
+its centre, as they stand.
+
+CSV layout, one row a reading::
+
+    # point Y: 0.3,,-0.2
+    # target_offset: 0.0,0.0,-0.15
+    axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad
+    X,1,forward,0.0,0.0,0.0,0.0,0.0,0.0,0.0
+
+``direction`` is forward or backward. Units stand in the header: position and translations in m, mm
+or um, rotations in rad, urad or arcsec; positions of rotary axes in rad or deg, in a file of their
+own. Columns of errors the instrument lacks may be left out. Comment lines state where it was done:
+``point A`` the positions of the linear axes, m, and ``target_offset`` the measured point, m, as in
+machine.yaml; left out, mid-range and the machine's. ``u_length_scale`` is the standard uncertainty
+of the instrument's length unit, m/m; 0 if left out.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
@@ -18,19 +41,155 @@ from otf_core.files.text_table import (
     read_lines,
     read_text_table,
 )
-from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
+from otf_core.model.chain import Sight
 from otf_core.model.machine import Machine
-from otf_core.model.motions import DIRECTIONS
+from otf_core.model.motions import DIRECTIONS, ErrorMotion
+from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 
 LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
+TURN = {'rad': 1.0, 'deg': np.pi / 180}
 MAX_ERROR = 0.01
 """Of the travel, rad; no machine has larger errors."""
 TWO_WAYS = ('forward', 'backward')
 SAME_PLACE = 5e-5
-"""m; readings this close belong to one position."""
+"""m and rad; readings this close belong to one position."""
 _COMMENT = re.compile(r'(point [XYZ]|target_offset|u_length_scale)\s*:\s*(.*)')
 _COLUMN = re.compile(r'(position|E[XYZABC])_(\w+)')
+
+
+@dataclass(frozen=True)
+class AxisReadings:
+    """Readings along one axis.
+
+    Attributes
+    ----------
+    position : ndarray, shape (k,), m or rad
+        Positions, ascending.
+    value : ndarray, shape (r, 2, k, 6), m and rad
+        Runs, forward and backward, positions, errors X Y Z A B C; nan where not measured.
+    point : ndarray, shape (a,), m and rad
+        Positions of all axes; that of the measured axis counts for nothing.
+    """
+
+    position: Array
+    value: Array
+    point: Array
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which of the six errors were measured, shape (6,)."""
+        return np.asarray(np.isfinite(self.value).any(axis=(0, 1, 2)))
+
+
+@dataclass(frozen=True)
+class DirectMeasurement:
+    """A direct measurement of a machine: readings of the axes that were measured.
+
+    Attributes
+    ----------
+    axes : mapping of axis name to AxisReadings
+    target_offset : ndarray, shape (3,), m, or None
+        Measured point; None if it is the machine's.
+    u_length_scale : float
+        m/m, standard uncertainty of the instrument's length unit.
+    note : str
+        What made the readings.
+    """
+
+    axes: Mapping[str, AxisReadings]
+    target_offset: Array | None = None
+    u_length_scale: float = 0.0
+    note: str = ''
+
+
+def _relative_to_own_mean(rows: Array) -> Array:
+    """Take the offset of every run off: where an instrument is set to zero is no error."""
+    offset = rows.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(rows - offset + offset.mean())
+
+
+def motion_readings(measurement: DirectMeasurement, machine: Machine) -> dict[ErrorMotion, Array]:
+    """Return each measured error motion with the Abbe lever taken off, shape (r, 2, k).
+
+    Raises
+    ------
+    InputError
+        If a translation was measured on a lever but a rotation that acts on it was not.
+    """
+    offset = measurement.target_offset
+    at = machine if offset is None else replace(machine, target_offset=offset)
+    by_motion: dict[ErrorMotion, Array] = {}
+    for axis, readings in measurement.axes.items():
+        q = np.tile(readings.point, (len(readings.position), 1))
+        q[:, machine.column(axis)] = readings.position
+        value = readings.value.copy()
+        six = Sight.of_tool(at).at(q).motions[axis]
+        for k in range(3, 6) if not machine.axes[axis].rotary else ():
+            lever = six[:, :, k]
+            if readings.measured[k]:
+                value[..., :3] -= readings.value[..., k, None] * lever
+            elif np.abs(lever).max() > 1e-3:
+                raise InputError(
+                    f'axis {axis}: E{DIRECTIONS[k]}{axis} was not measured, but acts on the '
+                    f'measured point over {1e3 * np.abs(lever).max():.0f} mm'
+                )
+        for letter, column, known in zip(
+            DIRECTIONS, np.moveaxis(value, -1, 0), readings.measured, strict=True
+        ):
+            if known:
+                by_motion[ErrorMotion(letter, axis)] = _relative_to_own_mean(column)
+    return by_motion
+
+
+def _standard_uncertainty(rows: Array) -> float:
+    """Of the means of readings (r, 2, k): scatter of the runs, pooled over positions."""
+    both = rows.mean(axis=1)
+    if len(both) < 2:
+        return 0.0
+    places = both.shape[1]  # each run has lost its mean over them
+    variance = both.var(axis=0, ddof=1).mean() * places / max(places - 1, 1)
+    return float(np.sqrt(variance / len(both)))
+
+
+def tables_of_measurement(
+    measurement: DirectMeasurement, machine: Machine
+) -> tuple[ErrorTables, Array]:
+    """Error tables of the means of a direct measurement; scalars and what lacks are zero.
+
+    Returns
+    -------
+    tables : ErrorTables
+        Of the measured point; what was not measured is not identifiable.
+    covariance : ndarray, shape (m, m)
+        Of scalars and nodes: scatter of the runs, and the length unit that all positions of an
+        axis share.
+    """
+    motions = motion_readings(measurement, machine)
+    tables: dict[str, MotionTable] = {}
+    blocks = [np.zeros((len(machine.scalars),) * 2)]
+    for name in machine.motions:
+        rows, axis = motions.get(name), machine.axes[name.axis]
+        if rows is None:
+            none = np.zeros(2)
+            tables[name] = MotionTable(np.array([axis.min, axis.max]), none, none, False)
+            blocks.append(np.zeros((2, 2)))
+            continue
+        position = measurement.axes[name.axis].position
+        block = np.eye(len(position)) * _standard_uncertainty(rows) ** 2
+        if name.is_positioning and name.is_translation:
+            travel = measurement.u_length_scale * (position - position[0])
+            block += np.outer(travel, travel)
+        tables[name] = MotionTable(position, rows.mean(axis=(0, 1)), np.sqrt(np.diag(block)))
+        blocks.append(block)
+    if measurement.target_offset is not None:
+        machine = replace(machine, target_offset=measurement.target_offset)
+    squareness = {k: Squareness() for k in machine.squareness}
+    location = {k: LocationError(identifiable=False) for k in machine.location}
+    return ErrorTables(machine, tables, squareness, location), block_diag(*blocks)
+
+
+# The file.
 
 
 def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
@@ -41,6 +200,8 @@ def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
         if match is None:
             continue
         units = ANGLE if match[1][1] in 'ABC' else LENGTH
+        if match[1] == 'position':
+            units = {**LENGTH, **TURN}
         if match[2] not in units:
             raise ConfigError(f'{where}: {name}: unit not known; possible: {", ".join(units)}')
         places[match[1]] = (place, units[match[2]])
@@ -93,7 +254,7 @@ def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Arr
     if len(position) < 2 or np.any(seen != 1):
         bad = tuple(np.argwhere(seen != 1)[0].tolist()) if np.any(seen != 1) else (0, 0, 0)
         raise ConfigError(
-            f'{where}: run {runs[bad[0]]}, {TWO_WAYS[bad[1]]}, position {position[bad[2]]:g} m: '
+            f'{where}: run {runs[bad[0]]}, {TWO_WAYS[bad[1]]}, position {position[bad[2]]:g}: '
             f'{seen[bad]} readings; every run needs one forward and one backward at each '
             f'of two or more positions'
         )
@@ -103,11 +264,12 @@ def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Arr
     return position, value
 
 
-def _comment(line: str, where: str) -> tuple[str, Array] | None:
+def _comment(line: str, where: str, linear: int) -> tuple[str, Array] | None:
     match = _COMMENT.fullmatch(line)
     if match is None:
         return None
-    parts, size = match[2].split(','), 1 if match[1] == 'u_length_scale' else 3
+    parts = match[2].split(',')
+    size = {'u_length_scale': 1, 'target_offset': 3}.get(match[1], linear)
     try:
         values = np.array([float(p) if p.strip() else np.nan for p in parts])
     except ValueError:
@@ -142,7 +304,8 @@ def _check_size(
     numbers: Sequence[float], machine: Machine, where: str, header: Sequence[str]
 ) -> None:
     """Refuse errors that no machine has: they are in another unit."""
-    size = float(np.max(machine.upper - machine.lower))
+    travels = [axis.max - axis.min for axis in machine.axes.values() if not axis.rotary]
+    size = max(travels, default=1.0)
     moved, turned = np.nanmax(np.abs([*numbers[1:4], 0.0])), np.nanmax(np.abs([*numbers[4:], 0.0]))
     if moved > MAX_ERROR * size or turned > MAX_ERROR:
         what = f'{moved:g} m' if moved > MAX_ERROR * size else f'{turned:g} rad'
@@ -162,10 +325,12 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     """
     table, header = _table(path)
     columns = _columns(header, f'{path}: line {table.head_line}')
+    turning = any(header[columns['position'][0]] == f'position_{unit}' for unit in TURN)
+    linear = len(machine.axis_names) - len(machine.rotary_names)
     stated: dict[str, Array] = {}
     notes = []
     for number, text in table.comments.items():
-        known = _comment(text, f'{path}: line {number}')
+        known = _comment(text, f'{path}: line {number}', linear)
         if known is None:
             notes.append(text)
         else:
@@ -176,13 +341,20 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
         if axis not in machine.axes:
             possible = ', '.join(machine.axis_names)
             raise ConfigError(f'{path}: line {line}: axis: {axis!r}; possible: {possible}')
+        if machine.axes[axis].rotary != turning:
+            unit = 'm' if turning else 'deg'
+            raise ConfigError(
+                f'{path}: line {line}: axis {axis}: rotary and linear axes need a file each; its '
+                f'positions belong in a column position_{unit}'
+            )
         _check_size(numbers, machine, f'{path}: line {line}', header)
         rows.setdefault(axis, []).append((run, way, numbers))
-    middle = 0.5 * (machine.lower + machine.upper)
+    middle = 0.5 * (machine.lower + machine.upper)[:linear]
     axes = {}
     for axis, own_rows in rows.items():
         point = stated.get(f'point {axis}', middle)
         point = np.where(np.isnan(point), middle, point)
+        point = np.append(point, np.zeros(len(machine.rotary_names)))
         axes[axis] = AxisReadings(*_grid(own_rows, f'{path}: axis {axis}'), point)
     scale = float(stated.get('u_length_scale', np.zeros(1))[0])
     return DirectMeasurement(axes, stated.get('target_offset'), scale, '; '.join(notes))

@@ -17,7 +17,8 @@ both senses: a lag between drives acts in opposite sense and cancels in the mean
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import combinations, groupby, pairwise
 
 import numpy as np
@@ -26,13 +27,13 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
-from otf_core.model.axis_path import (
-    AxisPath,
-)
-from otf_core.model.joints import Sight
+from otf_core.model.axis_path import AxisPath
+from otf_core.model.chain import Sight
 from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine
 from otf_core.model.motions import AXES
-from otf_core.planning.path_creation import lap_of_box
+from otf_core.model.plan import STOPS, Part, part_along
+from otf_core.planning.nc.programs import on_increment
+from otf_core.planning.path_creation import LINES, box_lap, linear_names, rest
 
 CREEP = 0.06
 """m that the reflector creeps while a rotary axis runs through its range."""
@@ -53,34 +54,6 @@ SWEEPS = (1, 2, 3)
 """Sweeps of the second rotary axis per range of the first, one reflector place after the other."""
 HAND_MOVE = 60.0
 """s for taking the reflector to its next place by hand."""
-LINES = 'lines'
-"""Words of chains of the linear axes alone."""
-
-
-@dataclass(frozen=True)
-class PlannedPart:
-    """What is driven with one reflector place in view.
-
-    Attributes
-    ----------
-    dwell : float
-        s at every corner; 0 drives through smooth ones.
-    words : str
-        What it is.
-    """
-
-    path: AxisPath
-    dwell: float
-    words: str
-
-    @property
-    def stops(self) -> bool:
-        """Whether it stands at every corner, at smooth ones too."""
-        return self.dwell > 0.0
-
-    def halt(self, config: PlannerConfig) -> float:
-        """Standstill at every corner that is not driven through, s."""
-        return self.dwell or config.corner_dwell
 
 
 @dataclass(frozen=True)
@@ -124,31 +97,17 @@ def positions_of(machine: Machine, **axes: Array | float) -> Array:
     return positions
 
 
-def rest(machine: Machine) -> Array:
-    """Positions (k,) at which axes that a part does not need stand."""
-    own = [machine.axes[a] for a in machine.axis_names]
-    return np.array([0.0 if a.min <= 0.0 <= a.max else 0.5 * (a.min + a.max) for a in own])
-
-
 def clear_of_table(machine: Machine, name: str) -> dict[str, float]:
     """Where the linear axes of the spindle wait while a reflector on the table is in view.
 
     X and Y at rest, Z at the end of its range that is farther from the reflector.
     """
-    free = [a for a in AXES if a in machine.chain.target_side]
-    if 'Z' not in free or machine.targets[name].link != TABLE:
+    if 'Z' not in machine.chain.target_side or machine.targets[name].link != TABLE:
         return {}
     ends = machine.axes['Z'].min, machine.axes['Z'].max
     spindle, own = Sight.of_tool(machine), np.array(machine.targets[name].place)
     off = [np.linalg.norm(spindle.nominal(positions_of(machine, Z=z))[0] - own) for z in ends]
     return {'Z': ends[int(np.argmax(off))]}
-
-
-def box_lines(machine: Machine, levels: int) -> Array:
-    """Lines and diagonals of the linear axes, corners (n, k); rotary axes at rest."""
-    ends = np.array([(machine.axes[a].min, machine.axes[a].max) for a in AXES])
-    box = ends[:, 0] + lap_of_box(levels) * (ends[:, 1] - ends[:, 0])
-    return positions_of(machine, **{a: box[:, k] for k, a in enumerate(AXES)})
 
 
 def there_and_back(corners: Array) -> Array:
@@ -214,11 +173,14 @@ def creep(
     ConfigError
         If the linear axes reach less than ``LEAST_REACHED``; names one that leaves its range.
     """
+    names = linear_names(machine)
+    if len(names) < len(AXES):
+        raise ConfigError(f'creep of {", ".join(turning)}: three linear axes have to follow')
     q = positions_of(machine, **turning)
     share = np.linspace(0.0, 1.0, len(q))
     sight = Sight.of_target(machine, target)
     wanted = np.asarray(start) + share[:, None] * np.asarray(drift)
-    linear = [machine.column(a) for a in AXES]
+    linear = [machine.column(a) for a in names]
     for _ in range(2):  # positions are linear in the linear axes; the second step is rounding
         seen = sight.at(q)
         off = (wanted - seen.position)[:, :, None]
@@ -229,7 +191,7 @@ def creep(
         worst = int(np.argmax(beyond.max(axis=0)))
         axes = ' with '.join(a for a in turning if np.ptp(turning[a]) > 0)
         raise ConfigError(
-            f'creep of {axes}: {AXES[worst]} would leave its range by '
+            f'creep of {axes}: {names[worst]} would leave its range by '
             f'{beyond[:, worst].max():.3g} m'
         )
     return there_and_back(q[reached])
@@ -332,7 +294,7 @@ def _tilts(machine: Machine, axis: str) -> list[float]:
 def linear_middle(machine: Machine) -> Array:
     """Linear axes in the middle of their ranges, rotary axes at rest, (k,)."""
     q = rest(machine)
-    for name in AXES:
+    for name in linear_names(machine):
         q[machine.column(name)] = 0.5 * (machine.axes[name].min + machine.axes[name].max)
     return q
 
@@ -358,15 +320,17 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
         if target.link == SPINDLE:
             if tools:  # a second place tells more of the tool side alone
                 turning = [a for a in turning if a in machine.chain.target_side]
-            if all(a in seen for a in AXES):
-                chains.append(Chain(name, _lines(machine, config, tools), LINES))
-            chains += creep_chains(machine, turning, name) if all(a in seen for a in AXES) else []
-            for axis in turning:
-                outward = _spiral_outward(machine, axis)
-                chains.append(Chain(name, outward, f'{axis} with X, spiral'))
+            linear = [a for a in linear_names(machine) if a in seen]
+            if linear:
+                chains.append(Chain(name, _lines(machine, config, linear, tools), LINES))
+            chains += creep_chains(machine, turning, name) if len(linear) == 3 else []
+            for axis in turning if linear else []:
+                outward = _spiral_outward(machine, axis, linear[0])
+                chains.append(Chain(name, outward, f'{axis} with {linear[0]}, spiral'))
             tools += 1
         elif turning and not target.nest:
-            chains += _table_chains(machine, name, turning, [a for a in seen if a in AXES], nests)
+            linear = [a for a in seen if a not in machine.rotary_names]
+            chains += _table_chains(machine, name, turning, linear, nests)
             nests += 1
     if not chains:
         raise ConfigError(
@@ -375,24 +339,23 @@ def candidate_chains(machine: Machine, config: PlannerConfig) -> list[Chain]:
     return chains
 
 
-def _lines(machine: Machine, config: PlannerConfig, number: int) -> Array:
+def _lines(machine: Machine, config: PlannerConfig, axes: list[str], number: int) -> Array:
     """Lines with the spindle target of a number, in both senses unless there is one pass alone.
 
     In one sense a lag of a linear axis is an error of its position; in opposite senses with two
     targets it is one of its rotations.
     """
-    lap = box_lines(machine, min(config.levels, 2) if number > 1 else config.levels)
+    lap = box_lap(machine, axes, min(config.levels, 2) if number > 1 else config.levels)
     return there_and_back(lap) if config.passes > 1 else lap
 
 
-def _spiral_outward(machine: Machine, axis: str) -> Array:
-    """X from its middle to its end while a rotary axis turns, Y and Z in their middles."""
-    middle = linear_middle(machine)
-    x, y, z = (machine.column(a) for a in AXES)
-    others = {'Y': float(middle[y]), 'Z': float(middle[z])}
-    own = machine.axes[axis]
-    ends = {axis: np.array([own.min, own.max]), 'X': np.array([middle[x], machine.axes['X'].max])}
-    return there_and_back(positions_of(machine, **ends, **others))
+def _spiral_outward(machine: Machine, axis: str, radial: str) -> Array:
+    """A linear axis from its middle to its end while a rotary axis turns, the others mid-range."""
+    middle, own = linear_middle(machine), machine.axes[axis]
+    q = np.tile(middle, (2, 1))
+    q[:, machine.column(axis)] = own.min, own.max
+    q[1, machine.column(radial)] = machine.axes[radial].max
+    return there_and_back(q)
 
 
 def _table_chains(
@@ -410,20 +373,20 @@ def _table_chains(
         chains.append(Chain(name, own, f'{first} with {second}'))
     if not pairs:
         halts = stops(machine, turning[0], **wait)
-        chains.append(Chain(name, halts, f'stops of {turning[0]}', STOP_TIME))
+        chains.append(Chain(name, halts, f'{STOPS} of {turning[0]}', STOP_TIME))
     return chains
 
 
-def parts_of(machine: Machine, chains: Sequence[Chain]) -> list[PlannedPart]:
+def parts_of(machine: Machine, chains: Sequence[Chain], config: PlannerConfig) -> tuple[Part, ...]:
     """Chains as parts: those of one target after the other, with links between."""
     parts = []
     for _, group in groupby(chains, key=lambda c: c.part):
         own = list(group)
         q = np.concatenate([own[0].corners, *(_link(machine, a, b) for a, b in pairwise(own))])
         words = ', '.join(dict.fromkeys(c.words for c in own))
-        path = AxisPath(machine.axis_names, q, own[0].target).of(machine)
-        parts.append(PlannedPart(path, own[0].dwell, words))
-    return parts
+        path = AxisPath(machine.axis_names, q, own[0].target)
+        parts.append(part_along(machine, path, config, words, own[0].dwell))
+    return tuple(parts)
 
 
 def _link(machine: Machine, first: Chain, second: Chain) -> Array:
@@ -433,10 +396,27 @@ def _link(machine: Machine, first: Chain, second: Chain) -> Array:
     """
     at, rows = first.corners[-1].copy(), []
     groups = [
-        [machine.column(a) for a in AXES],
+        [machine.column(a) for a in linear_names(machine)],
         *([machine.column(a)] for a in machine.rotary_names),
     ]
     for columns in groups:
         at[columns] = second.corners[0][columns]
         rows.append(at.copy())
     return np.concatenate([rows, second.corners[1:]])
+
+
+def verification_part(machine: Machine) -> Part | None:
+    """Turn every rotary axis while the linear axes hold the reflector; None if out of reach.
+
+    It is driven with TCP on; its corners are where the axes are then, 1 degree apart.
+    """
+    table = replace(machine, tracker=replace(machine.tracker, link='w'))
+    held = []
+    for axis in machine.rotary_names:
+        with suppress(ConfigError):  # the linear axes do not reach
+            held.append(creeps(table, {axis: courses(machine, axis)}, TOOL, 0.0)[0])
+    if not held:
+        return None
+    path = AxisPath(machine.axis_names, np.concatenate(held), TOOL)
+    config = PlannerConfig(feed=0.1)
+    return on_increment(machine, part_along(machine, path, config, 'TCP on'))
