@@ -46,23 +46,7 @@ def calibrate_axes(
     *,
     same_station: bool = False,
 ) -> CalibrationResult:
-    """Calibrate.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Of one machine with rotary axes.
-    progress : callable(stage, fraction)
-    method : str
-        'otf', or 'standstill': only the stops at the corners.
-    same_station : bool
-        The tracker was not moved between the recordings.
-
-    Raises
-    ------
-    InputError
-        If samples and path do not belong together or determine nothing.
-    """
+    """Calibrate from recordings in parts; see ``calibrate.calibrate_recordings``."""
     solved = solve_axes(recordings, config, progress, method, same_station=same_station)
     return assemble_axes(solved, config)
 

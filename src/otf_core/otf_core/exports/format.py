@@ -128,7 +128,7 @@ class Format:
     value_words : str
         What a value is: that of a table, or a mean over the volume.
     sign_words : str
-        What the sign of the values is; what follows the sign that the user names, if it is asked.
+        What the sign of the values is; if there is a choice, what follows the sign named.
     lacks : str
         What of the tables the format cannot hold, in words.
     holds : str

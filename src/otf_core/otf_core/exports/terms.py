@@ -85,7 +85,7 @@ def axis_positions(tables: ErrorTables, axis: str, points: int | None = None) ->
 
 
 def even_positions(tables: ErrorTables, axis: str, points: int | None, most: int) -> Array:
-    """The same at even spacing; as fine as the nodes, at most so many, where none is asked for."""
+    """The same at even spacing; as fine as the nodes, at most so many, where none is given."""
     nodes = axis_positions(tables, axis)
     if points is None and len(nodes) > 1:
         typical = float(np.median(np.diff(nodes)))
