@@ -252,7 +252,7 @@ CHANNEL = record(4, struct.pack('<HH', 1, 0) + text('/a') + text('cdr') + struct
     ('body', 'reason'),
     [
         (chunk(2**62, '', b''), 'states 4611686018427387904 bytes'),
-        (chunk(2**24, 'lz4', b'\x04"M\x18'), 'decompressed'),
+        (chunk(2**24, 'lz4', b'\x04"M\x18'), 'LZ4F'),
         (chunk(2**29, 'lz4', b'\x04"M\x18'), 'states 536870912 bytes'),
         (chunk(2**29, 'zstd', b'\x28\xb5\x2f\xfd\x20\x00'), 'states 536870912 bytes'),
         (chunk(5, '', b'abcd'), '4 bytes instead of 5'),

@@ -8,14 +8,17 @@ import stat
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
 
-import numpy as np
-
-from otf_core.bags.mcap_messages import McapMessages, MessageBlock, Wanted, check_type
+from otf_core.bags.mcap_messages import (
+    McapMessages,
+    MessageBlock,
+    Wanted,
+    check_type,
+    join_messages,
+)
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
@@ -24,8 +27,6 @@ STORAGES = ('.mcap', '.db3')
 PACKINGS = ('.zstd', '.zst', '.lz4', '.gz')
 """Suffixes of storage files, and of what may have compressed them as a whole."""
 ROS1 = "convert it first, as in 'rosbags-convert --src RUN.bag --dst RUN'"
-BATCH = 20_000
-"""Messages that the general reader joins to one block."""
 UNPACKED_AT_ONCE = 1 << 20
 MOST_UNPACKED, MAX_RATIO = 1 << 28, 200
 """Bytes; a compressed file that unpacks to more, and to so many times its size, is refused."""
@@ -330,28 +331,18 @@ def _general_messages(
             for topic in wanted.keys() & {c.topic for c in reader.connections}:
                 chosen = [c for c in reader.connections if c.topic == topic]
                 messages = ((time, data) for _, time, data in reader.messages(chosen))
-                stated = sum(c.msgcount for c in chosen)
-                yield from _blocks(path, topic, messages, stated)
+                stated, count = sum(c.msgcount for c in chosen), 0
+                for block in join_messages(topic, messages):
+                    yield block
+                    count += block.start.size
+                if count != stated:
+                    raise InputError(
+                        f'{path}: is damaged, {topic} has {count} messages but the bag states '
+                        f'{stated}'
+                    )
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001
         # rosbags passes on what apsw, zstd, lz4, ruamel and struct raise on damaged files
         detail = ' '.join(f'{type(error).__name__}: {error}'.split())[:300]
         raise InputError(f'{path}: cannot be read as a bag ({detail})') from None
-
-
-def _blocks(
-    path: Path, topic: str, messages: Iterator[tuple[int, bytes]], stated: int
-) -> Iterator[MessageBlock]:
-    """Join messages to blocks; InputError if there are not as many as the bag states."""
-    count = 0
-    while batch := list(islice(messages, BATCH)):
-        size = np.array([len(data) for _, data in batch], np.int64)
-        buffer = np.frombuffer(b''.join(data for _, data in batch), np.uint8)
-        log_time = np.array([time for time, _ in batch], np.int64)
-        yield MessageBlock(topic, buffer, np.cumsum(size) - size, size, log_time)
-        count += len(batch)
-    if count != stated:
-        raise InputError(
-            f'{path}: is damaged, {topic} has {count} messages but the bag states {stated}'
-        )
