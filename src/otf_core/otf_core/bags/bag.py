@@ -114,7 +114,7 @@ def _write_files(
     store = get_typestore(Stores.ROS2_JAZZY)
     # a log time is unsigned; stamps may have any epoch
     log_time = np.maximum(samples.stamp_ns, 0).tolist()
-    beside = signal_messages(signals, store)
+    beside = signal_messages(signals)
     driven = _driven(path, axis_paths, int(samples.stamp_ns[0]))
     counts = Counter(topic for topic, _ in driven) + Counter({POINT: len(samples)})
     counts += Counter(topic for _, topic, _ in beside)
