@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import gzip
 import stat
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
@@ -43,15 +42,12 @@ class BagSource:
     files : tuple of Path
         Its storage files in recording order.
     packed : bool
-        The general reader has to unpack files or messages by metadata.yaml.
-    stated : mapping of str to int
-        Messages of every topic by metadata.yaml.
+        Its messages are compressed one by one, as metadata.yaml states.
     """
 
     path: Path
     files: tuple[Path, ...]
     packed: bool = False
-    stated: Mapping[str, int] = field(default_factory=dict)
 
     def messages(
         self,
@@ -82,30 +78,8 @@ class BagSource:
         if self.packed:
             yield from _general_messages(self.path, wanted, topics)
             return
-        counts: Counter[str] = Counter()
         for file in self.files:
-            for block in _file_messages(file, wanted, topics, remarks, recover=recover):
-                counts[block.topic] += block.start.size
-                yield block
-        if self.files[0].suffix == '.db3':  # of MCAP the file itself says it
-            self._compare(counts, topics.keys() & wanted.keys(), remarks)
-
-    def _compare(self, counted: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
-        """Refuse files that have lost messages; say that metadata.yaml does not know them."""
-        for topic in sorted(asked):
-            stated = self.stated.get(topic, 0)
-            if counted[topic] < stated:
-                raise InputError(
-                    f'{self.path}: is damaged, {topic} has {counted[topic]} messages but the bag '
-                    f'states {stated}'
-                )
-        more = [topic for topic in sorted(asked) if counted[topic] > self.stated.get(topic, 0)]
-        if self.stated and more:
-            counts = ', '.join(f'{counted[t]} of {t}, not {self.stated.get(t, 0)}' for t in more)
-            remarks.append(
-                f"metadata.yaml counts too few messages: there are {counts}; 'ros2 bag reindex' "
-                f'writes it anew'
-            )
+            yield from _file_messages(file, wanted, topics, remarks, recover=recover)
 
 
 def locate(source: str | Path) -> BagSource:
@@ -216,29 +190,11 @@ def _from_metadata(folder: Path) -> BagSource:
             f'{folder}: {len(missing)} of {len(files)} files listed in metadata.yaml are missing '
             f'({_names(missing)}); copy the whole folder'
         )
-    packed = str(info.get('compression_mode') or 'none').lower() != 'none'
-    storage = info.get('storage_identifier')
-    if packed and storage not in ('mcap', 'sqlite3'):
-        raise InputError(
-            f"{file}: storage_identifier is {storage!r}; write 'mcap' or 'sqlite3' there, which "
-            f"its files are, or 'ros2 bag reindex' the bag"
-        )
     strange = [p for p in files if not is_storage(p)]
     if strange:
         raise InputError(f'{file}: lists {_names(strange)}; supported are .mcap and .db3')
-    return BagSource(folder, files, packed, _metadata_messages(info))
-
-
-def _metadata_messages(info: Mapping[str, Any]) -> dict[str, int]:
-    """Messages of every topic by metadata.yaml, as far as it is well-formed."""
-    stated: dict[str, int] = {}
-    listed = info.get('topics_with_message_count')
-    for row in listed if isinstance(listed, list) else ():
-        about = row.get('topic_metadata') if isinstance(row, dict) else None
-        count = row.get('message_count') if isinstance(row, dict) else None
-        if isinstance(about, dict) and isinstance(count, int):
-            stated[str(about.get('name'))] = count
-    return stated
+    packed = str(info.get('compression_mode')).lower() == 'message'
+    return BagSource(folder, files, packed)
 
 
 def _file_messages(
@@ -263,10 +219,25 @@ def _file_messages(
 def _unpacked_messages(
     file: Path, wanted: Wanted, topics: dict[str, str], remarks: list[str], *, recover: bool
 ) -> Iterator[MessageBlock]:
-    """Yield the messages of a storage file that is compressed as a whole."""
+    """Yield the messages of a storage file that is compressed as a whole.
+
+    InputError if it is damaged or far larger than recordings are.
+    """
+    most, size = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size), 0
     with TemporaryDirectory(prefix='otf-') as folder:
         plain = Path(folder) / file.stem
-        _unpack(file, plain)
+        try:
+            with file.open('rb') as raw, _stream_of(file, raw) as stream, plain.open('wb') as out:
+                while size <= most and (block := stream.read(UNPACKED_AT_ONCE)):
+                    size += out.write(block)
+        except Exception as error:  # noqa: BLE001
+            # zstandard, lz4, gzip and zlib have errors of their own
+            raise InputError(f'{file}: cannot be unpacked ({error}); copy it again') from None
+        if size > most:
+            raise InputError(
+                f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its size, which '
+                f'is implausible for a recording; it is not read'
+            )
         try:
             yield from _file_messages(plain, wanted, topics, remarks, recover=recover)
         except InputError as error:
@@ -286,42 +257,12 @@ def _stream_of(file: Path, raw: BinaryIO) -> BinaryIO:
     return cast(BinaryIO, zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
 
 
-def _unpack(file: Path, plain: Path) -> None:
-    """Write what a compressed file holds; InputError if it is damaged or unpacks without end."""
-    with plain.open('wb') as out:
-        for block in _blocks_of(file):
-            out.write(block)
-
-
-def _blocks_of(file: Path) -> Iterator[bytes]:
-    """Content of a compressed file; InputError if it is damaged or far larger than recordings."""
-    most, size = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size), 0
-    try:
-        with file.open('rb') as raw, _stream_of(file, raw) as stream:
-            while block := stream.read(UNPACKED_AT_ONCE):
-                size += len(block)
-                if size > most:
-                    raise InputError(
-                        f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
-                        f'size, which is implausible for a recording; it is not read'
-                    )
-                yield block
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001
-        # zstandard, lz4, gzip and zlib have errors of their own
-        raise InputError(f'{file}: cannot be unpacked ({error}); copy it again') from None
-
-
 def _general_messages(
     path: Path, wanted: Wanted, topics: dict[str, str]
 ) -> Iterator[MessageBlock]:
     """Yield what rosbags reads: sqlite3 storage, compressed files or messages."""
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need
 
-    for file in sorted(path.glob('*.zstd')) if path.is_dir() else ():
-        for _ in _blocks_of(file):  # is it more than recordings are?
-            pass
     try:
         with Reader(path) as reader:
             topics.update({c.topic: c.msgtype for c in reader.connections})

@@ -145,7 +145,7 @@ class JournalFile:
         start, end = min(r.log_time for r in rows), max(r.log_time for r in rows)
         first = self.part.start if self.part.counts else start
         self.part = Part(self._path.name, first, max(end, self.part.end), counts)
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
 
     def write(self, end: bytes = END) -> None:
         """Write what was taken; it is on the disk when this returns, and the file is whole.

@@ -188,7 +188,7 @@ class McapMessages:
                 yield from self._chunk_or_nothing(record, at)
             elif opcodes[i] == Opcode.DATA_END:
                 checksum = _parsed(DataEnd, record).data_section_crc
-                if checksum not in (0, zlib.crc32(data[:at])):
+                if checksum not in (0, zlib.crc32(data[:at].data)):
                     self._damaged_end('the checksum of the data section is wrong')
             elif opcodes[i] == Opcode.STATISTICS:
                 stated = _parsed(Statistics, record).message_count
