@@ -12,9 +12,10 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from otf_core.bags import mcap_messages
-from otf_core.bags.bag import read_bag, read_parts, write_bag
+from otf_core.bags.bag import read_bag, write_bag
 from otf_core.bags.mcap_messages import McapMessages
 from otf_core.errors import ConfigError, InputError
+from otf_core.inputs.recordings import read_content
 
 # ---------------------------------------------------------------- wrong places
 
@@ -142,7 +143,7 @@ def test_parts_of_a_recording_that_has_no_metadata_yet_are_one_bag(tmp_path):
 def test_parts_of_one_run_are_joined_whatever_their_order(tmp_path):
     parts = [MESSAGES[101:], [PATH_MESSAGE, *MESSAGES[1:101]]]
     files = [write_mcap(tmp_path / f'{k}.mcap', part) for k, part in enumerate(parts)]
-    assert_same(read_parts(files))
+    assert_same(read_content(files))
     with pytest.raises(InputError, match='/planner/path is missing'):
         read_bag(files[0])
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from heapq import merge
 from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import yaml
@@ -51,33 +50,6 @@ FILE_NAME = 'bag_0.mcap'
 """The same in every bag, so that equal content gives equal bytes."""
 
 
-def write_recording(
-    folder: Path,
-    samples: Samples,
-    path: NominalPath | None,
-    overwrite: bool,
-    signals: Mapping[SignalSpec, Signal] = MappingProxyType({}),
-    axis_paths: Sequence[AxisPath] = (),
-) -> None:
-    """Write points, path and signals; see ``bag.write_bag``."""
-    folder = Path(os.path.abspath(folder))
-    for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
-        if not -(2**31) <= stamp // SECOND_NS < 2**31:
-            raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')
-    try:
-        _check_target(folder, overwrite)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
-        new.mkdir()
-        try:
-            _write_files(new, samples, path, signals, axis_paths)
-            _replace(new, folder)
-        finally:
-            shutil.rmtree(new, ignore_errors=True)
-    except OSError as error:
-        raise unwritable(folder, error) from None
-
-
 def _check_target(folder: Path, overwrite: bool) -> None:
     if not os.path.lexists(folder):
         return
@@ -103,19 +75,17 @@ def _replace(new: Path, folder: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_files(
-    folder: Path,
-    samples: Samples,
-    path: NominalPath | None,
-    signals: Mapping[SignalSpec, Signal],
-    axis_paths: Sequence[AxisPath],
-) -> None:
+def _write_files(folder: Path, content: BagContent) -> None:
+    samples = content.samples
     # a log time is unsigned; stamps may have any epoch
     log_time = np.maximum(samples.stamp_ns, 0).tolist()
     rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
     points, width = rows.tobytes(), rows.dtype.itemsize
-    messages = [(log_time[0], *m) for m in _driven(path, axis_paths, int(samples.stamp_ns[0]))]
-    beside = [(max(time, 0), topic, data) for time, topic, data in signal_messages(signals)]
+    driven = _driven(content.path, content.axis_paths, int(samples.stamp_ns[0]))
+    messages = [(log_time[0], *m) for m in driven]
+    beside = [
+        (max(time, 0), topic, data) for time, topic, data in signal_messages(content.signals)
+    ]
     each = ((t, POINT, points[i * width : (i + 1) * width]) for i, t in enumerate(log_time))
     definitions, hashes = describe_topics(
         dict.fromkeys([*(m[1] for m in messages), POINT, *(m[1] for m in beside)])
@@ -218,21 +188,7 @@ def read_bag(
         If the bag is damaged or does not hold usable points and one usable path; the message says
         what, where and what to do.
     """
-    return read_parts([source], recover=recover, point=point, path=path)
-
-
-def read_parts(
-    sources: Sequence[str | Path],
-    *,
-    recover: bool = False,
-    point: Topic = POINT,
-    path: Topic = PATH,
-) -> BagContent:
-    """Read bags that are parts of one run, in any order, as if they were one bag.
-
-    Every part has points; the path stands in one of them at least, the same in all that have it.
-    """
-    return content_of([BagReading(s, point, path, recover=recover) for s in sources], sources)
+    return content_of([BagReading(source, point, path, recover=recover)], [source])
 
 
 def read_points(source: str | Path, *, recover: bool = False, point: Topic = POINT) -> Samples:
@@ -315,7 +271,7 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     InputError
         If the content is not what ``read_bag`` would give back unchanged.
     """
-    samples = content.samples
+    folder, samples = Path(os.path.abspath(folder)), content.samples
     remarks: list[str] = []
     sort_by_time(f'{folder}: samples', samples.stamp_ns, samples.xyz, remarks)
     if not np.all(samples.stamp_ns[1:] > samples.stamp_ns[:-1]):
@@ -326,6 +282,18 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         usable_path(f'{folder}: path', content.path.points)
     elif not content.axis_paths:
         raise InputError(f'{folder}: a bag needs a path')
-    write_recording(
-        Path(folder), samples, content.path, overwrite, content.signals, content.axis_paths
-    )
+    for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
+        if not -(2**31) <= stamp // SECOND_NS < 2**31:
+            raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')
+    try:
+        _check_target(folder, overwrite)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
+        new.mkdir()
+        try:
+            _write_files(new, content)
+            _replace(new, folder)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None

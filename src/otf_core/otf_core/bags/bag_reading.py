@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,37 +42,15 @@ class ReceivedPoints:
     log_time: NDArray[np.int64]
 
 
-class Reading(Protocol):
-    """Points and paths of a recording as they were received, a bag or not."""
-
-    point: Topic
-    path: Topic | None
-    paths: list[NDArray[np.float64]]
-    axis_paths: list[AxisPath]
-    foreign: Counter[str]
-    remarks: list[str]
-    left_out: list[SkippedLines]
-    said: list[str]
-
-    def require(self, *wanted: Topic) -> None:
-        """Refuse a recording without these topics."""
-
-    def received(self) -> ReceivedPoints:
-        """Return the points in the order of reception."""
-
-
-class BagReading:
-    """Raw points and paths of one bag, as far as it holds them.
-
-    Parameters
-    ----------
-    recover : bool
-        See ``read_bag``.
+class Reading(ABC):
+    """Points and paths of a recording as they were received, a bag or not.
 
     Attributes
     ----------
+    point, path : Topic
+        What they are called in messages; no path: none is wanted.
     topics : dict of topic to message type
-        All that are in the bag.
+        All that are in a bag.
     paths : list of ndarray, shape (n, 3), m
         Different ones.
     axis_paths : list of AxisPath
@@ -82,10 +60,32 @@ class BagReading:
     foreign : Counter of str
         Points left out for their frame, by frame_id.
     left_out : list of SkippedLines
-        Empty: what a bag leaves out stands in its remarks.
+        Lines of a text that are not samples, by reason.
     said : list of str
         How it was read, where that is not as usual.
     """
+
+    def __init__(self, source: str | Path, point: Topic, path: Topic | None) -> None:
+        self._where, self.point, self.path = str(source), point, path
+        self.topics: dict[str, str] = {}
+        self.paths: list[NDArray[np.float64]] = []
+        self.axis_paths: list[AxisPath] = []
+        self.remarks: list[str] = []
+        self.left_out: list[SkippedLines] = []
+        self.said: list[str] = []
+        self.foreign: Counter[str] = Counter()
+
+    @abstractmethod
+    def require(self, *wanted: Topic) -> None:
+        """Refuse a recording without these topics."""
+
+    @abstractmethod
+    def received(self) -> ReceivedPoints:
+        """Return the points in the order of reception."""
+
+
+class BagReading(Reading):
+    """Raw points and paths of one bag, as far as it holds them; ``recover``: see ``read_bag``."""
 
     def __init__(
         self,
@@ -95,25 +95,18 @@ class BagReading:
         *,
         recover: bool = False,
     ) -> None:
-        self._where, self.point, self.path = str(source), point, path
+        super().__init__(source, point, path)
         none = np.empty(0, np.int64)
         self._received = [(none, np.empty((0, 3)), none)]
         self._last_path: bytes | None = None
-        self._cleared = 0
-        self._points = 0
+        self._cleared = self._points = 0
         self._frame, self._form = point.frame, POINT_FORM
-        self.topics: dict[str, str] = {}
-        self.paths: list[NDArray[np.float64]] = []
-        self.axis_paths: list[AxisPath] = []
-        self.remarks: list[str] = []
-        self.left_out: list[SkippedLines] = []
-        self.said: list[str] = []
-        self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,), AXES.name: (AXES.type,)}
+        add = {AXES.name: self._add_axes, point.name: self._add_points}
         for block in locate(source).messages(types, self.topics, self.remarks, recover=recover):
             try:
-                self._add(block)
+                add.get(block.topic, self._add_paths)(block)
             except InputError as error:
                 raise InputError(f'{self._where}: {block.topic}: {error}') from None
         if self._cleared and path is not None:
@@ -151,14 +144,8 @@ class BagReading:
         names = self._suited(types)
         return names[0] if len(names) == 1 else None
 
-    def _add(self, block: MessageBlock) -> None:
-        if block.topic == self.point.name:
-            self._add_points(block)
-            return
+    def _add_paths(self, block: MessageBlock) -> None:
         assert self.path is not None
-        if block.topic == AXES.name:
-            self._add_axes(block)
-            return
         for _, data in block:
             if data == self._last_path:
                 continue
