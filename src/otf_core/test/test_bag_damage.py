@@ -279,12 +279,3 @@ def test_structure_of_a_file_is_checked(tmp_path, body, reason):
     else:
         with pytest.raises(InputError, match=reason):
             list(McapMessages(file, {}, {}))
-
-
-def test_chunk_with_wrong_checksum_is_named(tmp_path):
-    file = write_mcap(tmp_path / 'a.mcap', compression=CompressionType.NONE)
-    data = bytearray(file.read_bytes())
-    data[data.index(CONTENT.samples.xyz[30].tobytes())] ^= 1
-    file.write_bytes(data)
-    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*mcap recover'):
-        read_bag(file)
