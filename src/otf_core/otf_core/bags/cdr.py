@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -104,31 +105,58 @@ class PointForm:
 
     Attributes
     ----------
-    type : str
-        Of the messages, without its package.
+    kind : str
+        Type of the messages.
+    point : str
+        Field of the point.
+    after : int
+        Numbers, float64, that follow the point: rotation, covariance, speed.
     child : str, optional
         The child_frame_id that stands between header and point; None: nothing does.
-    after : int
-        Bytes that follow the point: rotation, covariance, speed.
     """
 
-    type: str = 'PointStamped'
-    child: str | None = None
+    kind: str = 'geometry_msgs/msg/PointStamped'
+    point: str = 'point'
     after: int = 0
+    child: str | None = None
 
 
 POINT_FORM = PointForm()
-ROTATION, COVARIANCE, TWIST = 4 * 8, 36 * 8, 6 * 8
+_ROTATION, _COVARIANCE, _TWIST = 4, 36, 6
 FORMS = {
-    'geometry_msgs/msg/PointStamped': POINT_FORM,
-    'geometry_msgs/msg/PoseStamped': PointForm('PoseStamped', None, ROTATION),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': PointForm(
-        'PoseWithCovarianceStamped', None, ROTATION + COVARIANCE
-    ),
-    'geometry_msgs/msg/TransformStamped': PointForm('TransformStamped', '', ROTATION),
-    'nav_msgs/msg/Odometry': PointForm('Odometry', '', ROTATION + COVARIANCE + TWIST + COVARIANCE),
+    form.kind: form
+    for form in (
+        POINT_FORM,
+        PointForm('geometry_msgs/msg/PoseStamped', 'pose.position', _ROTATION),
+        PointForm(
+            'geometry_msgs/msg/PoseWithCovarianceStamped',
+            'pose.pose.position',
+            _ROTATION + _COVARIANCE,
+        ),
+        PointForm('geometry_msgs/msg/TransformStamped', 'transform.translation', _ROTATION, ''),
+        PointForm(
+            'nav_msgs/msg/Odometry',
+            'pose.pose.position',
+            _ROTATION + _COVARIANCE + _TWIST + _COVARIANCE,
+            '',
+        ),
+    )
 }
 """Types that samples may have (common_interfaces, Jazzy); a child frame is that of the data."""
+
+
+def _decode_stamped(data: bytes, number: int, form: PointForm) -> Any:
+    """Decode one message with a stamped point; InputError names it if it is none."""
+    name = form.kind.rpartition('/')[2]
+    try:
+        message = decode_message(data, form.kind)
+    except ValueError as error:
+        raise InputError(f'message {number} is not a {name} in CDR ({error})') from None
+    nanosec = message.header.stamp.nanosec
+    if nanosec >= SECOND_NS:
+        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
+        raise InputError(text)
+    return message
 
 
 def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
@@ -140,18 +168,15 @@ def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
         If it is not a message of this type.
     """
     form = FORMS[kind]
-    try:
-        message = decode_message(data, kind)
-    except ValueError as error:
-        raise InputError(f'message 0 is not a {form.type} in CDR ({error})') from None
+    message = _decode_stamped(data, 0, form)
     if form.child is not None:
         form = replace(form, child=message.child_frame_id)
     return form, message.header.frame_id
 
 
 @cache
-def point_dtype(frame: str, order: str, form: PointForm = POINT_FORM) -> np.dtype[np.void]:
-    """Layout of a message with this frame_id; ``order`` is ``<`` or ``>``."""
+def point_dtype(frame: str, form: PointForm = POINT_FORM) -> np.dtype[np.void]:
+    """Layout of a message with this frame_id, little endian."""
     length = len(frame.encode())
     end = 13 + length
     child_at = end + -end % 4
@@ -160,23 +185,23 @@ def point_dtype(frame: str, order: str, form: PointForm = POINT_FORM) -> np.dtyp
     xyz_at = 4 + end + -end % 8
     fields = {
         'encapsulation': ('>u2', 0),
-        'sec': (f'{order}i4', 4),
-        'nanosec': (f'{order}u4', 8),
-        'length': (f'{order}u4', 12),
+        'sec': ('<i4', 4),
+        'nanosec': ('<u4', 8),
+        'length': ('<u4', 12),
         'frame': (f'S{length + 1}', 16),
-        'xyz': (f'({3},){order}f8', xyz_at),
+        'xyz': ('(3,)<f8', xyz_at),
     }
     if form.child is not None:
         fields |= {
-            'child_length': (f'{order}u4', 4 + child_at),
+            'child_length': ('<u4', 4 + child_at),
             'child': (f'S{len(form.child.encode()) + 1}', 8 + child_at),
         }
     return np.dtype(
         {
             'names': list(fields),
-            'formats': [form for form, _ in fields.values()],
+            'formats': [kind for kind, _ in fields.values()],
             'offsets': [offset for _, offset in fields.values()],
-            'itemsize': xyz_at + 24 + form.after,
+            'itemsize': xyz_at + 8 * (3 + form.after),
         }
     )
 
@@ -229,62 +254,34 @@ def decode_points(
     InputError
         Names the first message that is none of this type or has a broken stamp.
     """
-    need = point_dtype(frame, '<', form).itemsize
-    bad = (size < need) | (size > need + MAX_TRAILING)
-    if not bad.any():
-        stamp_ns, xyz, bad = _decoded(buffer, start, frame, form)
-        if not bad.any():
-            return DecodedPoints(stamp_ns, xyz, None, Counter())
-    foreign = Counter(
-        _foreign_frame(
-            bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)]), first + i, form
-        )
-        for i in np.flatnonzero(bad).tolist()
-    )
-    if frame in foreign:  # of the same frame, but longer than it should be
-        raise InputError(f'a message of frame {frame!r} is not a {form.type} in CDR')
-    stamp_ns, xyz, _ = _decoded(buffer, start[~bad], frame, form)
-    return DecodedPoints(stamp_ns, xyz, ~bad, foreign)
-
-
-def _decoded(
-    buffer: Bytes, start: Index, frame: str, form: PointForm
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Stamps, points, and which messages are of another frame or broken."""
-    need = point_dtype(frame, '<', form).itemsize
-    rows = gather(buffer, start, need)
-    code = rows.view(point_dtype(frame, '<', form))['encapsulation']
+    layout = point_dtype(frame, form)
+    fits = (size >= layout.itemsize) & (size <= layout.itemsize + MAX_TRAILING)
+    some = slice(None) if fits.all() else fits
+    rows = gather(buffer, start[some], layout.itemsize).view(layout)
     stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
-    bad = code > 1
-    for value, order in ((1, '<'), (0, '>')):
-        of_order = code == value
-        chosen = slice(None) if of_order.all() else of_order
-        part = rows[chosen].view(point_dtype(frame, order, form))
-        if part.size:
-            stamp_ns[chosen] = part['sec'].astype(np.int64) * SECOND_NS + part['nanosec']
-            xyz[chosen] = part['xyz']
-            bad[chosen] |= part['length'] != part.dtype['frame'].itemsize
-            bad[chosen] |= part['frame'] != frame.encode()
-            bad[chosen] |= part['nanosec'] >= SECOND_NS
-            if form.child is not None:
-                bad[chosen] |= part['child_length'] != part.dtype['child'].itemsize
-                bad[chosen] |= part['child'] != form.child.encode()
-    return stamp_ns, xyz, bad
-
-
-def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
-    """Frame of a message that is not as expected; InputError says what else is wrong."""
-    kind = next(name for name in FORMS if name.endswith(f'/{form.type}'))
-    try:
-        message = decode_message(data, kind)
-    except ValueError as error:
-        raise InputError(f'message {number} is not a {form.type} in CDR ({error})') from None
-    nanosec = message.header.stamp.nanosec
-    if nanosec >= SECOND_NS:
-        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
-        raise InputError(text)
-    frame, child = message.header.frame_id, getattr(message, 'child_frame_id', None)
-    return str(frame) if child == form.child else f'{frame}, child {child}'
+    stamp_ns[some] = rows['sec'].astype(np.int64) * SECOND_NS + rows['nanosec']
+    xyz[some] = rows['xyz']
+    alike = (rows['encapsulation'] == 1) & (rows['nanosec'] < SECOND_NS)
+    names = {'length': 'frame', 'child_length': 'child'}
+    for (count, name), text in zip(names.items(), (frame, form.child), strict=True):
+        if text is not None:
+            alike &= (rows[count] == layout[name].itemsize) & (rows[name] == text.encode())
+    kept = np.zeros(start.size, np.bool_)
+    kept[some] = alike
+    foreign: Counter[str] = Counter()
+    for i in np.flatnonzero(~kept).tolist():  # in another frame, big endian, or broken
+        data = bytes(buffer[start[i] : start[i] + size[i]])
+        message = _decode_stamped(data, first + i, form)
+        own, child = message.header.frame_id, getattr(message, 'child_frame_id', None)
+        if (own, child) != (frame, form.child):
+            foreign[own if child == form.child else f'{own}, child {child}'] += 1
+            continue
+        stamp, point = message.header.stamp, attrgetter(form.point)(message)
+        kept[i] = True
+        stamp_ns[i], xyz[i] = stamp.sec * SECOND_NS + stamp.nanosec, (point.x, point.y, point.z)
+    if kept.all():
+        return DecodedPoints(stamp_ns, xyz, None, foreign)
+    return DecodedPoints(stamp_ns[kept], xyz[kept], kept, foreign)
 
 
 def frame_shown(frame: str) -> str:
@@ -380,7 +377,7 @@ def encode_points(
     stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], frame: str
 ) -> NDArray[np.void]:
     """Encode PointStamped messages, little endian; shape (n,), one item per message."""
-    rows = np.zeros(stamp_ns.size, point_dtype(frame, '<'))
+    rows = np.zeros(stamp_ns.size, point_dtype(frame))
     rows['encapsulation'] = 1
     rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, SECOND_NS)
     rows['length'] = rows.dtype['frame'].itemsize

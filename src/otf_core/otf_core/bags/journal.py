@@ -79,6 +79,8 @@ def repair(path: Path) -> None:
     starts = record_starts(data, len(MAGIC))
     kept = np.isin(data[starts[:-1]], (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX))
     end = int(starts[np.append(kept, False).argmin()])
+    if end <= len(MAGIC):
+        return
     with path.open('r+b') as file:
         file.truncate(end)
         file.seek(end)
@@ -468,7 +470,7 @@ class Journal:
         self._lock = _locked(directory)
         self._definitions = Definitions(texts, tuple(beside))
         self._run: JournalRun | None = None
-        self._written: JournalRun | None = None
+        self._refused: JournalRun | None = None
         self._latched: dict[Topic, tuple[bytes, ...]] = {}
         self._items: list[tuple[JournalRun, Rows] | _End] = []
         self._pending, self._missed = 0, 0
@@ -633,8 +635,9 @@ class Journal:
 
     def _write(self, waiting: list[tuple[JournalRun, Rows] | _End]) -> None:
         """Write what waits, run by run, and take it off the list."""
-        if self._written:
-            self._written.write()  # what the disk refused before
+        if self._refused:
+            self._refused.write()
+        self._refused = None
         while waiting:
             first = waiting[0]
             if isinstance(first, _End):
@@ -643,7 +646,6 @@ class Journal:
                 else:
                     with suppress(FileNotFoundError):  # removed by somebody
                         set_state(first.folder, first.state)
-                self._written = None
                 del waiting[0]
                 continue
             run, rows = first[0], []
@@ -654,11 +656,12 @@ class Journal:
             size = sum(len(r.data) for r in rows)
             self._check_room(size)
             run.add(rows)
-            self._written = run
+            self._refused = run  # what it has taken it writes, now or later
             del waiting[: len(rows)]
             with self._wake:
                 self._pending -= size
             run.write()
+            self._refused = None
 
     def _check_room(self, size: int) -> None:
         """OSError if so many bytes more would leave too little of the disk for the results."""
