@@ -155,7 +155,10 @@ class _Job:
             replace(run, fitted=logs)
             for run, logs in zip(self._runs(matched, joint.places, tables), fitted, strict=True)
         ]
-        accepted = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
+        accepted = joint.solution.accepted
+        if further := unknowns.blocks.keys() - joint.unknowns.blocks.keys():
+            seen = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
+            accepted = (*accepted, *(name for name in seen if name in further))
         start = Start(joint.roughness.logs, accepted, tables)
         _, joint = solve_robustly(runs, unknowns, config, progress, start)
         # not before: places that are 0.1 mm off along the path look like a step

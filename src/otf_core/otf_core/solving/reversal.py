@@ -76,8 +76,8 @@ class Choice:
         Axes that stand stay on the side of their last travel.
     evidence : mapping of str to number or text
         'decided_by'; of held-out lines their number, 'folds', 'gain' of all that was chosen over
-        nothing, or of the best block that was not, its 'scatter', and how many times this is
-        'needed'.
+        nothing, or of the best block that was not, its 'scatter', how many times this is 'needed',
+        and what would explain the lines as well.
     """
 
     model: str
@@ -110,11 +110,8 @@ def choose_reversal(
     if given == NONE:
         return Choice(NONE, False, by_configuration), joint.unknowns
     if lines < MIN_LINES and given == AUTO:
-        few: dict[str, float | int | str] = {
-            'decided_by': f'too few lines: {lines}, {MIN_LINES} needed',
-            'lines': lines,
-        }
-        return Choice(NONE, False, few), joint.unknowns
+        few = f'too few lines: {lines}, {MIN_LINES} needed'
+        return Choice(NONE, False, {'decided_by': few, 'lines': lines}), joint.unknowns
     seen = [m for m in machine.motions if m in joint.solution.accepted]
     late = [lag_block(a) for a in machine.axis_names]
     every = _reversal(machine, seen, CONSTANT if given == CONSTANT else TABLES)
@@ -145,6 +142,8 @@ def choose_reversal(
         'gain': found.gain,
         'scatter': found.scatter,
     }
+    if found.indistinguishable_from:
+        evidence['indistinguishable_from'] = ', '.join(found.indistinguishable_from)
     return Choice(model, unknowns.held, evidence), unknowns
 
 
@@ -172,7 +171,7 @@ def _reversal(machine: Machine, motions: Sequence[ErrorMotion], model: str) -> l
 
 
 def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
-    """Reversal of motions, of axes and of the machine, and lags, the simpler ones first."""
+    """Reversal of motions, of axes and of the machine, and lags of axes and of the machine."""
     groups = [[m] for m in seen]
     groups += [[m for m in seen if m.axis == a] for a in machine.axis_names]
     groups += [list(seen)]
@@ -183,7 +182,7 @@ def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
         if group
     ]
     late = [lag_block(axis) for axis in machine.axis_names]
-    return [*blocks, *(Block((n,), 1, True) for n in late), Block(tuple(late), 1)]
+    return [*blocks, *(Block((name,), positive=True) for name in late), Block(tuple(late))]
 
 
 @dataclass(frozen=True)

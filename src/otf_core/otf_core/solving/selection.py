@@ -15,8 +15,8 @@ over another is
     D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
 
 Blocks are added one after the other: of those that are no worse than the best by s_D (the rule of
-one standard error) the simplest, as long as it gains more than 3 s_D; what the others have made
-superfluous by the same rule is taken out at the end.
+one standard error) the one of fewest unknowns, as long as it gains more than 3 s_D; what the
+others have made superfluous by the same rule is taken out at the end.
 """
 
 from __future__ import annotations
@@ -57,14 +57,11 @@ class Block:
     ----------
     names : tuple of str
         Blocks of the layout of unknowns.
-    rank : int
-        Of two blocks with as many unknowns the one of lower rank is the simpler.
     positive : bool
         Its only unknown has a physical sense only if it is positive.
     """
 
     names: tuple[str, ...]
-    rank: int = 0
     positive: bool = False
 
 
@@ -199,11 +196,14 @@ class Selection:
         Their unknowns.
     gain, scatter : float
         Of all of them over none; of the best block where none is taken.
+    indistinguishable_from : tuple of str
+        Further unknowns of blocks of which each explains the lines as well as one that was taken.
     """
 
     names: tuple[str, ...]
     gain: float
     scatter: float
+    indistinguishable_from: tuple[str, ...] = ()
 
 
 def gain_over(simple: Array, rich: Array) -> tuple[float, float]:
@@ -215,6 +215,7 @@ def gain_over(simple: Array, rich: Array) -> tuple[float, float]:
 def select(lines: HeldOutLines, blocks: Sequence[Block]) -> Selection:
     """Add blocks as long as they gain, and take out what the others have made superfluous."""
     chosen: list[Block] = []
+    equal: set[str] = set()
 
     def squares(of: Sequence[Block]) -> Array:
         return lines.estimate({n for block in of for n in block.names})[1]
@@ -236,17 +237,20 @@ def select(lines: HeldOutLines, blocks: Sequence[Block]) -> Selection:
         best = min(tried, key=lambda one: float(one[2].sum()))
         first = gain_over(start, best[2]) if not chosen else first
         alike = [one for one in tried if np.less_equal(*gain_over(one[2], best[2]))]
-        block, _, left = min(alike, key=lambda one: (one[1], one[0].rank, float(one[2].sum())))
+        block, _, left = min(alike, key=lambda one: (one[1], float(one[2].sum())))
         if not is_clear(*gain_over(now, left)):
             break
         chosen, now = [*chosen, block], left
+        equal |= {n for b, _, _ in alike if len(b.names) == len(block.names) for n in b.names}
     for block in chosen[:-1]:
         rest = [b for b in chosen if b is not block]
         left = squares(rest)
         if not is_clear(*gain_over(left, now)):
             chosen, now = rest, left
     gain = gain_over(start, now) if chosen else first
-    return Selection(tuple(n for n in lines.names if any(n in b.names for b in chosen)), *gain)
+    taken = {n for block in chosen for n in block.names}
+    names = tuple(n for n in lines.names if n in taken)
+    return Selection(names, *gain, tuple(n for n in lines.names if n in equal - taken))
 
 
 def is_clear(gain: float, scatter: float) -> bool:

@@ -29,7 +29,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import load_tables
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import calibration_html, facts_of, write_calibration
+from otf_core.reports.calibration import facts_of, write_calibration
 from otf_core.reports.calibration_sections.error_motions import reversal_section
 from otf_core.sim.cell import simulate
 from otf_core.solving.normal import normal_equations

@@ -90,8 +90,8 @@ def why_reversal(reversal: Reversal) -> list[str]:
         return [f'Decided by {decided}.'] if decided else []
     return [
         f'Gain of all that was chosen, or of the best that was not, over no reversal on '
-        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- {evidence["scatter"]:.1f}; '
-        f'{evidence["needed"]:g} times the scatter is needed.'
+        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
+        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
     ]
 
 
