@@ -171,10 +171,10 @@ def _reversal(machine: Machine, motions: Sequence[ErrorMotion], model: str) -> l
 
 
 def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
-    """Reversal of motions, of axes and of the machine, and lags of axes and of the machine."""
+    """Reversal of motions, of an axis, of all drives and of the machine, and lags likewise."""
     groups = [[m] for m in seen]
     groups += [[m for m in seen if m.axis == a] for a in machine.axis_names]
-    groups += [list(seen)]
+    groups += [[m for m in seen if m.is_positioning], list(seen)]
     blocks = [
         Block(tuple(_reversal(machine, group, model)))
         for model in (CONSTANT, TABLES)

@@ -15,8 +15,9 @@ over another is
     D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
 
 Blocks are added one after the other: of those that are no worse than the best by s_D (the rule of
-one standard error) the one of fewest unknowns, as long as it gains more than 3 s_D; what the
-others have made superfluous by the same rule is taken out at the end.
+one standard error) the one of fewest unknowns, as long as it gains more than 3 s_D. What the
+others have made superfluous by the same rule is taken out at the end. Blocks are not cut: of
+unknowns that are nearly alike, leaving one out that explains little moves the others by many u.
 """
 
 from __future__ import annotations
@@ -213,14 +214,14 @@ def gain_over(simple: Array, rich: Array) -> tuple[float, float]:
 
 
 def select(lines: HeldOutLines, blocks: Sequence[Block]) -> Selection:
-    """Add blocks as long as they gain, and take out what the others have made superfluous."""
+    """Add blocks as long as they gain, then take out what is not needed."""
     chosen: list[Block] = []
     equal: set[str] = set()
 
-    def squares(of: Sequence[Block]) -> Array:
-        return lines.estimate({n for block in of for n in block.names})[1]
+    def squares(names: Collection[str]) -> Array:
+        return lines.estimate(names)[1]
 
-    start = now = squares(chosen)
+    start = now = squares(())
     first = 0.0, 0.0
     while len(chosen) < len(blocks):
         held = {n for block in chosen for n in block.names}
@@ -243,12 +244,12 @@ def select(lines: HeldOutLines, blocks: Sequence[Block]) -> Selection:
         chosen, now = [*chosen, block], left
         equal |= {n for b, _, _ in alike if len(b.names) == len(block.names) for n in b.names}
     for block in chosen[:-1]:
-        rest = [b for b in chosen if b is not block]
-        left = squares(rest)
+        rest = [other for other in chosen if other is not block]
+        left = squares({n for other in rest for n in other.names})
         if not is_clear(*gain_over(left, now)):
             chosen, now = rest, left
-    gain = gain_over(start, now) if chosen else first
     taken = {n for block in chosen for n in block.names}
+    gain = gain_over(start, now) if chosen else first
     names = tuple(n for n in lines.names if n in taken)
     return Selection(names, *gain, tuple(n for n in lines.names if n in equal - taken))
 
