@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from emulated import emulator
 from geometry_msgs.msg import PointStamped
 
-from otf_calibrator.diagnostics import journal
+from otf_calibrator.publish import _journal as journal
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
 from otf_ros.diagnostics import Finding, Level

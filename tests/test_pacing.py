@@ -8,7 +8,6 @@ from otf_core.config import Parameters
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.window import AHEAD, UNHEARD, UNTAKEN, Window
 
 
 class Known(PacedBackend):
@@ -97,56 +96,3 @@ def test_source_waits_for_who_takes_its_samples_and_says_how_fast_it_is():
         backend.allowed += 50
     assert np.array_equal(np.diff(taken), np.full(999, 10_000_000))
     assert backend.real_time_factor == pytest.approx(5.0, rel=0.06)
-
-
-def test_window_is_open_without_a_calibrator_and_follows_the_slowest():
-    window = Window(['a', 'b'])
-    assert window.allowed == AHEAD  # before it hears of them: they may have told all they had to
-    window.hear('a', 0, 0)
-    window.hear('b', 0, 0)
-    assert window.allowed == AHEAD
-    window.hear('a', 3000, 3500)
-    assert window.allowed == AHEAD
-    window.hear('b', 2000, 3500)
-    assert window.allowed == 2000 + AHEAD
-    window.hear('c', 0, 5000)  # it came later: what was published before is not for it
-    window.see(['a', 'c'], 5000)
-    assert window.allowed == 3000 + AHEAD
-    window.see([], 5000)
-    assert window.allowed is None
-    window.see(['d'], 6000)
-    assert window.allowed == 6000 + AHEAD
-
-
-def test_calibrator_that_states_nothing_is_not_waited_for_for_ever():
-    window = Window(['a'])
-    for _ in range(UNHEARD - 1):
-        window.see(['a'], AHEAD)
-    assert window.allowed == AHEAD
-    window.see(['a'], AHEAD)
-    assert window.allowed is None
-    window.hear('a', 5000, 6000)
-    for _ in range(2 * UNHEARD):  # it states where it is once there is news
-        window.see(['a'], 9000)
-    assert window.allowed == 5000 + AHEAD
-
-
-def test_calibrator_that_was_started_again_takes_what_is_published_from_then_on():
-    window = Window(['a'])
-    window.hear('a', 2000, 6000)
-    window.hear('a', 0, 6000)
-    assert window.allowed == 6000 + AHEAD
-    window.hear('a', 6500, 7000)
-    assert window.allowed == 6500 + AHEAD
-
-
-def test_samples_that_a_calibrator_will_never_take_do_not_hold_up_the_stream_for_ever():
-    window = Window(['a'])
-    for _ in range(UNTAKEN - 1):
-        window.hear('a', 0, AHEAD)
-    assert window.allowed == AHEAD
-    window.hear('a', 0, AHEAD)
-    assert window.allowed == 2 * AHEAD
-    for _ in range(2 * UNTAKEN):  # all taken: nothing is missing
-        window.hear('a', AHEAD, AHEAD)
-    assert window.allowed == 2 * AHEAD
