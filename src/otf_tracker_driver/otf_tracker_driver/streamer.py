@@ -19,6 +19,7 @@ from otf_ros import app, convert, qos
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.backends.base import NO_SAMPLES, join_samples
+from otf_tracker_driver.calibrators import Calibrators
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 
@@ -33,40 +34,8 @@ MOST_PER_SECOND = 10_000
 STOOD_STILL, FOUND_AGAIN = 5.0, 4.0
 """s; a process that stands still for longer may have been forgotten by the others, as the lease of
 its participant ends after 10 s. What is published before they have found it again is lost."""
-AHEAD = 4000
-"""Samples on their way: a fifth of what the queues hold, and less than a recorder's 5000."""
-UNTAKEN = 10
-"""States of a calibrator, one each half second, without a sample taken: what was published before
-is lost. It was published before the calibrator could hear it, or to the one before."""
-UNHEARD = 10.0
-"""s; a calibrator that states nothing for so long from the start is not waited for."""
-
-
-class Window:
-    """How far a source that can wait may run ahead of the calibrator that takes its samples.
-
-    A calibrator states the stamp of the last sample that it has taken. Samples arrive in their
-    order, so all before that one have arrived or are lost.
-    """
-
-    def __init__(self) -> None:
-        self._begun, self._heard = time.monotonic(), False
-        self._passed = self._untaken = 0
-
-    def hear(self, taken: int, published: int) -> None:
-        """Process a state of the calibrator: samples of the stream taken, and published."""
-        self._heard = True
-        if taken > self._passed:
-            self._passed, self._untaken = taken, 0
-        elif published > self._passed:
-            self._untaken += 1
-            if self._untaken >= UNTAKEN:
-                self._passed, self._untaken = published, 0
-
-    def allowed(self, calibrators: int) -> int | None:
-        """Samples of the stream that may be published; None if no calibrator is waited for."""
-        stated = self._heard or time.monotonic() - self._begun < UNHEARD
-        return self._passed + AHEAD if calibrators and stated else None
+LOOK = 0.1
+"""s; how often it is looked who listens before a stream."""
 
 
 class Pace:
@@ -149,10 +118,8 @@ class Streamer:
         self._offered = self._offer_path()
         self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
-        self._pace, self._window = Pace(), Window()
-        self._states = node.create_subscription(
-            CalibratorState, 'calibrator/state', self._on_state, qos.STATUS
-        )
+        self._pace, self._looked, self._listening = Pace(), 0.0, 0
+        self._calibrators = Calibrators(node, self._points.topic_name, self._taken)
 
     def _offer_path(self) -> list[Publisher]:
         """Publish the path that comes with the samples, if one does."""
@@ -207,7 +174,7 @@ class Streamer:
         self.stop()
         self.backend.disconnect()
         self._node.destroy_timer(self._timer)
-        self._node.destroy_subscription(self._states)
+        self._calibrators.close()
         self._node.destroy_lifecycle_publisher(self._points)
         for publisher in self._offered:
             self._node.destroy_publisher(publisher)
@@ -223,12 +190,12 @@ class Streamer:
             if not self._streaming:
                 backend.start()
                 status.begin(backend)
-                self._streaming, self._pace, self._window = True, Pace(), Window()
-            backend.allowed = self._window.allowed(
-                self._node.count_publishers(self._states.topic_name)
-            )
+                self._streaming, self._pace = True, Pace()
+                self._calibrators.begin()
+            backend.allowed = self._calibrators.allowed()
             batch = self._pace.take(backend.poll(), backend.in_packets)
             status.take(batch, self._pace.backlog)
+            self._calibrators.published = status.message.samples_published
             if backend.hindrance and not len(batch) and self._pace.empty:
                 status.hinder(backend.hindrance, backend.trouble)
             else:
@@ -254,8 +221,11 @@ class Streamer:
         if self._plan_wanted:
             return 'waiting for planner/plan'
         wanted = self._config.wait_for_subscribers
-        calibrators = self._node.count_publishers(self._states.topic_name)
-        listening = min(calibrators, self._points.get_subscription_count())
+        if time.monotonic() - self._looked > LOOK:
+            self._looked = time.monotonic()
+            calibrators = self._calibrators.count()
+            self._listening = min(calibrators, self._points.get_subscription_count())
+        listening = self._listening
         if not self.backend.preparing and listening < wanted:
             return (
                 f'waiting for calibrators that listen to tracker/point: {listening} of '
@@ -263,9 +233,8 @@ class Streamer:
             )
         return self.backend.preparing
 
-    def _on_state(self, message: CalibratorState) -> None:
-        """Let the source go on if the calibrator has taken samples."""
-        status, taken = self._status.message, 0
-        if message.stream_id == status.stream_id:
-            taken = self.backend.count_until(convert.ns_from_time(message.taken))
-        self._window.hear(taken, status.samples_published)
+    def _taken(self, message: CalibratorState) -> int:
+        """Samples of the stream that a calibrator has taken, or that are lost to it."""
+        if message.stream_id != self._status.message.stream_id:
+            return 0
+        return self.backend.count_until(convert.ns_from_time(message.taken))
