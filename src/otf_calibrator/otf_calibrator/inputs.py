@@ -63,20 +63,24 @@ class PublisherOfRun:
         self._present = present
         self._last: int | None = None
         self._heard = 0.0
-        self._other = self._beside = False
+        self._other: int | None = None
+        self._beside = False
 
     def select(self, messages: list[A], numbers: list[int | None], now: float) -> list[A]:
         """Return the messages of the run; all where the middleware does not number them."""
         own = []
         for message, number in zip(messages, numbers, strict=True):
-            last = self._last
-            goes_on = last is None or number is None or 0 < number - last <= MOST_MISSED
+            last, other = self._last, self._other
+            step = 1 if last is None or number is None else number - last
+            of_other = other is not None and number is not None and 0 < number - other < step
+            goes_on = 0 < step <= MOST_MISSED and not of_other
             gone = now - self._heard > (GONE_BESIDE if self._beside else GONE)
             if not goes_on and not gone and self._present() > 1:
-                self._other = True
+                self._other = number
                 continue
-            self._beside = goes_on and (self._beside or self._other)
-            self._other &= goes_on
+            if not goes_on:
+                self._other = None
+            self._beside = self._other is not None
             self._last, self._heard = number, now
             own.append(message)
         return own

@@ -183,8 +183,6 @@ class Collector:
         Number of the run; it changes with every new run and every new path.
     publishers : int
         Number of publishers of samples that the graph knows.
-    missed : int
-        Samples of the run that the numbers of their messages leave out.
     restarts : Restarts
         What the stamps leave out where driver or calibrator were started again.
     watcher : PathWatcher or None
@@ -206,7 +204,6 @@ class Collector:
         self.taken = False
         self.run = 0
         self.publishers = 1
-        self.missed = 0
         self.restarts = Restarts()
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
@@ -235,7 +232,7 @@ class Collector:
 
     def count_lost(self, now: float) -> int:
         """Count the samples of the run that are lost, without those that may still arrive."""
-        return max(0, self._lost_before + self._stream.lost(now), self.missed)
+        return max(0, self._lost_before + self._stream.lost(now))
 
     @property
     def published(self) -> int:
@@ -517,7 +514,6 @@ class Collector:
     def _forget(self) -> None:
         self.buffer.clear()
         self.screening, self.remarks, self.restarts = Screening(), [], Restarts()
-        self.missed = 0
         if not self._stream.name:
             self._stream = Stream()
         self._lost_before = -self._stream.gone

@@ -50,7 +50,6 @@ from otf_core.reports.residual_files import RESIDUALS_FILE
 from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import FollowedTrack
 
-Writer = Callable[[Path], object]
 A = TypeVar('A')
 Seen = FollowedTrack | PartsDriven
 Wake = Callable[[], None]

@@ -56,11 +56,8 @@ class PacketType(IntEnum):
 
     COMMAND = 0
     ERROR = 1
-    SINGLE = 2
     MULTI = 3
-    REFLECTOR_POSITION = 7
     EVENT = 8
-    SINGLE_2 = 9
     MULTI_2 = 10
 
 
@@ -124,7 +121,6 @@ class SampleStatus(IntEnum):
     SPEED_WARNING = 1
     SPEED_EXCEEDED = 2
     PRISM_ERROR = 3
-    TRIGGER_VIOLATION = 4
 
 
 class Event(IntEnum):
@@ -137,10 +133,8 @@ class Event(IntEnum):
     COORDINATE_SYSTEM = 12
     MODE = 17
     CONTINUOUS_PARAMETERS = 19
-    STATUS_NOT_READY = 25
     STATUS_BUSY = 26
     STATUS_READY = 27
-    INITIALISATION = 151
     SERVER_CLOSING = 998
 
 
