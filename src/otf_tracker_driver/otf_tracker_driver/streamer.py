@@ -29,6 +29,8 @@ TYPICAL = 100
 """Samples whose intervals tell how much time those that wait have taken."""
 CATCH_UP = 1.0
 """s; time constant with which a backlog is published."""
+LONGEST_STEP = 0.5
+"""s; what a longer pause of this process has delayed is caught up with."""
 MOST_PER_SECOND = 10_000
 """Samples; the pace of a backlog that subscribers can follow: their queues hold 20 000."""
 STOOD_STILL, FOUND_AGAIN = 5.0, 4.0
@@ -72,7 +74,7 @@ class Pace:
         pending = join_samples([self._pending, new]) if not self.empty else new
         if not len(pending):
             return pending
-        step = min(paused, 10 * PERIOD)
+        step = min(paused, LONGEST_STEP)
         self._allowed = min(self._allowed + MOST_PER_SECOND * step, MOST_PER_SECOND)
         count = min(len(pending), int(self._allowed))
         if in_packets:
@@ -199,7 +201,7 @@ class Streamer:
             if backend.hindrance and not len(batch) and self._pace.empty:
                 status.hinder(backend.hindrance, backend.trouble)
             else:
-                status.stream(backend.trouble)
+                status.stream('' if backend.hindrance else backend.trouble)
         except OtfError as error:
             self.stop()
             status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')

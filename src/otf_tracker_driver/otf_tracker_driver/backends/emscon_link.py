@@ -641,7 +641,8 @@ def connected(host: str, port: int, *arguments: Any) -> Iterator[Link]:
             yield Link(opened, *arguments)
         finally:  # a socket that is closed with bytes unread resets its peer
             opened.settimeout(BEAT)
+            until = time.monotonic() + BEAT
             with contextlib.suppress(OSError):
                 opened.shutdown(socket.SHUT_WR)
-                while opened.recv(1 << 16):
+                while opened.recv(1 << 16) and time.monotonic() < until:
                     pass

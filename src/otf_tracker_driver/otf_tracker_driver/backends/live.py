@@ -177,7 +177,7 @@ class LiveBackend(Backend):
     @property
     def health(self) -> Health:
         """How the source is."""
-        left_out = +self.left_out
+        left_out = {reason: n for reason, n in dict(self.left_out).items() if n}
         if self.stamper.dropped:
             left_out[REPEATED] = self.stamper.dropped
         return Health(
