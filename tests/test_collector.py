@@ -98,6 +98,20 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     assert not session.reason_to_end()
 
 
+def test_end_of_a_stream_waits_for_no_verdict_on_its_standstill():
+    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+    session, now = Session(lambda: config, print), time.monotonic()
+    session.worker.look = lambda look, samples: Future()
+    session.collector.set_path(PATH)
+    announce(session.collector, 'a', 0, 'STREAMING', now)
+    add(session.collector, 101, now=now)
+    for k in range(101, 501):
+        session.collector.add(k * 2_000_000, 0.1, 1e-3 * min(k - 100, 100), 0.0, now)
+    assert not session.reason_to_end() and session.judging
+    announce(session.collector, 'a', 501, 'FINISHED', now)
+    assert session.reason_to_end() == 'the stream has ended'
+
+
 def test_calibration_that_is_asked_for_takes_what_has_arrived_and_ends_a_run_that_is_complete():
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
     now, arriving = time.monotonic(), [80, 90]

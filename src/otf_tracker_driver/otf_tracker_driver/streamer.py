@@ -71,23 +71,22 @@ class Pace:
             self._held_until = now + FOUND_AGAIN
         if self.empty and len(new):
             self._due_ns = float(new.stamp_ns[0])
-        pending = join_samples([self._pending, new]) if not self.empty else new
-        if not len(pending):
-            return pending
-        step = min(paused, LONGEST_STEP)
-        self._allowed = min(self._allowed + MOST_PER_SECOND * step, MOST_PER_SECOND)
-        count = min(len(pending), int(self._allowed))
-        if in_packets:
+        pending = self._pending = join_samples([self._pending, new]) if len(new) else self._pending
+        if in_packets and not self.empty:
             self._packet = len(new) or self._packet
             steps = np.diff(pending.stamp_ns[:TYPICAL]) if len(pending) > 1 else np.zeros(1)
             more = max(0, len(pending) - self._packet)
             self.backlog = more * float(np.median(steps)) * 1e-9
+        if now < self._held_until or self.empty:
+            return NO_SAMPLES
+        step = min(paused, LONGEST_STEP)
+        self._allowed = min(self._allowed + step, LONGEST_STEP)
+        count = min(len(pending), int(self._allowed * MOST_PER_SECOND))
+        if in_packets:
             self._due_ns = max(self._due_ns, float(pending.stamp_ns[0]))
             self._due_ns += step * (1 + self.backlog / CATCH_UP) * 1e9
             count = min(count, int(pending.stamp_ns.searchsorted(self._due_ns, 'right')))
-        if now < self._held_until:
-            count = 0
-        self._allowed -= count
+        self._allowed -= count / MOST_PER_SECOND
         self._pending = pending.part(count, len(pending))
         return pending.part(0, count)
 
