@@ -7,6 +7,7 @@ compare a run with its twin, which is handed to them here.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -45,8 +46,12 @@ def diagnose_run(
         If the run cannot be diagnosed or a file cannot be written.
     """
     stages = of_whole(DIAGNOSE, progress)
-    diagnosis = diagnose([recording], twin_recording, (), config, stages)
-    stages('writing', 0.0)
+    try:
+        diagnosis = diagnose([recording], twin_recording, (), config, stages)
+        stages('writing', 0.0)
+    except (BrokenPipeError, ConnectionResetError):  # the node is gone, which would remove it
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     write_diagnosis(diagnosis, folder, BESIDE_TABLES)
     return diagnosis_to_dict(diagnosis)
 
