@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from otf_calibrator.collector import SILENT
-from otf_calibrator.job import recording_of
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.run import SILENT
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path

@@ -13,11 +13,17 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
-from otf_calibrator.children import Answer, Diagnosis, internal_error
-from otf_calibrator.collector import Collector
 from otf_calibrator.intake import Batch, Intake
-from otf_calibrator.job import CalibrationOutput, Request, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.run import Collector
+from otf_calibrator.worker import (
+    CalibrationOutput,
+    Diagnosis,
+    Request,
+    Wake,
+    Worker,
+    internal_error,
+)
 from otf_core.calibration.first_sight import (
     FirstSight,
     first_legs,
@@ -74,7 +80,6 @@ class Session:
         self._verdict: Future[bool] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
-        self._diagnosed: CalibrationOutput | None = None
         self._last: CalibrationOutput | None = None
         self._asked = (-1, 0)
 
@@ -242,23 +247,17 @@ class Session:
             return False, 'no run is calibrated yet: drive the path, or call calibrator/calibrate'
         if self._last.folder is None:
             return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
-        try:
-            self.diagnosis = Diagnosis(
-                self._last.recording, self._last.request.config, self._last.folder
-            )
-        except OSError as error:
-            return False, f'the diagnosis cannot be started: {error}'
-        self._diagnosed = self._last
+        self.diagnosis = self.worker.diagnose(self._last)
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
-    def take_diagnosed(self) -> tuple[CalibrationOutput, Answer] | None:
-        """Return a run whose diagnosis has ended, and the answer, once."""
-        answer = self.diagnosis.finished() if self.diagnosis else None
-        if answer is None or self.diagnosis is None:
+    def take_diagnosed(self) -> Diagnosis | None:
+        """Return a diagnosis that has ended, once."""
+        diagnosis = self.diagnosis
+        if diagnosis is None or not diagnosis.answer.done():
             return None
+        diagnosis.close()
         self.diagnosis = None
-        assert self._diagnosed is not None, 'since its start'
-        return self._diagnosed, answer
+        return diagnosis
 
     def abandon(self) -> None:
         """Stop a diagnosis under way, if there is one."""
@@ -293,9 +292,8 @@ class Session:
                 self._judged = watcher, watcher.end
             else:
                 watcher.dismiss()
-        if self.judging:
-            return ''  # whatever else ends it, it may end there
-        return collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
+        reason = collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
+        return '' if self.judging and not collector.stream_over(now) else reason
 
     def _at_the_end(self) -> bool:
         """Return whether the run has ended at a standstill at the end point, once."""
