@@ -25,9 +25,9 @@ from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.run_progress import PartsWatcher, watcher_of
 from otf_core.tracking.path_watch import NEARLY as DRIVEN
 from otf_core.tracking.path_watch import PathWatcher
+from otf_core.tracking.run_progress import PartsWatcher, watcher_of
 
 SILENT = 0.5
 """s; trackers that stream at once take turns faster: a clock so long unheard has stopped."""

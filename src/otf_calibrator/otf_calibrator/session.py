@@ -26,8 +26,8 @@ from otf_core.calibration.first_sight import (
 )
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
-from otf_core.rotary.run_progress import PartsWatcher
 from otf_core.tracking.path_watch import PathWatcher
+from otf_core.tracking.run_progress import PartsWatcher
 
 INTERIM = 'interim result: the run continues, and its samples are still collected'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]

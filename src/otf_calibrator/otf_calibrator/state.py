@@ -17,7 +17,7 @@ from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
-from otf_core.rotary.run_progress import PartsWatcher
+from otf_core.tracking.run_progress import PartsWatcher
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 

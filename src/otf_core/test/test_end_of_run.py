@@ -11,7 +11,7 @@ from rotary_cells import machine as rotary_machine
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.observation import Samples
-from otf_core.rotary import run_progress, track
+from otf_core.tracking import arc_length, run_progress
 from otf_core.tracking.alignment import align, follow_track
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -129,8 +129,10 @@ def test_work_of_looking_at_parts_is_that_of_the_new_samples(monkeypatch):
     samples = Samples(np.arange(len(xyz)) * 2_000_000, noisy)
 
     watcher, visited, compared = run_progress.PartsWatcher(path, CONFIG), [], []
-    moved, match = track._moved, run_progress.match
-    monkeypatch.setattr(track, '_moved', lambda p, last: visited.append(len(p)) or moved(p, last))
+    moved, match = arc_length._moved, run_progress.match
+    monkeypatch.setattr(
+        arc_length, '_moved', lambda p, last: visited.append(len(p)) or moved(p, last)
+    )
     monkeypatch.setattr(
         run_progress, 'match', lambda *a, **k: compared.append(len(a[0])) or match(*a, **k)
     )

@@ -75,6 +75,7 @@ from otf_core.solving.reversal_choice import lags
 from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate, unseen_sizes
 from otf_core.solving.unknowns import place_block
+from otf_core.tracking.mismatch import wrong_lines
 
 COLLINEAR_WITHIN = 1e-3
 """m; targets that are nearer than this to a line lie on it."""
@@ -119,8 +120,6 @@ def assemble(
     config: CalibrationConfig,
     findings: Sequence[Finding] = (),
     removed: RemovedEffects | None = None,
-    notes: Sequence[str] = (),
-    failed: Sequence[str] = (),
 ) -> CalibrationResult:
     """Work out budget, tables, fit and verdicts of a solution: the result.
 
@@ -130,8 +129,6 @@ def assemble(
         Of the examination of its runs.
     removed : RemovedEffects, optional
         Effects that were taken off the runs.
-    notes, failed : sequence of str
-        Warnings, and quality gates that failed, of which the solution knows.
     """
     joint, limit = solved.joint, config.unidentifiable_above
     pairs = zip(joint.runs, solved.recordings, strict=True)
@@ -156,7 +153,12 @@ def assemble(
     )
     results = _run_results(solved, runs, joint, states, config)
     fit = _fit(solved, joint, results, check, budget.inflation)
-    findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
+    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
+    findings = (
+        *findings,
+        *(Finding('machine.yaml', GATE, words) for words in wrong_lines(lines, tables.machine)),
+        *check_worth(tables, covariance, sample_noise(runs)),
+    )
     lack_of_fit = find_lack_of_fit(runs, joint)
     stated = with_typical(budget, typical)
     expected = covariance_with_typical(covariance, budget, typical)
@@ -180,13 +182,12 @@ def assemble(
         typical=typical,
         warnings=(
             *typical_warnings(typical),
-            *notes,
             *words_of(findings, WARNING),
             *_warnings(fit, tables, limit),
             *filter(None, [lack_of_fit.warning(grid_u) if lack_of_fit else None]),
             *mixture_warnings(machines, hidden),
         ),
-        failed_gates=(*failed, *words_of(findings, GATE), *_failed_gates(fit, tables)),
+        failed_gates=(*words_of(findings, GATE), *_failed_gates(fit, tables)),
         config=config,
         origin=origins(solved.recordings),
         effects=removed.stated if removed is not None else (),

@@ -16,8 +16,8 @@ from otf_core.model.axis_path import PartsTrack
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.curve_matching import match
 from otf_core.tracking.alignment import align
+from otf_core.tracking.curve_matching import match
 
 MAX_SAMPLES = 500
 """Samples, evenly spread, whose distance from the path is evaluated."""
@@ -96,4 +96,5 @@ def first_sight(
 def first_sight_of_parts(samples: Samples, track: PartsTrack) -> FirstSight:
     """Compare the parts that were driven first with their path; otherwise as ``first_sight``."""
     matched = match(samples.in_order(), track.machine, track.parts, quick=True, in_any_order=False)
-    return FirstSight(matched.pose, float(np.mean(matched.distance)), matched.places)
+    distance = float(np.mean([part.distance for part in matched.parts]))
+    return FirstSight(matched.T_machine_tracker, distance, matched.places)

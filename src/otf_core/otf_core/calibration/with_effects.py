@@ -389,7 +389,7 @@ def calibrate_with_file(
     ConfigError
         If the file names what cannot be taken off.
     InputError
-        As ``calibrate_runs``.
+        As ``calibrate_recordings``.
     """
     config = config or CalibrationConfig()
     progress = progress or silent

@@ -23,14 +23,14 @@ from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.curve_matching import (
+from otf_core.threads import limit_to_one_thread
+from otf_core.tracking.arc_length import GrowingLength
+from otf_core.tracking.curve_matching import (
     SAME_LENGTH,
     apply_location_errors,
     match,
     sight_at,
 )
-from otf_core.rotary.track import GrowingLength
-from otf_core.threads import limit_to_one_thread
 from otf_core.tracking.curves import lines_of_part
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -196,7 +196,8 @@ class PartsWatcher(PathWatcher):
         sight = sight_at(actual, last.path.target, matched.places)
         curve = lines_of_part(sight, last.path.positions)
         driven = self._driven.up_to(samples)
-        return _LastPart(matched.pose, curve.corners[-1], driven, float(curve.run[-1]))
+        pose = matched.T_machine_tracker
+        return _LastPart(pose, curve.corners[-1], driven, float(curve.run[-1]))
 
 
 def _course(track: PartsTrack, number: int) -> tuple[Array, Array]:
