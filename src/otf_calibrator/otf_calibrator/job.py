@@ -42,7 +42,7 @@ from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import REPORT_FILE, write_calibration, write_later
 from otf_core.reports.residual_files import RESIDUALS_FILE
 from otf_core.tracking.alignment import FollowedTrack
-from otf_core.tracking.run_progress import PartsDriven
+from otf_core.tracking.path_watch import PartsDriven
 
 Writer = Callable[[Path], object]
 A = TypeVar('A')

@@ -17,7 +17,6 @@ from otf_calibrator.job import CalibrationOutput
 from otf_calibrator.session import Session
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
-from otf_core.tracking.run_progress import PartsWatcher
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 
@@ -194,7 +193,7 @@ def _driven(collector: Collector) -> float:
 def _part(collector: Collector) -> dict[str, Any]:
     """Fields of the state on the parts of the path."""
     path, watcher = collector.path, collector.watcher
-    if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+    if not isinstance(path, PartsTrack) or watcher is None:
         return {'parts': int(path is not None)}
     driven = len(collector.buffer) > 0
     return {

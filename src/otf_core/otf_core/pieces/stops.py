@@ -194,13 +194,10 @@ def reduce_to_stops(samples: Samples, alignment: Alignment, config: CalibrationC
     shape = alignment.shape
     if not shape.sights:
         stops = find_stops(samples, config)
-        return _stop_pieces(
-            samples, shape, stops, alignment.leg[stops.span[:, 0]].astype(np.int64)
-        )
-    stops, positions = (
-        find_stops(samples, config, GENTLE),
-        [part.path.positions for part in alignment.parts],
-    )
+        point = alignment.leg[stops.span[:, 0]].astype(np.int64)
+        return _stop_pieces(samples, shape, stops, point)
+    stops = find_stops(samples, config, GENTLE)
+    positions = [part.path.positions for part in alignment.parts]
     at_corners = shape_of_parts(shape.sights, positions, corners_alone=True)
     places, at = alignment.T_machine_tracker.apply(stops.xyz), np.full(len(stops.xyz), OFF_PATH)
     first = np.cumsum([0, *(len(q) for q in positions)])
