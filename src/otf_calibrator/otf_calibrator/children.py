@@ -133,7 +133,7 @@ class Solver:
         Raises
         ------
         OtfError
-            As ``calibrate_runs``; or if the process was ended.
+            As ``calibrate_recordings``; or if the process was ended.
         ChildError
             If it failed for any other reason.
         """
