@@ -25,7 +25,7 @@ from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import SkippedLines
 from otf_core.live.stages import Progress, silent
-from otf_core.model.axis_path import AxisPath, PartsTrack
+from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
 from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import TOOL, Machine
@@ -400,6 +400,9 @@ def prepare_runs(
     """
     check_same_machine(recordings)
     machine, ranges = recordings[0].machine, []
+    if any(isinstance(one.path, PartsTrack) for one in recordings):  # then all are on curves
+        tracks = [nominal_track(one.machine, one.parts) for one in recordings]
+        recordings = [replace(r, path=p) for r, p in zip(recordings, tracks, strict=True)]
     followed: list[Alignment] = []
     for k, recording in enumerate(recordings, start=1):
         with errors_of(recording.name):

@@ -169,6 +169,22 @@ def test_path_that_shows_little_ends_with_what_it_shows():
     assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.not_identifiable)
     assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.not_identifiable)
     assert set(result.advice) == set(result.not_identifiable) and all(result.advice.values())
+    (text,) = [w for w in result.warnings if w.startswith('driven range: ')]
+    assert 'X over 0 of' in text and 'A over 28 of 120 deg' in text
+
+
+def test_bad_samples_of_a_part_are_left_out_and_said():
+    samples = recorded().samples
+    xyz, part = samples.xyz.copy(), split_parts(samples, machine(), recorded().parts)[0]
+    middle = (part.first + part.last) // 2
+    xyz[middle : middle + 200] += 3e-5  # a beam that was disturbed for longer
+    spoiled = replace(recorded(), samples=replace(samples, xyz=xyz), name='spoiled')
+    result = calibrate_recordings([spoiled])
+    (text,) = [w for w in result.warnings if w.startswith('left out: ')]
+    assert 'spoiled: ' in text and 'in whole pieces of the path' in text
+    assert not result.failed_gates
+    with pytest.raises(InputError, match='of its samples are those of'):
+        calibrate_recordings([recorded(), recorded()])
 
 
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
