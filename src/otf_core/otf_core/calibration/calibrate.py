@@ -10,7 +10,7 @@ Every recording of every chain takes this way (``solve_recordings``):
 3. ``examine`` looks for contradictions, and repairs offsets and steps of runs on lines.
 4. The solver chooses functions and reversal, and solves. Samples on curves are reduced once more
    at the places and errors that the first solution found, and solved again.
-5. ``assemble`` states tables, budget and verdicts.
+5. ``assembly.assemble`` states tables, budget and verdicts.
 """
 
 from __future__ import annotations
@@ -21,19 +21,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.calibration import assembly
-from otf_core.calibration.assembly import Solved
-from otf_core.calibration.calibration_result import CalibrationResult, DrivenPart
+from otf_core.calibration.assembly import assemble
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.part_steps import LEAST, find_steps
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch
-from otf_core.effects.stated_effect import RemovedEffects
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
-from otf_core.model.nodes import SAME_PLACE
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.finding import (
@@ -49,7 +46,6 @@ from otf_core.pieces.runs import (
     reduce_recording,
 )
 from otf_core.solving.joint import (
-    SolvedRun,
     Start,
     UnsettledError,
     solve_robustly,
@@ -220,41 +216,3 @@ def _solve_on_curves(
     # not before: places that are 0.1 mm off along the path look like a step
     steps = [Finding('steps', GATE, words) for words in find_steps(solved[1])]
     return runs, ReversalSolution(*solved, choice, plain), steps
-
-
-def assemble(
-    solved: ReversalSolution[Run],
-    config: CalibrationConfig,
-    findings: Sequence[Finding] = (),
-    removed: RemovedEffects | None = None,
-) -> CalibrationResult:
-    """Work out the result of a solution, see ``assembly.assemble``."""
-    runs, joint = solved.runs, solved.joint
-    on_curves = any(run.shape is None for run in runs)
-    return assembly.assemble(
-        Solved(
-            recordings=[r.recording for r in runs],
-            parts=[_driven_parts(r, s) for r, s in zip(runs, joint.runs, strict=True)],
-            coverage=[r.alignment.coverage for r in runs],
-            joint=joint,
-            choice=solved.choice,
-            rest=config.rest_speed if on_curves else config.standstill_speed,
-        ),
-        config,
-        findings,
-        removed,
-    )
-
-
-def _driven_parts(run: Run, solved: SolvedRun) -> list[DrivenPart]:
-    """Parts of a run, those that were not recorded last."""
-    parts = []
-    for number, one in enumerate(run.alignment.parts):
-        target, q = one.path.target, solved.system.q[solved.run.pieces.part == number]
-        met = {joint.name for joint in run.sight(target).joints}
-        moves = np.ptp(q, axis=0) > SAME_PLACE if len(q) else np.zeros(q.shape[1], dtype=bool)
-        pairs = zip(run.machine.axis_names, moves.tolist(), strict=True)
-        moved = tuple(axis for axis, own in pairs if own and axis in met)
-        parts.append(DrivenPart(target, len(one.path.positions), one.driven, moved))
-    missing = [DrivenPart(p.target, len(p.positions), 0.0, ()) for p in run.alignment.missing]
-    return parts + missing

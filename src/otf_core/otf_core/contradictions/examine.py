@@ -270,8 +270,7 @@ def check_noise_level(
 
 def _check(run: Run, ratio: float, config: CalibrationConfig) -> Finding | None:
     spec = run.machine.tracker
-    speed = config.rest_speed if run.shape is None else config.standstill_speed
-    level, where = measured_noise(run.samples, speed)
+    level, where = measured_noise(run.samples, run.speed_at_rest(config))
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.name}: ' if run.name else ''
     above = max(ratios) > MAX_NOISE_RATIO

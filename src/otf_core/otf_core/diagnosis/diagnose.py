@@ -17,10 +17,10 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import Aside
+from otf_core.calibration.assembly import assemble
 from otf_core.calibration.calibrate import (
     ExaminedRecordings,
     SolvedRecordings,
-    assemble,
     solve_recordings,
 )
 from otf_core.calibration.calibration_result import CalibrationResult

@@ -212,6 +212,10 @@ class Run(Observed):
     read: tuple[str, ...] = ()
     left_out: tuple[SkippedLines, ...] = ()
 
+    def speed_at_rest(self, config: CalibrationConfig) -> float:
+        """Speed below which the target counts as standing still, m/s."""
+        return config.rest_speed if self.shape is None else config.standstill_speed
+
     @cached_property
     def leg_starts(self) -> Array | None:
         """When every line began from rest, s since the recording; NaN where it is not seen."""

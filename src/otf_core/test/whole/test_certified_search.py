@@ -17,7 +17,8 @@ from scipy.optimize import minimize
 from scipy.stats import Covariance, multivariate_normal
 from test_certified import CONFIG, EXPECTED, RUN, SEEN, recording
 
-from otf_core.calibration.calibrate import assemble, calibrate_recordings
+from otf_core.calibration.assembly import assemble
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.gap_sizes import simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import build_rows
