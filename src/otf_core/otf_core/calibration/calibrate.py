@@ -48,11 +48,12 @@ from otf_core.pieces.runs import (
 from otf_core.solving.joint import (
     Start,
     UnsettledError,
+    find_identifiable_blocks,
     solve_robustly,
     unknowns_of,
 )
 from otf_core.solving.model_choice import ReversalSolution, choose_shapes, solve_with_reversal
-from otf_core.solving.reversal_choice import choose_reversal
+from otf_core.solving.reversal import choose_reversal
 from otf_core.threads import limit_to_one_thread
 
 
@@ -198,10 +199,8 @@ def _solve_on_curves(
         raise InputError(moved[0] if moved else str(error)) from None
     unknowns = unknowns_of(runs, shapes.bases)
     plain = kept, joint = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
-    choice, unknowns = choose_reversal(joint, config)
+    choice, unknowns = choose_reversal(kept, joint, config)
     start = Start.after(machine, joint)
-    further = [n for n in unknowns.blocks if n not in joint.unknowns.blocks]
-    start = replace(start, accepted=(*start.accepted, *further))
     again = []
     for run, found in zip(kept, joint.runs, strict=True):
         followed = run.alignment.moved(found.pose, joint.places)
@@ -212,6 +211,9 @@ def _solve_on_curves(
                     places=own, base=reduced.base)
         )  # fmt: skip
     runs = again
+    if further := unknowns.blocks.keys() - joint.unknowns.blocks.keys():
+        seen = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
+        start = replace(start, accepted=(*start.accepted, *(n for n in seen if n in further)))
     solved = solve_robustly(runs, unknowns, config, progress, start)
     # not before: places that are 0.1 mm off along the path look like a step
     steps = [Finding('steps', GATE, words) for words in find_steps(solved[1])]

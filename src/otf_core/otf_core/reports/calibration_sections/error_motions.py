@@ -37,7 +37,7 @@ from otf_core.reports.page import (
     micro,
     micro_unit,
 )
-from otf_core.solving.reversal import MODELS, Reversal
+from otf_core.solving.reversal import Reversal
 
 # Reversal of a calibration as plain data and in words.
 #
@@ -88,21 +88,11 @@ def why_reversal(reversal: Reversal) -> list[str]:
     if 'lines' not in evidence or 'needed' not in evidence:
         decided = evidence.get('decided_by')
         return [f'Decided by {decided}.'] if decided else []
-    lines = []
-    for model in MODELS:
-        if f'gain_{model}' in evidence:
-            gain, scatter = evidence[f'gain_{model}'], evidence[f'scatter_{model}']
-            lines.append(
-                f'Model {model}: gain over the best simpler model on {evidence["lines"]} held-out '
-                f'lines {gain:.1f} +/- {scatter:.1f}; {evidence["needed"]:g} times the scatter is '
-                f'needed.'
-            )
-    if 'rival' in evidence:
-        lines.append(
-            f'But {evidence["rival"]} explains these legs better: an error that changes sign '
-            f'with the direction of travel and grows with the feed; see otf diagnose.'
-        )
-    return lines
+    return [
+        f'Gain of all that was chosen, or of the best that was not, over no reversal on '
+        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
+        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
+    ]
 
 
 def backlash_words(reversal: Reversal) -> str:
