@@ -11,7 +11,7 @@ import yaml
 from cells import MACHINE
 
 from otf_calibrator.worker import Child, ChildError, internal_error
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled, InputError, OtfError
 from otf_core.model.machine import load_machine
@@ -51,7 +51,7 @@ def solver():
 
 def test_tables_are_those_of_this_process_bit_by_bit(solver, recording):
     found = solve(solver, recording)
-    plain = calibrate_runs([recording], CONFIG)
+    plain = calibrate_recordings([recording], CONFIG)
     assert found.run_id == plain.run_id
     for name, table in plain.tables.motions.items():
         assert found.tables.motions[name].value.tobytes() == table.value.tobytes()

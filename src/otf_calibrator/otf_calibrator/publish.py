@@ -24,7 +24,6 @@ from otf_core.calibration.first_sight import FirstSight
 from otf_core.errors import Cancelled, OtfError
 from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
-from otf_core.rotary.run_progress import PartsWatcher
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import CalibratorState, ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
@@ -199,7 +198,7 @@ def _driven(collector: Collector) -> float:
 def _part(collector: Collector) -> dict[str, Any]:
     """Fields of the state on the parts of the path."""
     path, watcher = collector.path, collector.watcher
-    if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+    if not isinstance(path, PartsTrack) or watcher is None:
         return {'parts': int(path is not None)}
     driven = len(collector.buffer) > 0
     return {

@@ -30,7 +30,6 @@ from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment
-from otf_core.rotary.run_progress import PartsWatcher, watcher_of
 from otf_core.tracking.path_watch import NEARLY as DRIVEN
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -322,7 +321,7 @@ class Collector:
         """Return the path without the parts that were not driven, and a remark on these."""
         path, watcher = self.path, self.watcher
         assert path is not None, 'asked before'
-        if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+        if not isinstance(path, PartsTrack) or watcher is None:
             return path, ()
         count = len(path.parts)
         if watcher.in_last_part:
@@ -523,7 +522,7 @@ class Collector:
 
     def _watch(self) -> None:
         self.run += 1
-        self.watcher = watcher_of(self.path, self._config()) if self.path else None
+        self.watcher = PathWatcher(self.path, self._config()) if self.path else None
         if self.watcher is None:
             return
         samples = self.buffer.snapshot()

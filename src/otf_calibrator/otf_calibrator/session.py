@@ -28,11 +28,9 @@ from otf_core.calibration.first_sight import (
     FirstSight,
     first_legs,
     first_sight,
-    first_sight_of_parts,
 )
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
-from otf_core.rotary.run_progress import PartsWatcher
 from otf_core.tracking.path_watch import PathWatcher
 
 INTERIM = 'interim result: the run continues, and its samples are still collected'
@@ -191,22 +189,23 @@ class Session:
 
     def _begin_first_look(self) -> None:
         collector, path, watcher = self.collector, self.collector.path, self.collector.watcher
+        travelled = collector.travelled
         looks = self._looks[1] if self._looks[0] == collector.run else 0
         if path is None or looks >= MOST_LOOKS:
             return
-        if isinstance(watcher, PartsWatcher) and isinstance(path, PartsTrack):
+        if isinstance(path, PartsTrack) and watcher is not None:
             count = len(watcher.starts)
             if count <= looks:
                 return
             samples = collector.buffer.snapshot(stop=watcher.starts[-1])
-            question = partial(first_sight_of_parts, track=path.first_parts(count))
+            path = path.first_parts(count)
         else:
-            travelled = collector.travelled
             due = travelled > (looks + 1) * LOOK_SHARE * path.length
             if not due or travelled < first_legs(path):
                 return
-            samples, config = collector.buffer.snapshot(), self._settings()[1]
-            question = partial(first_sight, path=path, travelled=travelled, config=config)
+            samples = collector.buffer.snapshot()
+        config = self._settings()[1]
+        question = partial(first_sight, path=path, travelled=travelled, config=config)
         self._looks = collector.run, looks + 1
         self._first_look = self.worker.ask(question, samples)
 

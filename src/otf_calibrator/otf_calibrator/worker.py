@@ -38,7 +38,6 @@ from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest,
 from otf_core.files.writing import DISK_FULL, DiskFull
 from otf_core.history.store import add_run
 from otf_core.live.stages import Progress
-from otf_core.model.axis_path import PartsTrack
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -47,8 +46,8 @@ from otf_core.model.signals import Signal
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import REPORT_FILE, write_calibration, write_later
 from otf_core.reports.residual_files import RESIDUALS_FILE
-from otf_core.rotary.run_progress import PartsDriven
 from otf_core.tracking.alignment import FollowedTrack
+from otf_core.tracking.path_watch import PartsDriven
 
 A = TypeVar('A')
 Seen = FollowedTrack | PartsDriven
@@ -420,8 +419,7 @@ class Worker:
 def _write_samples(outcome: CalibrationOutput, folder: Path) -> None:
     """Write path and samples of a run as a bag."""
     recording, signals = outcome.recording, outcome.request.signals
-    path = None if recording.axis_paths else recording.path
-    content = BagContent(recording.samples, path, signals=signals, axis_paths=recording.axis_paths)
+    content = BagContent(recording.samples, recording.path, signals=signals)
     write_bag(folder / BAG, content)
 
 
@@ -433,10 +431,7 @@ def recording_of(request: Request) -> Recording:
     # in the order in which the offline command takes them from a bag
     samples = sort_by_time(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
     signals = {spec.name: signal for spec, signal in request.signals.items()}
-    parts = request.path.parts if isinstance(request.path, PartsTrack) else ()
-    return Recording(
-        samples, request.path, machine, BAG, tuple(remarks), signals, axis_paths=parts
-    )
+    return Recording(samples, request.path, machine, BAG, tuple(remarks), signals)
 
 
 def check_files(files: CalibratorConfig, changed: Collection[str] | None = None) -> None:

@@ -16,7 +16,7 @@ from html_cells import Page, number, unloading
 import otf_core
 import otf_core.reports.calibration_sections as of_calibration
 import otf_core.reports.gap_sections as of_gap
-from otf_core.calibration.calibrate import calibrate, calibrate_runs
+from otf_core.calibration.calibrate import calibrate, calibrate_recordings
 from otf_core.model.expanded import figure
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -278,7 +278,7 @@ def test_samples_of_the_page_add_up(page, tables):
 def test_what_was_repaired_is_said_beside_the_data(cell):
     samples = cell.recording.measured(cell.truth)
     read = Recording(samples, cell.path, cell.machine, 'Monday', ('dropped 3 of 200 points',))
-    result = calibrate_runs([read])
+    result = calibrate_recordings([read])
     assert result.runs[0].remarks == read.remarks
     (data,) = [s for s in calibration_sections(facts_of(result)) if s.name == 'data']
     assert 'While reading Monday: dropped 3 of 200 points.' in data.words
