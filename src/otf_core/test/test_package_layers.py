@@ -14,6 +14,7 @@ ROOT_MODULES = (
     'aside',
     'blocks',
     'config',
+    'documents',
     'errors',
     'threads',
     'version',
