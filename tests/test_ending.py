@@ -22,7 +22,7 @@ from otf_bringup import demo as demonstration
 from otf_bringup import view
 from otf_bringup.processes import module_of
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import CalibrationResult
 

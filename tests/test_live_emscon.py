@@ -8,7 +8,7 @@ from emulated import DRIFT, emulator
 
 from otf_core.config import PlannerConfig
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_msgs.msg import CalibrationResult
 from otf_tracker_driver.emulator.cell import Cell
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.predict import PredictedErrors, Predictor, check_points
 
 

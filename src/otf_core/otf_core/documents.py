@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Documents: a frozen dataclass states the fields of a result file once.
 
-``stated`` gives a field its meaning, unit and shape; reading, checking, writing and the schema page
-follow from the dataclass. Fields without it exist in memory only and need a default.
+``stated`` gives a field its meaning, unit and shape; reading, checking, writing and the schema
+page follow from the dataclass. Fields without it exist in memory only and need a default.
 
     @dataclass(frozen=True)
     class Scalar(Document):
@@ -20,16 +20,21 @@ import typing
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass
 from functools import cache
-from typing import Any, Literal, NoReturn, Self, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Union, cast, get_args, get_origin
 
 import numpy as np
-import numpy.typing
+from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.files.strict_yaml import value_text
 
+if TYPE_CHECKING:  # Python 3.10 has none
+    from typing import Self
+
 FIELD = 'otf document field'
 """Key of ``Stated`` in the metadata of a field."""
+ARRAYS = {'Array': NDArray[np.float64], 'Index': NDArray[np.int64], 'Flags': NDArray[np.bool_]}
+"""What the aliases of ``arrays``, which load no numpy, stand for."""
 WORDS = {
     float: 'a finite number',
     int: 'a whole number',
@@ -90,7 +95,8 @@ class Document:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the stated fields as plain data, ready for JSON: arrays as lists, NaN as None."""
-        pairs = ((name, own, getattr(self, name)) for name, own, _, _ in fields_of(type(self)))
+        stated_fields = fields_of(cast(Any, type(self)))
+        pairs = ((name, own, getattr(self, name)) for name, own, _, _ in stated_fields)
         return {n: _plain(v) for n, own, v in pairs if not (own.sparse and v is None)}
 
     @classmethod
@@ -105,7 +111,7 @@ class Document:
         if not isinstance(data, Mapping):
             _refuse(where, Mapping, data)
         values = {}
-        for name, own, hint, field in fields_of(cls):
+        for name, own, hint, field in fields_of(cast(Any, cls)):
             place = f'{where}: {name}' if where else name
             if name in data:
                 values[name] = _read(hint, data[name], place, own)
@@ -117,7 +123,7 @@ class Document:
 @cache
 def fields_of(cls: Any) -> tuple[tuple[str, Stated, Any, Field[Any]], ...]:
     """Name, ``Stated``, type and field of everything that a document states."""
-    hints = typing.get_type_hints(cls, localns={'numpy': np})
+    hints = typing.get_type_hints(cls, localns=ARRAYS)
     return tuple(
         (f.name, f.metadata[FIELD], hints[f.name], f)
         for f in dataclasses.fields(cls)

@@ -15,7 +15,7 @@ from otf_core.exports import HOMES, export_format
 from otf_core.exports.format import ANY_AXES, LINES, THREE_AXES
 from otf_core.model.chain import displacement, exact_position, nominal_position
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.tables import load_tables, tables_from_dict, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 GANTRY, PLOTTER, TABLE = 'w-b-X-Y-t', 'w-Y-b-X-t', 'w-C-b-t'

@@ -25,7 +25,8 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import MotionTable, Squareness, TablesFile, tables_to_dict
+from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.prediction.calibration_document import CalibrationDocument, tables_to_dict
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.reports.comparison import (
     comparison_to_dict,
@@ -54,7 +55,7 @@ def source(name, tables, covariance=None, hidden=()):
     extra = {'not_identifiable': list(hidden)}
     if covariance is not None:
         extra['covariance'] = pack_covariance(covariance, tables.machine)
-    return source_of_tables(name, TablesFile(tables, extra))
+    return source_of_tables(name, CalibrationDocument(tables, extra))
 
 
 def compared(a, b, points=None):
@@ -392,8 +393,8 @@ def test_constants_of_rotations_go_into_squareness_of_every_chain(chain):
 def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     machine = some_machine()
     a, b = zero_tables(machine), zero_tables(machine)
-    a = replace(a, squareness={**a.squareness, 'C0Y': Squareness(1e-5, 2e-6)})
-    b = replace(b, squareness={**b.squareness, 'C0Y': Squareness(-5e-6, 1.5e-6)})
+    a = replace(a, squareness={**a.squareness, 'C0Y': ScalarError(1e-5, 2e-6)})
+    b = replace(b, squareness={**b.squareness, 'C0Y': ScalarError(-5e-6, 1.5e-6)})
     one = compared(a, b).errors['C0Y']
     assert (one.a[0], one.b[0]) == (pytest.approx(1e-5), pytest.approx(-5e-6))
     assert one.normalised[0] == pytest.approx(1.5e-5 / (2 * 2.5e-6))
@@ -413,7 +414,7 @@ def test_squareness_that_one_side_does_not_know_is_not_compared():
 def test_a_comparison_writes_a_page_like_the_others(tmp_path):
     machine = some_machine()
     a = replace(zero_tables(machine), squareness={
-        **zero_tables(machine).squareness, 'C0Y': Squareness(1e-5, 2e-6)})  # fmt: skip
+        **zero_tables(machine).squareness, 'C0Y': ScalarError(1e-5, 2e-6)})  # fmt: skip
     write_comparison(compared(a, truth_of(machine)), tmp_path)
     source = (tmp_path / 'report.html').read_text(encoding='utf-8')
     page = Page(source)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Documents: what is written is read again; what is missing or ill-typed is refused by its path."""
+"""Documents: what is written is read again; what is missing or ill-typed is refused by path."""
 
 import json
 import math

@@ -21,15 +21,8 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
 from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import (
-    ErrorTables,
-    LocationError,
-    MotionTable,
-    Squareness,
-    load_tables,
-    tables_from_dict,
-    tables_to_dict,
-)
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
+from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.history_report import (
     format_history,
@@ -363,8 +356,8 @@ def rotary_tables(machine, growth):
         at = np.linspace(axis.min, axis.max, 5)
         value = growth * np.linspace(0.0, 1.0, 5) if motion == 'ECC' else np.zeros(5)
         motions[motion] = MotionTable(at, value, np.full(5, 1e-7))
-    square = {n: Squareness(0.0, 1e-7) for n in machine.squareness}
-    location = {n: LocationError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
+    square = {n: ScalarError(0.0, 1e-7) for n in machine.squareness}
+    location = {n: ScalarError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
     return ErrorTables(machine, motions, square, location)
 
 

@@ -16,7 +16,7 @@ from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.prediction.predict import predict, prior_from_dict
 from otf_core.solving.tabulate import USUAL_ANGLE, unseen_sizes
 

@@ -15,7 +15,8 @@ from otf_core.errors import ConfigError
 from otf_core.fleet.fleet import JobResult
 from otf_core.model.chain import displacement, rotations
 from otf_core.model.evaluation import without_rigid_motion
-from otf_core.model.tables import LocationError, MotionTable, tables_to_dict
+from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.reports.fleet_report import fleet_page, fleet_rows
 from otf_core.sim.cell import random_tables
 
@@ -155,8 +156,8 @@ def test_history_takes_machines_with_rotary_axes(tables, tmp_path):
 
 
 def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
-    hidden = {**tables.location, 'A0C': LocationError(0.0, 0.0, identifiable=False)}
-    tables = replace(tables, location={**hidden, 'X0C': LocationError(1.25e-5, 1e-6)})
+    hidden = {**tables.location, 'A0C': ScalarError(0.0, 0.0, identifiable=False)}
+    tables = replace(tables, location={**hidden, 'X0C': ScalarError(1.25e-5, 1e-6)})
     folder = tmp_path / 'one'
     folder.mkdir()
     extra = {

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from otf_core.errors import ConfigError
 from otf_core.model.chain import displacement
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import load_tables, tables_from_dict, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 Q = np.array([[0.1, 0.2, -0.1], [0.3, 0.0, -0.2]])

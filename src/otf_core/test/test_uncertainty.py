@@ -19,7 +19,7 @@ from core_cells import (
 
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import MotionTable, Squareness
+from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
 from otf_core.solving.residuals import check_residuals
@@ -113,7 +113,7 @@ def test_prediction_rows_are_derivatives_of_the_error_model():
                 changed = {**zero.motions, name: MotionTable(nodes[name], value, 0 * value)}
                 tables = replace(zero, motions=changed)
             else:
-                tables = replace(zero, squareness={**zero.squareness, name: Squareness(1.0)})
+                tables = replace(zero, squareness={**zero.squareness, name: ScalarError(1.0)})
             expected = [error_by_hand(tables, point) for point in q]
             np.testing.assert_allclose(rows[:, :, column], expected, atol=1e-13, err_msg=name)
             column += 1

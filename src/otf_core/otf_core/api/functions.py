@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,14 +33,17 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_along
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables, tables_from_dict
+from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import read_noise as noise_from_file
 from otf_core.pieces.runs import Recording
 from otf_core.prediction import predict as evaluation
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    load_tables,
+)
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
-from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_sections.first_screen import calibration_summary
+from otf_core.reports.terminal import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -235,7 +237,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration_summary(calibration.facts_of(of))
+        return calibration_summary(of.document)
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
     from otf_core.reports.diagnosis import format_diagnosis
@@ -367,7 +369,7 @@ def diagnose(
 
 
 def predict(
-    tables: CalibrationResult | TablesFile | ErrorTables | str | Path,
+    tables: CalibrationResult | CalibrationDocument | ErrorTables | str | Path,
     points: ArrayLike,
     *,
     target_offset: ArrayLike | None = None,
@@ -376,7 +378,7 @@ def predict(
 
     Parameters
     ----------
-    tables : CalibrationResult, TablesFile, ErrorTables, str or Path
+    tables : CalibrationResult, CalibrationDocument, ErrorTables, str or Path
         A result, or an error_tables.json, read or not. Tables alone hold no covariance: their
         nodes are taken as independent then.
     points : array_like, shape (n, m), m and rad
@@ -401,13 +403,11 @@ def predict(
     True
     """
     if isinstance(tables, CalibrationResult):
-        # through the layout of the file, so that a result and its file predict the same
-        content = json.loads(json.dumps(result_to_dict(tables)))
-        source = tables_from_dict(content, 'result')
+        source = tables.document
     elif isinstance(tables, ErrorTables):
-        source = TablesFile(tables)
+        source = CalibrationDocument.of_tables(tables)
     else:
-        source = tables if isinstance(tables, TablesFile) else load_tables(tables)
+        source = tables if isinstance(tables, CalibrationDocument) else load_tables(tables)
     q, names = np.asarray(points, dtype=float), source.tables.machine.point_names
     if q.ndim != 2 or q.shape[1] != len(names):
         raise ShapeError(

@@ -462,6 +462,11 @@ class Budget:
         """Combined covariance of all unknowns, poses and reversal included, (full, full)."""
         return np.asarray(sum(s.covariance for s in self.sources))
 
+    @property
+    def run(self) -> Array:
+        """The part of ``whole`` that the run itself shows: noise and misfit."""
+        return np.asarray(sum(s.covariance for s in self.sources if s.name in OBSERVED))
+
     @cached_property
     def covariance(self) -> Array:
         """Combined covariance of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ, shape (m, m)."""

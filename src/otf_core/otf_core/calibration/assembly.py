@@ -27,20 +27,15 @@ from otf_core.budget.budget import (
 from otf_core.budget.typical import (
     typical_pulls,
     typical_systematic,
-    typical_warnings,
     with_typical,
 )
 from otf_core.calibration.calibration_result import (
     CalibrationResult,
-    DrivenPart,
-    Fit,
     RunResult,
-    TargetPlace,
-    covariance_with_typical,
     headline_of,
 )
 from otf_core.calibration.lack_of_fit import find_lack_of_fit
-from otf_core.calibration.machine_verdict import judge
+from otf_core.calibration.machine_verdict import judge, measurement_verdict
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.table_checks import check_worth, sample_noise
 from otf_core.effects import State
@@ -49,7 +44,7 @@ from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine
 from otf_core.model.provenance import origins
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.noise_model import NoiseModel, sample_variance
 from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.finding import (
@@ -62,7 +57,8 @@ from otf_core.pieces.finding import (
 )
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed, Recording, rigid_pose, run_id
-from otf_core.prediction.volumetric import VolumetricError, volume_rows
+from otf_core.prediction.calibration_document import DrivenPart, Fit, TargetPlace, Verdicts
+from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.joint import (
     JointSolution,
     settle_covariance,
@@ -146,30 +142,34 @@ def assemble(
     budget = make_budget(runs, joint, parts, states, still, check)
     if removed is not None:
         budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
-    whole = budget.whole
-    grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, whole)
-    made = tabulate(joint.machine, joint, grid_u, limit).with_covariance(whole)
-    tables, covariance, hidden = made.tables, made.covariance, made.hidden
-    budget = replace(budget, rows=made.rows, straight=made.straight)
-    typical = typical_systematic(
-        runs, joint, tables, made.rows, covariance, pulls, lambda: volume_rows(tables), hidden
-    )
+    # what a machine does not declare changes no table: nodes and gates go by what is stated
+    stated = budget.whole
+    grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, stated)
+    made = tabulate(joint.machine, joint, grid_u, limit)
+    hidden, covariance = made.hidden, made.covariance_of(stated)
+    declared = with_uncertainty(made.tables, covariance)
+    typical = typical_systematic(runs, joint, pulls)
+    budget = replace(with_typical(budget, typical), rows=made.rows, straight=made.straight)
+    whole, run = budget.whole, budget.run
+    expected, observed = made.covariance_of(whole), made.covariance_of(run)
+    tables = with_uncertainty(made.tables, expected, observed)
     results = _run_results(solved, runs, joint, states, config)
     fit = _fit(solved, joint, results, check, budget.inflation)
-    findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
+    findings = (*findings, *check_worth(declared, covariance, sample_noise(runs)))
     lack_of_fit = find_lack_of_fit(runs, joint)
-    stated = with_typical(budget, typical)
-    expected = covariance_with_typical(covariance, budget, typical)
     machines = [r.machine for r in solved.recordings]
+    gates = (*failed, *words_of(findings, GATE), *_failed_gates(fit, tables))
+    measurement = measurement_verdict(gates)
     return CalibrationResult(
         run_id=run_id(solved.recordings, config),
         tables=tables,
-        covariance=covariance,
+        covariance=expected,
+        covariance_run=observed,
         budget=budget,
         runs=tuple(results),
-        targets=_targets(solved, joint, whole),
+        targets=_targets(solved, joint, whole, run),
         fit=fit,
-        headline=headline_of(VolumetricError(tables, expected), stated, typical),
+        headline=headline_of(VolumetricError(tables, expected), budget, typical, hidden),
         reversal=_reversal(solved.choice, tables, joint, whole),
         lags=tuple(lags(joint, whole)),
         fraction=made.fraction,
@@ -179,18 +179,18 @@ def assemble(
         advice=advice_for(machines, solved.parts, hidden),
         typical=typical,
         warnings=(
-            *typical_warnings(typical),
+            *([typical.warning] if typical else []),
             *notes,
             *words_of(findings, WARNING),
-            *_warnings(fit, tables, limit),
+            *_warnings(fit, declared, limit),
             *filter(None, [lack_of_fit.warning(grid_u) if lack_of_fit else None]),
             *mixture_warnings(machines, hidden),
         ),
-        failed_gates=(*failed, *words_of(findings, GATE), *_failed_gates(fit, tables)),
+        failed_gates=gates,
+        verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
         config=config,
         origin=origins(solved.recordings),
         effects=removed.stated if removed is not None else (),
-        machine_verdict=judge(tables, expected, stated, hidden),
     )
 
 
@@ -200,16 +200,20 @@ def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: 
     return Reversal(choice.model, choice.evidence, motions, choice.held, backlash)
 
 
-def _targets(solved: Solved, joint: JointSolution, whole: Array) -> dict[str, TargetPlace]:
+def _targets(
+    solved: Solved, joint: JointSolution, whole: Array, run: Array
+) -> dict[str, TargetPlace]:
     """Places of the reflectors that were seen; none where there is a known one alone."""
     machine, places = joint.machine, {}
     for name in sorted({part.target for own in solved.parts for part in own}):
-        u, block = np.zeros(3), joint.unknowns.blocks.get(place_block(name))
-        if block is not None:
-            u = np.sqrt(np.maximum(np.diag(whole[block, block]), 0.0))
+        block = joint.unknowns.blocks.get(place_block(name))
+        u, u_run = (
+            np.zeros(3) if block is None else np.sqrt(np.maximum(np.diag(c[block, block]), 0.0))
+            for c in (whole, run)
+        )
         known = np.array(machine.targets[name].place)
         place = np.asarray(joint.places.get(name, known))
-        places[name] = TargetPlace(machine.targets[name].link, place, u)
+        places[name] = TargetPlace(machine.targets[name].link, place, u, u_run)
     return {} if set(places) == {TOOL} and not places[TOOL].u.any() else places
 
 

@@ -10,19 +10,20 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.calibration.assembly import Solved, assemble
-from otf_core.calibration.calibration_result import CalibrationResult, DrivenPart
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.contradictions.part_steps import LEAST, find_steps
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.methods import find_stops
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.pieces.runs import Observed, Recording, check_same_machine, errors_of
+from otf_core.prediction.calibration_document import DrivenPart
 from otf_core.rotary.curve_matching import GENTLE, MatchedRun, match
 from otf_core.rotary.mismatch import check_matched, wrong_lines
 from otf_core.solving.joint import (
@@ -242,8 +243,8 @@ def _located(
     return ErrorTables(
         machine,
         motions,
-        {n: Squareness() for n in machine.squareness},
-        {n: LocationError(location[n]) for n in machine.location},
+        {n: ScalarError() for n in machine.squareness},
+        {n: ScalarError(location[n]) for n in machine.location},
     )
 
 

@@ -12,7 +12,7 @@ from otf_core.arrays import Array
 from otf_core.calibration import assembly
 from otf_core.calibration.assembly import Solved
 from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.calibration.calibration_result import CalibrationResult, DrivenPart
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.recording_checks import check_recordings
@@ -29,6 +29,7 @@ from otf_core.pieces.finding import (
 )
 from otf_core.pieces.methods import PREPARATIONS, Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.prediction.calibration_document import DrivenPart
 from otf_core.solving.joint import SolvedRun
 from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.threads import one_thread

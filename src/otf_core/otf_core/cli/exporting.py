@@ -15,7 +15,7 @@ from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
 if TYPE_CHECKING:
-    from otf_core.model.tables import TablesFile
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
 
 # Verbs that hand error tables to controls and other programs, and take them: export, import.
@@ -55,7 +55,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     from otf_core.exports import export_format
     from otf_core.exports.format import Request, is_export, remaining_error
     from otf_core.files.output_folder import OutputFile
-    from otf_core.model.tables import load_tables
+    from otf_core.prediction.calibration_document import load_tables
 
     if arguments.points is not None and arguments.points < 2:
         raise ConfigError(f'--points: {arguments.points}; at least 2')
@@ -73,7 +73,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     for target, packed in reversed(targets):
         with target.filled() as partial:
             partial.write_bytes(packed)
-    remainder = remaining_error(content.tables, export.held, content.extra.get('headline'))
+    remainder = remaining_error(content.tables, export.held, content.headline)
     data: dict[str, Any] = {
         'schema': 'otf-export/1',
         'format': chosen.name,
@@ -94,10 +94,10 @@ def run_export(arguments: argparse.Namespace) -> int:
     return _exit_code(content)
 
 
-def _exit_code(content: TablesFile) -> int:
+def _exit_code(content: CalibrationDocument) -> int:
     """Exit code by the quality gates of the calibration that the tables come from."""
-    failed = content.extra.get('failed_gates')
-    for gate in failed if isinstance(failed, list) else []:
+    failed = content.failed_gates
+    for gate in failed:
         note(f'otf export: the calibration is NOT GOOD: {gate}')
     return QUALITY_GATE_FAILED if failed else 0
 
@@ -109,7 +109,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.model.tables import tables_to_dict
+    from otf_core.prediction.calibration_document import tables_to_dict
 
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)

@@ -90,8 +90,8 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
             facts_of,
             write_calibration,
         )
-        from otf_core.reports.calibration_sections.first_screen import calibration_summary
         from otf_core.reports.page import sections_to_dict
+        from otf_core.reports.terminal import calibration_summary
 
         progress('writing', 0.0)
         facts = facts_of(result)
@@ -107,7 +107,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
     report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
-    answer_from(arguments, calibration_summary(facts), files, TABLES, report=report)
+    answer_from(arguments, calibration_summary(result.document), files, TABLES, report=report)
     return result.verdicts.exit_code
 
 
@@ -188,10 +188,10 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
     from otf_core.files.output_folder import OutputFile
     from otf_core.files.writing import ends_head, write_csv
-    from otf_core.model.tables import load_tables
+    from otf_core.prediction.calibration_document import load_tables
     from otf_core.prediction.predict import predict
 
-    tail = 'dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    tail = 'dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     out = OutputFile(
         arguments.out,
         lambda path: ends_head(path, tail),
@@ -205,7 +205,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
         note(f'otf predict: {read_as}')
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
     prediction = predict(content, points, offset, arguments.points)
-    columns = np.hstack([points, prediction.error, prediction.u])
+    columns = np.hstack([points, prediction.error, prediction.u, prediction.u_run])
     header = f'{",".join(names).lower()},{tail}'
     with out.filled() as partial:
         write_csv(partial, header, columns, prediction.inside)

@@ -108,9 +108,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     planning = parameters(PlannerConfig, arguments)
     from otf_core.effects.effects_yaml import read_effects
     from otf_core.model.machine import load_machine
-    from otf_core.model.tables import load_tables
     from otf_core.planning.forecast import Setup
     from otf_core.planning.part_choice import planned
+    from otf_core.prediction.calibration_document import load_tables
     from otf_core.sim.bag_files import SimulatedBag
     from otf_core.sim.cell import simulate
 

@@ -27,7 +27,8 @@ from otf_core.model.evaluation import rigid_columns
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predict import Predictor
 from otf_core.prediction.volumetric import table_places, table_rows, table_values
@@ -64,7 +65,7 @@ class Source:
     hidden: frozenset[str]
 
 
-def source_of_tables(name: str, content: TablesFile) -> Source:
+def source_of_tables(name: str, content: CalibrationDocument) -> Source:
     """Source of error tables, values independent where they hold no covariance."""
     known = Predictor.of(content)
     return Source(name, known.tables, known.covariance, frozenset(known.not_seen))

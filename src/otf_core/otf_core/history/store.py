@@ -19,7 +19,11 @@ from otf_core.comparison.compare import Common, common_ground, source_of_tables
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.tables import TablesFile, load_tables, tables_from_dict
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    load_tables,
+    tables_from_dict,
+)
 from otf_core.prediction.volumetric import table_values
 
 # A folder of calibrations and events: one plain JSON file each, named by its hash.
@@ -54,7 +58,7 @@ class StoredRun:
     path: Path
 
     @cached_property
-    def content(self) -> TablesFile:
+    def content(self) -> CalibrationDocument:
         """Tables with their covariances: some megabytes."""
         return _tables_of(_read_entry(self.path), self.path)
 
@@ -105,11 +109,9 @@ def read_moment(text: str, where: str) -> datetime:
     return moment.replace(tzinfo=moment.tzinfo or timezone.utc).astimezone(timezone.utc)
 
 
-def measurement_time(content: TablesFile) -> str | None:
+def measurement_time(content: CalibrationDocument) -> str | None:
     """When a calibration was measured by its own account, else when it was written."""
-    block = content.extra.get('provenance')
-    if not isinstance(block, dict):
-        return None
+    block = content.provenance
     measured = block.get('measured')
     last = measured.get('last') if isinstance(measured, dict) else None
     date = last or block.get('written')
@@ -193,7 +195,7 @@ def read_store(folder: str | Path) -> Store:
     return Store(_in_time(runs), tuple(sorted(events, key=lambda e: (e.at, e.words))))
 
 
-def _tables_of(entry: Mapping[str, Any], path: Path) -> TablesFile:
+def _tables_of(entry: Mapping[str, Any], path: Path) -> CalibrationDocument:
     return tables_from_dict(entry['tables'], str(path))
 
 

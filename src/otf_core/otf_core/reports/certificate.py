@@ -3,10 +3,6 @@
 
 from __future__ import annotations
 
-from otf_core.calibration.machine_verdict import (
-    MEANING,
-    Verdict,
-)
 from otf_core.model.expanded import figure, significant, with_expanded
 from otf_core.model.machine import TOOL, Machine
 from otf_core.model.motions import ErrorMotion
@@ -19,6 +15,7 @@ from otf_core.model.sections import (
     VOLUMETRIC,
 )
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import LIMIT_MEANING, MachineVerdict
 from otf_core.reports.calibration_facts import CalibrationFacts, measurement_dates
 from otf_core.reports.calibration_sections.error_motions import role
 from otf_core.reports.calibration_sections.first_screen import (
@@ -144,18 +141,18 @@ def _errors(facts: CalibrationFacts) -> Section:
     return Section('certificate-errors', f'All {len(sizes)} errors', tables=(table,))
 
 
-def _volume_limits(machine: Machine, verdict: Verdict | None) -> list[tuple[Cell, ...]]:
+def _volume_limits(machine: Machine, verdict: MachineVerdict) -> list[tuple[Cell, ...]]:
     """Rows of the limits of the volume."""
-    if machine.limits is None or verdict is None:
+    if machine.limits is None:
         return []
     rows = list[tuple[Cell, ...]]()
-    judged = {one.name: one for one in verdict.judged}
+    judged = {one.name: one for one in verdict.limits}
     for name in (VOLUMETRIC, UNCERTAINTY):
         if name in machine.limits.values:
             one = judged[name]
             wide = significant(1e6 * one.U) if one.U else ''
             value = figure(1e6 * one.value, 1e6 * (one.U or one.value))
-            rows.append(('volume', MEANING[name], value, wide, micro_unit(one.unit),
+            rows.append(('volume', LIMIT_MEANING[name], value, wide, micro_unit(one.unit),
                          f'{1e6 * one.limit:g}', State(one.state, MOODS[one.state])))  # fmt: skip
     return rows
 

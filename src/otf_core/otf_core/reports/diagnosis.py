@@ -148,7 +148,6 @@ def write_diagnosis(
             write_calibration(
                 replace(tables[name], uncorrected=None, applied=()),
                 folder / name,
-                'diagnose',
                 certificate=False,
             )
         else:

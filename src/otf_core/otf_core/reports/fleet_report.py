@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.machine_verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
 from otf_core.model.expanded import COVERAGE_FACTOR, figure, micro_unit, significant, with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.prediction.absorbed import offset_words
+from otf_core.prediction.calibration_document import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.reports.page import Heading, Section, State, Table, page_html
 
 Row = list[str | State]
@@ -43,7 +43,7 @@ def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
     verdicts, machine = data['verdicts'], data['machine']
     good, state = verdicts['measurement']['good'], verdicts['machine']['state']
     first = data['headline']
-    wide = first['expected_after_compensation']['U']
+    wide = {size: first['k'] * u for size, u in first['u'].items()}
     words = {n: _scalar(data, n) for n in data.get('location', ())}
     location = [f'{n} {w} {micro_unit(unit_of(n))}' for n, w in words.items() if w != UNKNOWN]
     location += [f'{n} {w}' for n, w in words.items() if w == UNKNOWN]
@@ -54,7 +54,7 @@ def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
         State('good', 'good') if good else State('not good', 'bad'),
         State(STATES.get(state, state), MOODS.get(state, '')),
         figure(1e6 * first['error']['mean'], 1e6 * wide['mean']),
-        with_expanded(1e6 * first['error']['max'], 1e6 * first['U_of_largest']),
+        with_expanded(1e6 * first['error']['max'], 1e6 * first['k'] * first['u_of_largest']),
         significant(1e6 * wide['max']),
         *(_scalar(data, k) for k in SQUARENESS),
         offset_words(np.array(machine['target_offset'])),

@@ -26,7 +26,6 @@ from otf_core.model.expanded import (
     micro_with_expanded,
 )
 from otf_core.model.motions import unit_of
-from otf_core.prediction.absorbed import OffsetBound
 from otf_core.reports.drawing.panel import Panel, dates, scale_around
 from otf_core.reports.page import (
     Cell,
@@ -423,11 +422,8 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
 
 def _stated_uncertainty(history: History) -> tuple[float, str] | None:
     """Mean expanded uncertainty that the latest tables state first, m, and of what kind it is."""
-    head = history.series.runs[-1].content.extra.get('headline')
-    if not isinstance(head, dict):
-        return None
-    expected = head['expected_after_compensation']
-    return float(expected['U']['mean']), str(expected['systematic'])
+    head = history.series.runs[-1].content.headline
+    return None if head is None else (head.expanded['mean'], head.systematic)
 
 
 def _assessment(history: History) -> list[str]:
@@ -441,9 +437,9 @@ def _assessment(history: History) -> list[str]:
             f'{micro_significant(math.sqrt(2.0) * stated[0])} in the volume if tracker, place or '
             f'weather differ'
         )
-    bound = history.series.runs[-1].content.extra.get('target_offset_bound')
-    if isinstance(bound, dict) and bound['contains']:
-        lines.append(OffsetBound(np.array(bound['offset']), bound['contains']).sentence)
+    bound = history.series.runs[-1].content.target_offset_bound
+    if bound is not None and bound.contains:
+        lines.append(bound.sentence)
     return lines
 
 

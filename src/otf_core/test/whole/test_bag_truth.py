@@ -30,8 +30,8 @@ from otf_core.bags.bag import read_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import tables_to_dict
 from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.prediction.calibration_document import tables_to_dict
 
 BAGS = Path(__file__).parents[4] / 'bags'
 SLOW = {

@@ -17,7 +17,7 @@ from core_cells import CONTRACT_CHAINS, error_by_hand, some_machine
 import otf_core
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 QUICK = ({'levels': 2, 'passes': 1, 'rate': 200, 'corner_dwell': 0.05, 'end_dwell': 3},)

@@ -21,7 +21,7 @@ import otf_core
 from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import effects_from_data
 from otf_core.model.chain import exact_position
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 
 QUICK = ({'levels': 2, 'passes': 1, 'rate': 50, 'corner_dwell': 0.1, 'end_dwell': 1},)
 

@@ -11,7 +11,7 @@ from nature import Cell, Extra, judge
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.predict import predict
 from otf_core.reports.calibration import calibration_html, facts_of

@@ -20,7 +20,7 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
 from otf_core.fleet.fleet import listed_jobs, read_list
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.fleet_report import fleet_rows
 
 STUB = """

@@ -25,8 +25,8 @@ from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
-from otf_core.model.tables import load_tables
 from otf_core.planning.nc.dialect import words
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.calibration_sections.error_motions import squareness_words
 

@@ -26,9 +26,9 @@ from otf_core.exports.terms import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import load_tables
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.calibration import calibration_html, facts_of, write_calibration
 from otf_core.reports.calibration_sections.error_motions import reversal_section
 from otf_core.sim.cell import simulate

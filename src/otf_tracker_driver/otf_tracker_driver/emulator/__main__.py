@@ -24,7 +24,7 @@ async def serve(given: argparse.Namespace, faults: Faults, planning: PlannerConf
     """Simulate the cell, listen, say where, serve until interrupted."""
     # scipy takes seconds on a cold computer; mistakes are told before
     from otf_core.model.machine import load_machine
-    from otf_core.model.tables import load_tables
+    from otf_core.prediction.calibration_document import load_tables
     from otf_tracker_driver.emulator.cell import Cell
     from otf_tracker_driver.emulator.server import EmulatedTracker
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,33 +52,6 @@ def _directions(
         mean = tables.motions[name].value
         forward, backward = mean + 0.5 * table.value, mean - 0.5 * table.value
         yield name, forward, backward, table.identifiable
-
-
-def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
-    """Return a reversal model as plain data for error_tables.json."""
-    motions = {}
-    for name, forward, backward, seen in _directions(reversal, tables):
-        table = reversal.motions[name]
-        motions[name] = {
-            'axis': ErrorMotion.of(name).axis,
-            'unit': unit_of(name),
-            'position': table.position.tolist(),
-            'forward': forward.tolist(),
-            'backward': backward.tolist(),
-            'value': table.value.tolist(),
-            'u': table.u.tolist(),
-            'identifiable': seen,
-        }
-    return {
-        'model': reversal.model,
-        'evidence': dict(reversal.evidence),
-        'held': reversal.held,
-        'sign': 'value = forward minus backward; forward: towards larger positions',
-        'axes': {
-            axis: {'value': size.value, 'u': size.u} for axis, size in reversal.backlash.items()
-        },
-        'motions': motions,
-    }
 
 
 def why_reversal(reversal: Reversal) -> list[str]:
@@ -309,8 +281,8 @@ def _limit_band(
 
 def _state_kind(facts: CalibrationFacts, name: ErrorMotion) -> str:
     """Class of the limit of a motion by its state."""
-    verdict = facts.result.machine_verdict
-    states = [one.state for one in verdict.judged if one.name == name] if verdict else []
+    limits = facts.result.verdicts.machine.limits
+    states = [one.state for one in limits if one.name == name]
     return STATE_KINDS.get(states[0], '') if states else ''
 
 

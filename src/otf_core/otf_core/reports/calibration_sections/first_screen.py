@@ -12,19 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.budget.typical import typical_warnings
-from otf_core.calibration.calibration_result import Fit
-from otf_core.calibration.machine_verdict import (
-    FAIL,
-    MEANING,
-    OPEN,
-    PASS,
-    UNKNOWN,
-    LimitVerdict,
-    Verdicts,
-    size_and_expanded,
-)
-from otf_core.files.message_text import shortened
+from otf_core.calibration.machine_verdict import size_and_u
 from otf_core.model.expanded import (
     figure,
     micro_figure,
@@ -35,7 +23,15 @@ from otf_core.model.expanded import (
 from otf_core.model.machine import TABLE
 from otf_core.model.motions import unit_of
 from otf_core.model.sections import VOLUMETRIC
-from otf_core.prediction.volumetric import table_places
+from otf_core.prediction.calibration_document import (
+    FAIL,
+    LIMIT_MEANING,
+    OPEN,
+    PASS,
+    UNKNOWN,
+    LimitVerdict,
+    Verdicts,
+)
 from otf_core.reports.calibration_facts import (
     CalibrationFacts,
     measurement_dates,
@@ -109,17 +105,14 @@ class ErrorSize:
 
 def error_sizes(facts: CalibrationFacts) -> list[ErrorSize]:
     """All errors in the order of the tables: motions, then scalars."""
-    result, verdict = facts.result, facts.result.machine_verdict
+    result = facts.result
     limits = facts.machine.limits.values if facts.machine.limits else {}
-    states = {one.name: one.state for one in verdict.judged} if verdict else {}
+    states = {one.name: one.state for one in result.verdicts.machine.limits}
     sizes = []
     for name in (*map(str, facts.machine.motions), *facts.machine.scalars):
         known = name not in result.not_identifiable
-        value, wide = (
-            size_and_expanded(name, facts.tables, result.budget_with_typical)
-            if known
-            else (0.0, 0.0)
-        )
+        value, u, k = size_and_u(name, facts.tables, result.budget) if known else (0.0, 0.0, 0.0)
+        wide = k * u
         sizes.append(ErrorSize(name, unit_of(name), value, wide, limits.get(name),
                                states.get(name, ''), known,
                                known and name in result.offset_bound.contains))  # fmt: skip
@@ -249,7 +242,7 @@ def overview_section(facts: CalibrationFacts) -> Section:
     result, volume = facts.result, facts.volume
     now = result.headline.error
     at = volume.positions[int(np.argmax(volume.length))]
-    worst = contributions(facts)[:NAMED_CONTRIBUTORS]
+    worst = list(result.headline.contributions.items())[:NAMED_CONTRIBUTORS]
     mean = result.headline.expanded['mean']
     words = [
         f'Worst: the longest error vector of {facts.points}, '
@@ -260,7 +253,7 @@ def overview_section(facts: CalibrationFacts) -> Section:
         *_unknown_words(facts),
     ]
     warnings = [
-        f'Warning: {w}' for w in result.warnings if w not in typical_warnings(facts.typical)
+        f'Warning: {w}' for w in result.warnings if not facts.typical or w != facts.typical.warning
     ]
     return Section(
         'overview',
@@ -270,19 +263,12 @@ def overview_section(facts: CalibrationFacts) -> Section:
             'headline': result.headline.to_dict(),
             'verdicts': result.verdicts.to_dict(),
             'worst_at': at.tolist(),
-            'contributions': dict(contributions(facts)),
+            'contributions': dict(result.headline.contributions),
             'warnings': list(result.warnings),
         },
         draw=lambda: (volume_pictures(facts), error_bars(facts)),
         script=SCRIPT,
     )
-
-
-def contributions(facts: CalibrationFacts) -> list[tuple[str, float]]:
-    """What every error makes alone, root mean square, m; largest first."""
-    names = [n for n in table_places(facts.tables) if n not in facts.result.not_identifiable]
-    sizes = [float(np.sqrt(np.mean(np.sum(facts.volume.part(n) ** 2, axis=1)))) for n in names]
-    return sorted(zip(names, sizes, strict=True), key=lambda pair: -pair[1])
 
 
 def heading(facts: CalibrationFacts) -> Heading:
@@ -303,14 +289,14 @@ def badges(verdicts: Verdicts) -> tuple[State, State]:
     """One for the measurement, one for the machine."""
     measurement = (
         State('measurement: good', 'good')
-        if verdicts.good
+        if verdicts.measurement.good
         else State('measurement: not good', 'bad')
     )
     machine = verdicts.machine
-    if machine is None:
+    if not machine.limits:
         return measurement, State('machine: no limits stated')
     mood = {PASS: 'good', FAIL: 'bad'}.get(machine.state, 'open')
-    return measurement, State(f'machine: {machine.sentence}', mood)
+    return measurement, State(machine.sentence, mood)
 
 
 def running_words(facts: CalibrationFacts) -> str:
@@ -347,7 +333,7 @@ def _tiles(facts: CalibrationFacts) -> tuple[tuple[str, str, str], ...]:
             'Expected after compensation',
             micro_significant(first.expanded['max']),
             f'largest U (k = {first.k:.3g}), mean {micro_significant(first.expanded["mean"])}; '
-            f'{first.label}; {first.observed_words}',
+            f'{first.label}; {first.sentences[2]}',
         ),
         (
             'Distance from the path, measured',
@@ -360,13 +346,13 @@ def _tiles(facts: CalibrationFacts) -> tuple[tuple[str, str, str], ...]:
 
 def limits_section(facts: CalibrationFacts) -> Section:
     """Verdict by the limits of machine.yaml, limit by limit."""
-    verdict, typical = facts.result.machine_verdict, facts.typical
+    verdict, typical = facts.result.verdicts.machine, facts.typical
     rule = (
         'Decision rule (ISO 14253-1): a limit is met if value + U is at most the limit, '
         'exceeded if value - U is above it; in between, neither is proven and the check is not '
         'passed.'
     )
-    if verdict is None:
+    if not verdict.limits:
         lead = 'No verdict: machine.yaml states no limits (section limits).'
         return Section('limits', 'Verdict', (lead, rule))
     words = [f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}.', rule]
@@ -375,68 +361,15 @@ def limits_section(facts: CalibrationFacts) -> Section:
             f'U includes typical values for what machine.yaml does not declare: '
             f'{join_names(typical.missing)}.'
         )
-    rows = tuple(_limit_row(one) for one in verdict.judged)
+    rows = tuple(_limit_row(one) for one in verdict.limits)
     head = ('Quantity', 'Value', 'U (95 %)', 'Limit', 'Unit', 'State')
     table = Table(head, rows, numbers=(1, 2, 3), stacked=True)
     return Section('limits', 'Verdict', tuple(words), facts.result.verdicts.to_dict(), (table,))
 
 
 def _limit_row(one: LimitVerdict) -> tuple[Cell, ...]:
-    what = MEANING.get(one.name, f'{one.name}')
+    what = LIMIT_MEANING.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
     value = '' if one.state == UNKNOWN else figure(1e6 * one.value, 1e6 * (one.U or one.value))
     wide = significant(1e6 * one.U) if one.U else ''
     return what, value, wide, f'{1e6 * one.limit:g}', unit, State(one.state, MOODS[one.state])
-
-
-def calibration_summary(facts: CalibrationFacts) -> str:
-    """Return the lines of a terminal; ``calibration_sections`` hold all the rest."""
-    result, fit = facts.result, facts.result.fit
-    machine, mean = facts.machine, facts.result.headline.expanded['mean']
-    largest = ', '.join(
-        f'{name} {micro_figure(size, mean)}'
-        for name, size in contributions(facts)[:SUMMARY_CONTRIBUTORS]
-    )
-    lines = [
-        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
-        *result.verdicts.words,
-        *result.headline.words,
-        f'largest contributions, each alone, rms over the volume: {largest}',
-        *(
-            f'{what}: {", ".join(_scalar_words(facts, name) for name in names)}'
-            for what, names in (('squareness', machine.squareness), ('location', machine.location))
-            if names
-        ),
-        *filter(None, [result.offset_bound.sentence]),
-        f'distance from the path: mean {_distance_figure(fit.path_mae_before, fit)} before, '
-        f'{_distance_figure(fit.path_mae_after, fit)} after compensation, on the run itself',
-    ]
-    if result.not_identifiable:
-        lines.append(f'not determined, zero in the tables: {", ".join(result.not_identifiable)}')
-        lines += result.needs
-    if result.effects_sentence:
-        lines.append(result.effects_sentence)
-    lines += _warning_lines(facts)
-    return '\n'.join(lines)
-
-
-def _scalar_words(facts: CalibrationFacts, name: str) -> str:
-    if name in facts.result.not_identifiable:
-        return f'{name} not known'
-    wide = float(facts.result.expanded[name][0])
-    return f'{name} {micro_with_expanded(facts.tables.scalar(name), wide, unit_of(name))}'
-
-
-def _distance_figure(value: float, fit: Fit) -> str:
-    """A distance, to two digits of what compensation leaves."""
-    return micro_figure(value, fit.path_mae_after)
-
-
-def _warning_lines(facts: CalibrationFacts) -> list[str]:
-    warned = typical_warnings(facts.typical)
-    every = [w for w in facts.result.warnings if w not in warned]
-    lines = [f'warning: {shortened(w, SUMMARY_WIDTH)}' for w in every[:SUMMARY_WARNINGS]]
-    more = len(every) - SUMMARY_WARNINGS
-    if more > 0:
-        lines.append(f'warning: {more} more in report.html')
-    return lines

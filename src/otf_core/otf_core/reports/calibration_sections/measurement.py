@@ -15,8 +15,9 @@ from scipy.special import gammaincc
 
 from otf_core.arrays import Array
 from otf_core.budget.budget import NOISE
-from otf_core.calibration.calibration_result import CalibrationResult, RunResult, gauge_of
-from otf_core.effects.stated_effect import FOUND, effects_to_list
+from otf_core.calibration.calibration_result import CalibrationResult, RunResult
+from otf_core.calibration.document import gauge_of
+from otf_core.effects.stated_effect import FOUND
 from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
 from otf_core.model.provenance import moment
@@ -375,7 +376,7 @@ def effects_section(facts: CalibrationFacts) -> Section | None:
     )
     head = ('Effect', 'How', 'Parameter', 'Value', 'u, k = 1', 'Unit (SI)')
     table = Table(head, tuple(rows), numbers=(3, 4))
-    data = {'effects': effects_to_list(stated)}
+    data = {'effects': [one.to_dict() for one in stated]}
     return Section('effects', 'Effects taken off', words, data, (table,))
 
 

@@ -19,6 +19,8 @@ from otf_core.budget.budget import (
     TYPICAL_SOURCE,
     Budget,
 )
+from otf_core.budget.lines import GRID, LISTED_CORRELATION, BudgetLine, correlations
+from otf_core.calibration.document import LISTED_PAIRS
 from otf_core.model.expanded import quantity, readable_unit
 from otf_core.model.machine import Machine
 from otf_core.model.presets import TYPICAL
@@ -26,12 +28,7 @@ from otf_core.model.sections import DECLARABLE
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_facts import (
-    GRID,
-    LISTED_CORRELATION,
-    LISTED_PAIRS,
-    BudgetLine,
     CalibrationFacts,
-    correlations,
 )
 from otf_core.reports.drawing.panel import Bar, bars, svg
 from otf_core.reports.drawing.panel import words as svg_words

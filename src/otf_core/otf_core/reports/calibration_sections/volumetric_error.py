@@ -23,7 +23,6 @@ from otf_core.model.path import leg_bounds
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.volumetric import table_rows, table_values
 from otf_core.reports.calibration_facts import CalibrationFacts
-from otf_core.reports.calibration_sections.first_screen import contributions
 from otf_core.reports.drawing.panel import (
     Bar,
     Panel,
@@ -73,7 +72,7 @@ def volume_section(facts: CalibrationFacts) -> Section:
         f'{micro_significant(first.of_largest)}.',
     )
     data = {
-        **first.to_dict(), 'contributions': dict(contributions(facts)),
+        **first.to_dict(),
     }  # fmt: skip
     head = ('Volumetric error (um)', 'Mean', '95 % below', 'Largest')
     table = Table(head, tuple(rows), numbers=(1, 2, 3))
@@ -92,7 +91,7 @@ def _volume_pictures(facts: CalibrationFacts) -> Sequence[Picture]:
         columns=3,
         title='By direction',
     )
-    largest = contributions(facts)[:12]
+    largest = list(facts.result.headline.contributions.items())[:12]
     rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in largest]
     adds = Picture(
         (bars(rows, 'contribution of each motion'),),
