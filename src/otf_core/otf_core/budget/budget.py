@@ -407,8 +407,8 @@ STRAIGHT = 'straight lines'
 PLACES = 'places of targets'
 TYPICAL_SOURCE = 'typical, not declared'
 """What typical values add for systematic contributions that nobody declared."""
-OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, STRAIGHT)
-"""Sources that the run itself shows; all others are systematic."""
+OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, PLACES, STRAIGHT)
+"""Sources that the run shows, or that it leaves open; all others are systematic."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
+    OBSERVED,
     make_budget,
     noise_parts,
     piece_states,
@@ -148,6 +149,7 @@ def assemble(
     made = tabulate(joint.machine, joint, grid_u, limit)
     hidden, covariance = made.hidden, made.covariance_of(stated)
     declared = with_uncertainty(made.tables, covariance)
+    declares = not set(budget.names) <= set(OBSERVED)
     typical = typical_systematic(runs, joint, pulls)
     budget = replace(with_typical(budget, typical), rows=made.rows, straight=made.straight)
     whole, run = budget.whole, budget.run
@@ -165,6 +167,7 @@ def assemble(
         tables=tables,
         covariance=expected,
         covariance_run=observed,
+        covariance_change=covariance if declares else None,
         budget=budget,
         runs=tuple(results),
         targets=_targets(solved, joint, whole, run),

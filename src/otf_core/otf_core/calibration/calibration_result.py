@@ -321,6 +321,8 @@ class CalibrationResult:
     covariance, covariance_run : ndarray, shape (m, m)
         Of ``Machine.scalars`` and the nodes of ``Machine.motions``, m and rad: all sources, and
         noise and misfit of the run alone.
+    covariance_change : ndarray, optional
+        The latter with declared contributions; None where none is declared.
     budget : Budget
         All sources, typical values where nothing is declared.
     targets : mapping of target to TargetPlace
@@ -363,6 +365,7 @@ class CalibrationResult:
     tables: ErrorTables
     covariance: Array
     covariance_run: Array
+    covariance_change: Array | None
     budget: Budget
     runs: tuple[RunResult, ...]
     targets: Mapping[str, TargetPlace]

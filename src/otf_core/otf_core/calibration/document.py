@@ -131,6 +131,9 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
         else None,
         covariance=PackedCovariance.of(result.covariance, machine),
         covariance_run=PackedCovariance.of(result.covariance_run, machine),
+        covariance_change=None
+        if result.covariance_change is None
+        else PackedCovariance.of(result.covariance_change, machine),
         config=asdict(result.config),
         provenance=provenance(
             'calibrate', method=result.method, runs=result.origin, coverage=STANDARD

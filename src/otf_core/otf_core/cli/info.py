@@ -18,7 +18,7 @@ def _of_tables(data: Data) -> str:
     words = f'{data["machine"]["name"]}, chain {data["machine"]["chain"]}'
     verdicts = data.get('verdicts') or {}
     lines = [words, *(verdict['sentence'] for verdict in verdicts.values())]
-    if size := data.get('volumetric_error'):
+    if size := (data.get('headline') or {}).get('error'):
         lines.append(f'mean error {1e6 * size["mean"]:.1f} um, largest {1e6 * size["max"]:.1f} um')
     unseen = [name for name, table in data['motions'].items() if not table['identifiable']]
     return '; '.join([*lines, f'not seen: {", ".join(unseen) or "none"}'])

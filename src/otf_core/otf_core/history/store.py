@@ -234,12 +234,16 @@ class Series:
         In the order of time.
     values : ndarray, shape (r, m), m or rad
     covariances : ndarray, shape (r, m, m)
+        Of noise and misfit of a run and what does not repeat: what changes are judged by.
+    u : ndarray, shape (r,), m
+        Mean standard uncertainty of the error vectors on the grid, with all that is stated.
     """
 
     runs: tuple[StoredRun, ...]
     common: Common
     values: Array
     covariances: Array
+    u: Array
 
     @property
     def days(self) -> Array:
@@ -273,7 +277,11 @@ class Series:
     def since(self, first: int) -> Series:
         """The runs from one on."""
         return Series(
-            self.runs[first:], self.common, self.values[first:], self.covariances[first:]
+            self.runs[first:],
+            self.common,
+            self.values[first:],
+            self.covariances[first:],
+            self.u[first:],
         )
 
 
@@ -294,4 +302,13 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
     matrices = [common.matrix(source) for source in sources]
     both = list(zip(matrices, sources, strict=True))
     values = np.array([h @ table_values(s.tables) for h, s in both])
-    return Series(tuple(runs), common, values, np.array([h @ s.covariance @ h.T for h, s in both]))
+    changes = np.array([h @ s.change @ h.T for h, s in both])
+    u = np.array([mean_u(common, h @ s.covariance @ h.T) for h, s in both])
+    return Series(tuple(runs), common, values, changes, u)
+
+
+def mean_u(common: Common, covariance: Array) -> float:
+    """Mean standard uncertainty of the error vectors on the grid, m."""
+    rows = common.field_rows
+    variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
+    return float(np.mean(np.sqrt(np.maximum(variance, 0.0))))

@@ -497,6 +497,10 @@ class CalibrationDocument(Document):
     )
     covariance: PackedCovariance | None = stated('of u', default=None, sparse=True)
     covariance_run: PackedCovariance | None = stated('of u_run', default=None, sparse=True)
+    covariance_change: PackedCovariance | None = stated(
+        'what a change is judged by: u_run and declared contributions, which do not repeat; as '
+        'covariance_run where none is declared', default=None, sparse=True,
+    )  # fmt: skip
     config: Mapping[str, Any] = stated('parameters of the calibration', factory=dict)
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
     imported: Mapping[str, float] | None = stated(

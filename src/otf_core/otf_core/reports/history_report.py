@@ -92,6 +92,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
                 'at': run.at.isoformat(),
                 'volumetric_error': float(history.error[k]),
                 'u_volumetric_error': float(history.u_error[k]),
+                'u_run_volumetric_error': float(history.u_run[k]),
                 'since_first': _change(history.volume[k]),
                 'motions': {n: _change(c) for n, c in history.chart[k].items()},
             }
