@@ -193,7 +193,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
     before = exact_position(truth, q) - q
     fields = before, before - displacement(calibrated.tables, q)
     lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
-    alone = calibrated.extra['headline']['noise_and_misfit_alone']['U']
+    alone = calibrated.headline.observed
     print(result.message)
     print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')
     for when, length in zip(('as it stands', 'compensated'), lengths, strict=True):

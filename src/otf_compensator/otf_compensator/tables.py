@@ -43,7 +43,7 @@ class Tables:
             )
         content = load_tables(file)
         self._predictor = Predictor.of(content)
-        self.run_id = str(content.extra.get('run_id', ''))
+        self.run_id = content.run_id
         self.machine = self._predictor.tables.machine.name
         self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 

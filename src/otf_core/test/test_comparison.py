@@ -26,8 +26,11 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import MotionTable, ScalarError
-from otf_core.prediction.calibration_document import CalibrationDocument, tables_to_dict
-from otf_core.prediction.covariance import pack_covariance
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    PackedCovariance,
+    tables_to_dict,
+)
 from otf_core.reports.comparison import (
     comparison_to_dict,
     format_comparison,
@@ -52,10 +55,10 @@ def changed(tables, **added):
 
 
 def source(name, tables, covariance=None, hidden=()):
-    extra = {'not_identifiable': list(hidden)}
+    extra = {'not_identifiable': tuple(hidden)}
     if covariance is not None:
-        extra['covariance'] = pack_covariance(covariance, tables.machine)
-    return source_of_tables(name, CalibrationDocument(tables, extra))
+        extra['covariance'] = PackedCovariance.of(covariance, tables.machine)
+    return source_of_tables(name, CalibrationDocument.of_tables(tables, **extra))
 
 
 def compared(a, b, points=None):

@@ -23,7 +23,6 @@ from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
-from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.history_report import (
     format_history,
     history_page,
@@ -37,9 +36,9 @@ START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 @pytest.fixture(scope='module')
 def found(calibrated):
     """Plain data of a real calibration, and the root of its covariance."""
-    values, vectors = np.linalg.eigh(calibrated.covariance)
+    values, vectors = np.linalg.eigh(calibrated.covariance_run)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return SimpleNamespace(data=json.loads(json.dumps(result_to_dict(calibrated))), root=root)
+    return SimpleNamespace(data=json.loads(json.dumps(calibrated.to_dict())), root=root)
 
 
 def moved(data, size):
@@ -127,9 +126,9 @@ def with_less_driven(data, axis):
     data = json.loads(json.dumps(data))
     for table in data['motions'].values():
         if table['axis'] == axis:
-            for key in ('position', 'value', 'u', 'node_identifiable', 'U'):
+            for key in ('position', 'value', 'u', 'u_run', 'node_identifiable'):
                 table[key] = (table[key] or [])[1:]
-    del data['covariance']
+    del data['covariance'], data['covariance_run']
     return data
 
 
@@ -243,14 +242,13 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
 
 def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 0.0], 22)
-    wide = found.data['headline']['expected_after_compensation']['U']['mean']
+    wide = found.data['headline']['u']['mean'] * found.data['headline']['k']
     share = f'up to about {micro_significant(2**0.5 * wide)} in the volume'
     page = history_page([report_machine(h)]).replace('\u00a0', ' ').replace('µ', 'u')
     assert share in format_history(h) and share in page
     assert f'U = {micro_significant(wide)}' in page
-    assert 'valid only at the target offset (20, -30, -150) mm: ' in format_history(h)
-    declared = {**found.data, 'headline': {'expected_after_compensation': {
-        'U': {'mean': wide}, 'systematic': 'declared'}}}  # fmt: skip
+    assert 'measured with one target offset, (20, -30, -150) mm: ' in format_history(h)
+    declared = {**found.data, 'headline': {**found.data['headline'], 'systematic': 'declared'}}
     (tmp_path / 'declared.json').write_text(json.dumps(declared))
     add_run(tmp_path / 'other', tmp_path / 'declared.json', '2026-01-01')
     assert 'typical size' not in format_history(

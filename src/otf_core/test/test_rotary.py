@@ -244,7 +244,8 @@ def test_tables_predict_the_exact_error_within_second_order():
     assert np.abs(exact - displacement(tables, q)).max() < 5e-8
     from otf_core.prediction.calibration_document import CalibrationDocument
 
-    assert np.array_equal(predict(CalibrationDocument.of_tables(tables), q).error, displacement(tables, q))
+    found = predict(CalibrationDocument.of_tables(tables), q)
+    assert np.array_equal(found.error, displacement(tables, q))
 
 
 def test_check_says_what_a_recording_will_show(capsys):

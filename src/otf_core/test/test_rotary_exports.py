@@ -44,7 +44,7 @@ def five_axes(chain=CHAINS[0], seed=3):
 def exported(name, tables, sign='error', **extra):
     chosen = export_format(name)
     sign = sign if chosen.sign_is_asked else None
-    return chosen.export(Request(CalibrationDocument(tables, extra), 'cell.txt', sign))
+    return chosen.export(Request(CalibrationDocument.of_tables(tables, **extra), 'cell.txt', sign))
 
 
 def places(machine, count=60):

@@ -548,8 +548,9 @@ class CalibrationDocument(Document):
         silent: list[str] = []
         for kind, names in (('squareness', machine.squareness), ('location', machine.location)):
             given = _named(content, kind, names, where)
-            content[kind] = {n: given.get(n) or {} for n in names}
-            silent += [n for n in names if 'value' not in (given.get(n) or {})]
+            content[kind] = {n: {} if given.get(n) is None else given[n] for n in names}
+            entries = {n: own for n, own in content[kind].items() if isinstance(own, Mapping)}
+            silent += [n for n, own in entries.items() if 'value' not in own]
         if isinstance(prior := content.get('prior'), Mapping):
             content['prior'] = {n: v for n, v in prior.items() if is_motion(n)}
         document = super().from_dict(content, where)

@@ -69,10 +69,9 @@ def _scalar(data: Mapping[str, Any], name: str) -> str:
         return '-'
     if name in data['not_identifiable']:
         return UNKNOWN
-    entry, typical = data[kind][name], data.get('typical_systematic') or {}
-    u = typical.get(kind, {}).get(name, entry)['u']
+    entry = data[kind][name]
     star = '*' if name in data['target_offset_bound']['contains'] else ''
-    wide = entry.get('k', COVERAGE_FACTOR) * u
+    wide = entry.get('k', COVERAGE_FACTOR) * entry['u']
     return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
 
 

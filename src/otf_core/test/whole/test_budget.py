@@ -32,7 +32,6 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.calibration_facts import (
     budget_lines,
     budget_to_dict,
@@ -138,7 +137,7 @@ def test_declared_contributions_leave_the_estimates_alone_and_widen_u(declared, 
 def test_an_empty_declaration_leaves_the_tables_as_they_are(cell, calibrated):
     machine = with_declared(cell.machine, {})
     result = calibrate(cell.recording.measured(cell.truth), cell.path, machine)
-    one, other = (result_to_dict(r) for r in (result, calibrated))
+    one, other = (r.to_dict() for r in (result, calibrated))
     for key in ('motions', 'squareness', 'covariance', 'budget', 'fit'):
         assert json.dumps(one[key]) == json.dumps(other[key]), key
     assert 'uncertainty' not in other['machine']
@@ -379,7 +378,7 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
 def test_file_holds_expanded_uncertainty_budget_and_correlations(declared):
     lines = budget_lines(declared.tables, declared.budget)
     wide = expanded_uncertainties(declared.tables, lines)
-    found = result_to_dict(declared)
+    found = declared.to_dict()
     exx = found['motions']['EXX']
     np.testing.assert_allclose(exx['U'], exx['k'] * np.array(exx['u']))
     assert exx['dof'] > 30

@@ -24,7 +24,6 @@ from otf_core.planning.forecast import (
     planned_systematic,
 )
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.calibration import result_to_dict
 from otf_core.reports.calibration_facts import budget_lines
 from otf_core.reports.plan_files import plan_summary, report_to_dict
 
@@ -168,7 +167,7 @@ def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_the
     assert typical.grid[1] > 4 * typical.grid[0]
     assert whole.typical is None
     assert not any('typical' in text for text in whole.warnings)
-    assert result_to_dict(whole)['typical_systematic'] is None
+    assert whole.to_dict()['typical_systematic'] is None
 
 
 def test_undeclared_contributions_are_a_warning(calibrated):
@@ -177,7 +176,7 @@ def test_undeclared_contributions_are_a_warning(calibrated):
     assert (
         'U includes typical values for them (presets absolute-interferometer, workshop)' in first
     )
-    found = result_to_dict(calibrated)
+    found = calibrated.to_dict()
     assert found['warnings'][0] == calibrated.warnings[0]
     entry = found['typical_systematic']
     assert set(entry['motions']) == set(found['motions'])
