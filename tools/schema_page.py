@@ -28,8 +28,9 @@ def schema_page() -> str:
         sys.path.append(folder)
     from otf_core.documents import schema_rows
     from otf_core.files.message_text import with_micro_sign
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
-    documents: dict[str, type] = {}
+    documents: dict[str, type] = {'error_tables.json': CalibrationDocument}
     parts = [INTRODUCTION]
     for file, document in documents.items():
         first, *_ = (document.__doc__ or '').partition('\n')

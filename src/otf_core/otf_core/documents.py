@@ -33,7 +33,12 @@ if TYPE_CHECKING:  # Python 3.10 has none
 
 FIELD = 'otf document field'
 """Key of ``Stated`` in the metadata of a field."""
-ARRAYS = {'Array': NDArray[np.float64], 'Index': NDArray[np.int64], 'Flags': NDArray[np.bool_]}
+ARRAYS = {
+    'Array': NDArray[np.float64],
+    'Index': NDArray[np.int64],
+    'Flags': NDArray[np.bool_],
+    'numpy': np,
+}
 """What the aliases of ``arrays``, which load no numpy, stand for."""
 WORDS = {
     float: 'a finite number',

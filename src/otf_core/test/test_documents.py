@@ -3,8 +3,10 @@
 
 import json
 import math
+import runpy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -13,6 +15,9 @@ import pytest
 from otf_core.arrays import Array, Index
 from otf_core.documents import Document, schema_rows, stated
 from otf_core.errors import InputError
+
+
+TOOL = Path(__file__).resolve().parents[3] / 'tools' / 'schema_page.py'
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,14 @@ def test_what_is_missing_or_ill_typed_is_refused_by_its_path(path, value, words)
     with pytest.raises(InputError) as raised:
         Whole.from_dict(changed(path, value), 'f')
     assert words in str(raised.value)
+
+
+def test_the_page_of_fields_is_fresh():
+    if not TOOL.exists():
+        pytest.skip('no tools beside an installed package')
+    made = runpy.run_path(str(TOOL))
+    page = made['PAGE'].read_text(encoding='utf-8')
+    assert made['schema_page']() == page, 'run python3 tools/schema_page.py'
 
 
 def test_schema_names_every_stated_field_with_unit_and_meaning():
