@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 import types
 import typing
 from collections.abc import Collection, Iterator, Mapping
@@ -197,7 +198,7 @@ def _number(value: Any, where: str, own: Stated, kind: type) -> float:
     if value is None and own.unknown:
         return math.nan
     right = isinstance(value, int) or (kind is float and isinstance(value, float))
-    if isinstance(value, bool) or not right or not abs(value) <= np.finfo(float).max:
+    if isinstance(value, bool) or not right or not abs(value) <= sys.float_info.max:
         _refuse(where, kind, value)
     if value < own.least:
         raise InputError(f'{where}: must be at least {own.least:g}, got {value:g}')

@@ -29,7 +29,7 @@ def test_a_target_along_z_puts_tilts_of_z_into_its_straightness_and_squareness()
     assert found.words('A0Z') == 'at target offset (0, 0, -150) mm, contains EAZ'
     assert found.words('C0Y') == '' and found.words('EXX') == ''
     assert found.sentence.startswith(
-        'valid only at the target offset (0, 0, -150) mm: B0Z, A0Z, EXZ, EYZ; they contain EBZ'
+        'measured with one target offset, (0, 0, -150) mm: B0Z, A0Z, EXZ, EYZ include EBZ'
     )
 
 

@@ -16,7 +16,6 @@ from otf_core.arrays import Array, Index
 from otf_core.documents import Document, schema_rows, stated
 from otf_core.errors import InputError
 
-
 TOOL = Path(__file__).resolve().parents[3] / 'tools' / 'schema_page.py'
 
 

@@ -311,7 +311,7 @@ def test_an_imported_lattice_knows_what_it_does_not_show(chain):
     lost = [m for m, t in found.tables.motions.items() if not t.identifiable]
     assert len(lost) == 4 and not any(found.tables.motions[m].value.any() for m in lost)
     q = np.array([[0.2, 0.1, -0.1]])
-    content = CalibrationDocument(found.tables)
+    content = CalibrationDocument.of_tables(found.tables)
     np.testing.assert_allclose(predict(content, q).error, error_of(tables, q), atol=2e-7)
     assert not any('were not seen' in n for n in predict(content, q).notes)
     other = machine.target_offset + np.array([0.1, 0.05, -0.2])

@@ -215,7 +215,7 @@ def command(tmp_path):
 def test_last_column_tells_inside_and_a_note_counts_the_others(command, capsys):
     assert command.run([(0.1, 0.1, -0.1), (0.3, 0.25, 0.0), (0.31, 0.1, -0.1)]) == 0
     header, *rows = command.out.read_text().splitlines()
-    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     assert [row.rsplit(',', 1)[1] for row in rows] == ['1', '1', '0']
     assert [row.endswith(',,,,0') for row in rows] == [False, False, True]
     shown = capsys.readouterr()

@@ -158,8 +158,15 @@ def assemble(
     results = _run_results(solved, runs, joint, states, config)
     fit = _fit(solved, joint, results, check, budget.inflation)
     findings = (*findings, *check_worth(declared, covariance, sample_noise(runs)))
-    lack_of_fit = find_lack_of_fit(runs, joint)
     machines = [r.machine for r in solved.recordings]
+    warnings = (
+        *([typical.warning] if typical else []),
+        *notes,
+        *words_of(findings, WARNING),
+        *_warnings(fit, declared, limit),
+        *_lack_of_fit(runs, joint, grid_u),
+        *mixture_warnings(machines, hidden),
+    )
     gates = (*failed, *words_of(findings, GATE), *_failed_gates(fit, tables))
     measurement = measurement_verdict(gates)
     return CalibrationResult(
@@ -181,14 +188,7 @@ def assemble(
         not_identifiable=hidden,
         advice=advice_for(machines, solved.parts, hidden),
         typical=typical,
-        warnings=(
-            *([typical.warning] if typical else []),
-            *notes,
-            *words_of(findings, WARNING),
-            *_warnings(fit, declared, limit),
-            *filter(None, [lack_of_fit.warning(grid_u) if lack_of_fit else None]),
-            *mixture_warnings(machines, hidden),
-        ),
+        warnings=warnings,
         failed_gates=gates,
         verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
         config=config,
@@ -306,6 +306,11 @@ def _failed_gates(fit: Fit, tables: ErrorTables) -> tuple[str, ...]:
     if fit.path_mae_after >= fit.path_mae_before:
         failed.append('compensation: the tables do not reduce the distance from the path')
     return tuple(failed)
+
+
+def _lack_of_fit(runs: Sequence[Observed], joint: JointSolution, grid_u: float) -> list[str]:
+    found = find_lack_of_fit(runs, joint)
+    return [*filter(None, [found.warning(grid_u) if found else None])]
 
 
 def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.presets import TYPICAL
 from otf_core.model.provenance import STANDARD, provenance
-from otf_core.model.tables import with_uncertainty
+from otf_core.model.tables import ErrorTables, ScalarError, with_uncertainty
 from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.calibration_document import (
     BudgetBlock,
@@ -59,34 +60,13 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
     """Put together what a calibration states."""
     machine, typical = result.tables.machine, result.typical
     tables = with_uncertainty(result.tables, result.covariance, result.covariance_run)
-    lines = {line.name: line for line in result.budget_lines}
-    hidden = result.not_identifiable
+    more, hidden = _beside(result), result.not_identifiable
 
-    def more(name: str) -> dict[str, Any]:
-        line, needs = lines.get(name), result.advice.get(name)
-        return {'needs': needs} | ({'k': line.k, 'dof': line.dof} if line else {})
-
-    def scalars(names: tuple[str, ...]) -> dict[str, Any]:
-        own = {**tables.squareness, **tables.location}
-        seen = {n: float(n not in hidden) for n in names}
-        return {
-            n: replace(
-                own[n],
-                u=seen[n] * own[n].u,
-                u_run=seen[n] * (own[n].u_run or 0.0),
-                identifiable=n not in hidden,
-                **more(n),
-            )
-            for n in names
-        }
-
-    pairs = correlations(tables, result.covariance)
-    freedoms = dict(zip(result.budget.names, result.budget.freedoms.tolist(), strict=True))
     return CalibrationDocument(
         machine=machine,
-        motions={n: replace(v, **more(n)) for n, v in named_tables(tables).items()},
-        squareness=scalars(tuple(machine.squareness)),
-        location=scalars(tuple(machine.location)),
+        motions={n: replace(v, **more[n]) for n, v in named_tables(tables).items()},
+        squareness={n: _scalar(v, n in hidden, more[n]) for n, v in tables.squareness.items()},
+        location={n: _scalar(v, n in hidden, more[n]) for n, v in tables.location.items()},
         systematic=result.headline.systematic,
         targets=result.targets,
         alignment=result.T_machine_tracker,
@@ -103,27 +83,14 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
         runs=tuple(map(_run, result.runs)),
         run_id=result.run_id,
         gauge=gauge_of(machine),
-        spacing=SpacingBlock(
-            result.fraction,
-            tuple(
-                SpacingCost(fraction, cost.grid, cost.motions)
-                for fraction, cost in sorted(result.table_costs.items())
-            ),
-        ),
+        spacing=_spacing(result),
         prior={name: PriorEntry(size) for name, size in result.prior.items()},
         target_offset_bound=result.offset_bound,
         driven=driven_volume(
             _driven_positions(result), result.config.corner_exclusion + result.config.piece_length
         ),
-        budget=BudgetBlock(
-            coverage_probability=COVERAGE_PROBABILITY,
-            dof={name: freedoms.get(name, np.inf) for name in lines[GRID].parts},
-            not_stated=result.budget.not_stated,
-            u_rms={n: BudgetEntry(one.unit, one.u, one.parts) for n, one in lines.items()},
-        ),
-        correlations=CorrelationBlock(
-            LISTED_CORRELATION, tuple(pairs[:LISTED_PAIRS]), max(0, len(pairs) - LISTED_PAIRS)
-        ),
+        budget=_budget(result),
+        correlations=_correlations(result, tables),
         typical_systematic=TypicalBlock(
             typical.missing, tuple(TYPICAL), typical.assumed, typical.warning
         )
@@ -138,6 +105,48 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
         provenance=provenance(
             'calibrate', method=result.method, runs=result.origin, coverage=STANDARD
         ),
+    )
+
+
+def _beside(result: CalibrationResult) -> dict[str, dict[str, Any]]:
+    """What stands beside the values of an error: k and dof, what would show it."""
+    lines = {line.name: line for line in result.budget_lines}
+    beside: dict[str, dict[str, Any]] = {}
+    for name in (*result.tables.machine.motions, *result.tables.machine.scalars):
+        line = lines.get(name)
+        beside[name] = {'needs': result.advice.get(name)}
+        beside[name] |= {'k': line.k, 'dof': line.dof} if line else {}
+    return beside
+
+
+def _scalar(own: ScalarError, hidden: bool, more: Mapping[str, Any]) -> ScalarError:
+    seen = float(not hidden)
+    return replace(
+        own, u=seen * own.u, u_run=seen * (own.u_run or 0.0), identifiable=not hidden, **more
+    )
+
+
+def _budget(result: CalibrationResult) -> BudgetBlock:
+    lines = {line.name: line for line in result.budget_lines}
+    freedoms = dict(zip(result.budget.names, result.budget.freedoms.tolist(), strict=True))
+    return BudgetBlock(
+        coverage_probability=COVERAGE_PROBABILITY,
+        dof={name: freedoms.get(name, np.inf) for name in lines[GRID].parts},
+        not_stated=result.budget.not_stated,
+        u_rms={n: BudgetEntry(one.unit, one.u, one.parts) for n, one in lines.items()},
+    )
+
+
+def _correlations(result: CalibrationResult, tables: ErrorTables) -> CorrelationBlock:
+    pairs = correlations(tables, result.covariance)
+    more = max(0, len(pairs) - LISTED_PAIRS)
+    return CorrelationBlock(LISTED_CORRELATION, tuple(pairs[:LISTED_PAIRS]), more)
+
+
+def _spacing(result: CalibrationResult) -> SpacingBlock:
+    costs = sorted(result.table_costs.items())
+    return SpacingBlock(
+        result.fraction, tuple(SpacingCost(k, cost.grid, cost.motions) for k, cost in costs)
     )
 
 
