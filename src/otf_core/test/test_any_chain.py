@@ -52,7 +52,7 @@ def test_tables_of_any_chain_are_read_as_they_were_written(chain, tmp_path):
     known = {m: t.with_defaults() for m, t in tables.motions.items()}
     again = ErrorTables(tables.machine, known, file.squareness, file.location)
     assert tables_to_dict(file.tables) == tables_to_dict(again)
-    assert (file.without_value, file.without_u) == ((), ())
+    assert (file.remarks, file.without_u) == ((), ())
 
 
 def test_position_of_the_target_is_that_of_the_axes_and_zero_along_what_is_none():

@@ -165,8 +165,9 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
         'not_identifiable': ['A0C', 'EBA'],
         'headline': {
             'error': {'mean': 5e-5, 'max': 1e-4},
-            'U_of_largest': 5e-6,
-            'expected_after_compensation': {'U': {'mean': 2e-6, 'max': 5e-6}},
+            'u_of_largest': 2.5e-6,
+            'k': 2.0,
+            'u': {'mean': 1e-6, 'max': 2.5e-6},
         },
         'target_offset_bound': {'contains': {}, 'offset': [0.0, 0.0, 0.0]},
     }

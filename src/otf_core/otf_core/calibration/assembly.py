@@ -18,6 +18,7 @@ from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
     OBSERVED,
+    NoiseParts,
     make_budget,
     noise_parts,
     piece_states,
@@ -130,13 +131,8 @@ def assemble(
     notes, failed : sequence of str
         Warnings, and quality gates that failed, of which the solution knows.
     """
-    joint, limit = solved.joint, config.unidentifiable_above
-    pairs = zip(joint.runs, solved.recordings, strict=True)
-    runs = [replace(one.run, machine=recording.machine) for one, recording in pairs]
-    as_solved = tables_of(joint.machine, joint.unknowns, joint.solution)
-    pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, as_solved))
-    parts = noise_parts(runs, joint)
-    joint = settle_covariance(joint, limit, parts.normal)
+    limit = config.unidentifiable_above
+    runs, joint, parts, pulls = _settled(solved, limit)
     states = piece_states(runs, joint, tables_of(joint.machine, joint.unknowns, joint.solution))
     check = whole_check(runs, joint, [s.residual for s in joint.runs])
     still = standstill_freedom([r.samples for r in solved.recordings], runs, solved.rest)
@@ -195,6 +191,19 @@ def assemble(
         origin=origins(solved.recordings),
         effects=removed.stated if removed is not None else (),
     )
+
+
+def _settled(
+    solved: Solved, limit: float
+) -> tuple[list[Observed], JointSolution, NoiseParts, Array]:
+    """Runs, their solution with its covariance, parts of the noise, pulls of typical values."""
+    joint = solved.joint
+    pairs = zip(joint.runs, solved.recordings, strict=True)
+    runs = [replace(one.run, machine=recording.machine) for one, recording in pairs]
+    tables = tables_of(joint.machine, joint.unknowns, joint.solution)
+    pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, tables))
+    parts = noise_parts(runs, joint)
+    return runs, settle_covariance(joint, limit, parts.normal), parts, pulls
 
 
 def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: Array) -> Reversal:

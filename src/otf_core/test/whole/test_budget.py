@@ -22,6 +22,7 @@ from otf_core.budget.budget import (
     welch_satterthwaite,
     whole_check,
 )
+from otf_core.budget.lines import budget_lines, correlations
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
@@ -32,12 +33,6 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.calibration_facts import (
-    budget_lines,
-    budget_to_dict,
-    correlations,
-    expanded_uncertainties,
-)
 from otf_core.sim.tracker import measure
 from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
 from otf_core.solving.sensitivity import components_across, piece_state, sensitivity
@@ -375,21 +370,19 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
     assert budget.expansion(budget.variances()) == (pytest.approx(2.306, abs=1e-3), 8.0)
 
 
-def test_file_holds_expanded_uncertainty_budget_and_correlations(declared):
-    lines = budget_lines(declared.tables, declared.budget)
-    wide = expanded_uncertainties(declared.tables, lines)
+def test_file_holds_budget_correlations_and_coverage_factors(declared):
     found = declared.to_dict()
     exx = found['motions']['EXX']
-    np.testing.assert_allclose(exx['U'], exx['k'] * np.array(exx['u']))
-    assert exx['dof'] > 30
-    assert wide['ECZ'] == {'U': [0.0] * len(exx['U'][:5]), 'k': None, 'dof': None}
+    np.testing.assert_allclose(exx['u'], declared.expanded['EXX'] / exx['k'], atol=1e-15)
+    assert exx['dof'] > 30 and 'k' not in found['motions']['ECZ']
+    assert not any(found['motions']['ECZ']['u'])
     assert 'air' in found['budget']['u_rms']['EXX']['sources']
     strong = found['correlations']['strongest']
     assert 0 < len(strong) <= 20
     assert all(0.5 <= abs(pair['r']) <= 1 + 1e-9 for pair in strong)
     pairs = correlations(declared.tables, declared.covariance)
     assert found['correlations']['more'] == max(0, len(pairs) - 20)
-    json.dumps(budget_to_dict(declared.tables, declared.budget, lines), allow_nan=False)
+    json.dumps(found, allow_nan=False)
 
 
 def test_declaration_is_read_echoed_and_checked(tmp_path):

@@ -12,7 +12,6 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.predict import predict
 from otf_core.reports.calibration import calibration_html, facts_of
 from otf_core.sim.twin import twin_recording
@@ -53,8 +52,7 @@ def folder(tmp_path_factory):
 def judged(file, cell):
     known = load_tables(file)
     count = 3 + sum(len(m.position) for m in known.tables.motions.values())
-    packed = json.loads(file.read_text())['covariance']
-    return judge(cell, known.tables, unpack_covariance(packed, count))
+    return judge(cell, known.tables, known.covariance_run.unpack(count))
 
 
 def test_growth_taken_off_leaves_tables_as_of_the_start_of_the_run(folder):
