@@ -319,6 +319,11 @@ def calibrate(
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
+    if runs[0].machine.rotary_names:
+        raise ConfigError(
+            f'effects: cannot be taken off for machines with rotary axes (chain '
+            f'{runs[0].machine.chain}); leave them out'
+        )
     from otf_core.diagnosis.diagnose import calibrate_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -329,6 +334,8 @@ def diagnose(
     recordings: Recordings,
     *,
     exclude: Sequence[str] = (),
+    own_causes: str | Path = '',
+    same_station: bool = False,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -340,6 +347,10 @@ def diagnose(
         Several: runs of one machine, diagnosed as one.
     exclude : sequence of str
         Effects that are not searched for.
+    own_causes : str or Path, optional
+        File of causes of your own to search for besides.
+    same_station : bool
+        As in `calibrate`.
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -363,9 +374,13 @@ def diagnose(
     if unknown:
         raise ConfigError(f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(EVERY)}')
     from otf_core.diagnosis.diagnose import diagnose
+    from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.sim.twin import twin_recording
 
-    return diagnose(runs, twin_recording, exclude, config, progress)
+    own = read_own_causes(own_causes, runs[0].machine) if own_causes else ()
+    return diagnose(
+        runs, twin_recording, exclude, config, progress, own=own, same_station=same_station
+    )
 
 
 def predict(

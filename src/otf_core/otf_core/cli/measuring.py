@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import output_folder, parameters, reading_options, refuse_rotary
+from otf_core.cli.options import output_folder, parameters, reading_options
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
 from otf_core.config import AUTO, CalibrationConfig, DiagnosisConfig, WritingConfig
 from otf_core.errors import ConfigError, InputError, OtfError
@@ -61,89 +61,53 @@ def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
+    from otf_core.api import functions as api
+    from otf_core.reports.calibration import write_calibration
+
     config = parameters(CalibrationConfig, arguments)
     writing = parameters(WritingConfig, arguments)
     effects = arguments.effects
-    own = (effects,) if effects and effects != AUTO else ()
     out = output_folder(
-        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
+        arguments, *_inputs(arguments), *([effects] if effects not in (None, AUTO) else [])
     )
     with progress_of('reading', DIAGNOSE if effects else CALIBRATE) as progress:
-        recordings = read_recordings(arguments)
-        if effects:
-            from otf_core.diagnosis.diagnose import calibrate_with_effects
-            from otf_core.sim.twin import twin_recording
-
-            refuse_rotary(recordings[0].machine, 'calibrate --effects')
-            result = calibrate_with_effects(
-                recordings, effects, twin_recording, config, progress, arguments.method
-            )
-        else:
-            from otf_core.calibration.calibrate import calibrate_recordings
-
-            result = calibrate_recordings(
-                recordings, config, progress, arguments.method,
-                same_station=arguments.same_station,
-            )  # fmt: skip
-        from otf_core.reports.calibration import (
-            calibration_sections,
-            facts_of,
-            write_calibration,
-        )
-        from otf_core.reports.page import sections_to_dict
-        from otf_core.reports.terminal import calibration_summary
-
+        result = api.calibrate(
+            read_recordings(arguments), method=arguments.method, effects=effects,
+            same_station=arguments.same_station, config=config, progress=progress,
+        )  # fmt: skip
         progress('writing', 0.0)
-        facts = facts_of(result)
         with out.filled('calibrate') as folder:
-            files = write_calibration(
-                result,
-                folder,
-                residuals_csv=writing.residuals_csv,
-                report=writing.report,
-                facts=facts,
-                missing=out.missing,
-            )
+            files = write_calibration(result, folder, residuals_csv=writing.residuals_csv,
+                                      report=writing.report, missing=out.missing)  # fmt: skip
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
-    report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
-    answer_from(arguments, calibration_summary(result.document), files, TABLES, report=report)
-    return result.verdicts.exit_code
+    answer_from(arguments, api.summary(result), files, TABLES)
+    return result.document.exit_code
+
+
+def _inputs(arguments: argparse.Namespace) -> list[str]:
+    """Files and folders that a verb on recordings reads."""
+    return [*arguments.bag, *arguments.machine, *(arguments.path or ())]
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
-    config = parameters(CalibrationConfig, arguments)
-    from otf_core.diagnosis.diagnose import diagnose
-    from otf_core.effects import EVERY
-    from otf_core.effects.effects_yaml import read_own_causes
+    from otf_core.api import functions as api
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import gap_sections, write_diagnosis
-    from otf_core.reports.page import sections_to_dict, sections_to_text
-    from otf_core.sim.twin import twin_recording
+    from otf_core.reports.diagnosis import write_diagnosis
 
+    config = parameters(CalibrationConfig, arguments)
     search = parameters(DiagnosisConfig, arguments)
-    unknown = sorted(set(search.exclude) - set(EVERY))
-    if unknown:
-        raise ConfigError(
-            f'{arguments.config}: exclude: {unknown[0]} is not an effect; known: '
-            f'{", ".join(EVERY)}'
-        )
-    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
+    out = output_folder(arguments, *_inputs(arguments))
     with progress_of('reading', DIAGNOSE) as progress:
-        recordings = read_recordings(arguments)
-        causes = search.own_causes
-        own = read_own_causes(causes, recordings[0].machine) if causes else ()
-        diagnosis = diagnose(
-            recordings, twin_recording, search.exclude, config, progress, own=own,
-            same_station=arguments.same_station,
+        diagnosis = api.diagnose(
+            read_recordings(arguments), exclude=search.exclude, own_causes=search.own_causes,
+            same_station=arguments.same_station, config=config, progress=progress,
         )  # fmt: skip
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)
-    sections = gap_sections(diagnosis)
-    report = sections_to_dict(sections)
-    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
+    answer_from(arguments, api.summary(diagnosis), files, 'gap.json')
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0

@@ -514,6 +514,11 @@ class CalibrationDocument(Document):
         """Machine, motions and scalars."""
         return ErrorTables(self.machine, self.motions, self.squareness, self.location)
 
+    @property
+    def exit_code(self) -> int:
+        """0, 4 or 5, see ``Verdicts``."""
+        return 0 if self.verdicts is None else self.verdicts.exit_code
+
     @classmethod
     def of_tables(cls, tables: ErrorTables, **more: Any) -> CalibrationDocument:
         """Document of tables alone, or with more blocks."""
