@@ -101,4 +101,4 @@ def test_a_calibration_writes_what_was_driven(calibrated, cell, tmp_path):
     found = predict(file, np.concatenate([q, np.add(q, [0.02, 0, 0])]))
     assert found.inside[: len(q)].all()
     assert found.inside[len(q) :].sum() == 100
-    assert 'u holds noise, misfit and systematic contributions typical' in found.summary
+    assert 'u holds noise, misfit; systematic contributions typical' in found.summary

@@ -102,6 +102,13 @@ def test_every_field_of_the_contract_makes_the_round_trip():
     assert content.tables.motions['EXX'].node_identifiable.dtype == bool
 
 
+def test_the_document_of_a_calibration_makes_the_round_trip(calibrated):
+    data = json.loads(json.dumps(calibrated.to_dict(), allow_nan=False))
+    again = tables_from_dict(data, 'file')
+    assert json.loads(json.dumps(again.to_dict())) == data
+    assert again.exit_code == calibrated.verdicts.exit_code and again.remarks == ()
+
+
 def test_a_file_that_says_nothing_of_nodes_is_read_as_that(data):
     assert tables_from_dict(data, 'file').tables.motions['EXX'].node_identifiable is None
 

@@ -164,7 +164,7 @@ def test_estimated_quantities_count_as_lost_degrees_of_freedom():
 
 
 def test_calibration_reports_positive_uncertainty_where_it_says_it_sees(calibrated):
-    covariance = calibrated.covariance
+    covariance = calibrated.covariance_run
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-9 * np.abs(covariance).max())
     assert np.linalg.eigvalsh(covariance).min() > -1e-9 * np.trace(covariance)
     for name, table in calibrated.tables.motions.items():
@@ -179,7 +179,7 @@ def test_calibration_reports_positive_uncertainty_where_it_says_it_sees(calibrat
 def test_errors_of_a_calibration_are_within_a_few_uncertainties(cell, calibrated):
     q = lattice(cell.machine, 4)
     nodes = {n: calibrated.tables.motions[n].position for n in MOTIONS}
-    u = prediction_uncertainty(cell.machine, nodes, calibrated.covariance, q)
+    u = prediction_uncertainty(cell.machine, nodes, calibrated.covariance_run, q)
     error = error_of(calibrated.tables, q)
     truth = error_of(random_tables(cell.machine, 2e-5, np.random.default_rng(3)), q)
     # the gauge leaves a rigid motion open: take it out of the difference with weights 1 / u

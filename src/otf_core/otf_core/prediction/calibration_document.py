@@ -340,11 +340,6 @@ class Headline(Remainder):
         """Expanded uncertainty of the largest length, m."""
         return self.k * self.u_of_largest
 
-    @property
-    def words(self) -> tuple[str, ...]:
-        """The sentences."""
-        return self.sentences
-
 
 @dataclass(frozen=True)
 class LimitVerdict(Document):

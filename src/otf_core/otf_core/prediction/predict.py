@@ -215,7 +215,7 @@ def _contained(content: CalibrationDocument) -> str:
     """What u holds, in words."""
     if content.headline is None:
         return 'the contributions in the tables, which their file does not state'
-    return f'noise, misfit and {content.headline.label}'
+    return f'noise, misfit; {content.headline.label}'
 
 
 def _not_seen(content: CalibrationDocument) -> tuple[str, ...]:

@@ -102,7 +102,7 @@ def published(case):
     sizes = [3, *(len(tables.motions[m].value) for m in MOTIONS)]
     kept = np.repeat([True, *(m in seen for m in MOTIONS)], sizes)
     values = np.concatenate([values, *(tables.motions[m].value for m in seen)])
-    covariance = case.result.covariance - np.diag(case.result.budget.straight)
+    covariance = case.result.covariance_run - np.diag(case.result.budget.straight)
     return values, covariance[np.ix_(kept, kept)]
 
 

@@ -123,7 +123,7 @@ def test_sources_add_up_in_quadrature_to_u(declared):
 def test_declared_contributions_leave_the_estimates_alone_and_widen_u(declared, calibrated):
     for name, table in calibrated.tables.motions.items():
         np.testing.assert_array_equal(declared.tables.motions[name].value, table.value)
-        assert np.all(declared.tables.motions[name].u >= table.u * (1 - 1e-9))
+        assert np.all(declared.tables.motions[name].u >= table.u_run * (1 - 1e-9))
     assert declared.budget.not_stated == ()
     assert len(calibrated.budget.not_stated) == 6
     assert calibrated.budget.not_stated[:2] == ('tracker scale', 'air')

@@ -57,7 +57,7 @@ def test_commands_end_well(done):
 
 def test_prediction_leaves_less_than_two_per_cent_of_the_truth(done):
     header, rows = read_csv(done.folder / 'errors.csv')
-    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     np.testing.assert_array_equal(rows[:, :3], done.q)
     truth = np.array([error_by_hand(done.truth, point) for point in done.q])
     left = without_rigid_motion(rows[:, 3:6] - truth, done.q)

@@ -94,7 +94,7 @@ def test_growth_is_found_and_taken_off():
     done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
     assert [e.effect for e in done.effects] == ['thermal_axis_expansion']
     assert done.effects[0].how == 'found' and 'Removed: ' in done.effects_sentence
-    left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done)]
+    left = [judge(GROWING, r.tables, r.covariance_run).left_percent for r in (done.plain, done)]
     assert left[1] < 0.25 * left[0]
 
 

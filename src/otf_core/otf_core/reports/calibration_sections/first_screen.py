@@ -274,7 +274,7 @@ def overview_section(facts: CalibrationFacts) -> Section:
 def heading(facts: CalibrationFacts) -> Heading:
     """Top of the page."""
     result, machine = facts.result, facts.machine
-    error, expected, _ = result.headline.words
+    error, expected, _ = result.headline.sentences
     sentence = f'{error[:1].upper()}{error[1:]}; {expected}.'
     return Heading(
         f'Calibration of {machine.name}, chain {machine.chain}',
