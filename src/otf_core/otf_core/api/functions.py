@@ -41,7 +41,7 @@ from otf_core.prediction import predict as evaluation
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_sections.first_screen import calibration_summary
+from otf_core.reports.calibration_page import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -235,7 +235,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration_summary(calibration.facts_of(of))
+        return calibration_summary(result_to_dict(of))
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
     from otf_core.reports.diagnosis import format_diagnosis

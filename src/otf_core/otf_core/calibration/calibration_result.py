@@ -170,6 +170,8 @@ class Headline(ExpectedRemainder):
             'error': dict(self.error),
             'U_of_largest': self.of_largest,
             **super().to_dict(),
+            'label': self.label,
+            'sentences': list(self.words),
         }
 
 

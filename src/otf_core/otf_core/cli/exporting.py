@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that hand error tables on, take them and keep them: export, import, history."""
+"""Verbs that hand results on, take them and keep them: report, export, import, history."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 
 def add_exporting_verbs(verb: AddVerb) -> None:
-    """Add export and import."""
+    """Add report, export and import."""
+    sub = verb('report', run_report)
+    sub.add_argument('file', metavar='FILE.json', help='result of another verb')
+    add_out(sub, 'folder for the page')
     sub = verb('export', run_export)
     sub.add_argument('dir', metavar='DIR', help='results of otf calibrate, or error_tables.json')
     sub.add_argument('--format', required=True, choices=tuple(HOMES), help='format to write')
@@ -100,6 +103,22 @@ def _exit_code(content: TablesFile) -> int:
     for gate in failed if isinstance(failed, list) else []:
         note(f'otf export: the calibration is NOT GOOD: {gate}')
     return QUALITY_GATE_FAILED if failed else 0
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """The page of a result file, as its verb writes it."""
+    from otf_core.files.writing import write_text
+    from otf_core.reports.pages import pages_of
+
+    out = output_folder(arguments, arguments.file)
+    pages = pages_of(arguments.file)
+    with out.filled('report') as folder:
+        for name, page in pages.items():
+            write_text(folder / name, page)
+    written = [Path(arguments.out) / name for name in pages]
+    data = {'out': arguments.out, 'files': list(pages)}
+    answer(arguments, arguments.file + report_files(written, arguments.out), data)
+    return 0
 
 
 def run_import(arguments: argparse.Namespace) -> int:

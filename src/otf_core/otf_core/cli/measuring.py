@@ -85,29 +85,23 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 recordings, config, progress, arguments.method,
                 same_station=arguments.same_station,
             )  # fmt: skip
-        from otf_core.reports.calibration import (
-            calibration_sections,
-            facts_of,
-            write_calibration,
-        )
-        from otf_core.reports.calibration_sections.first_screen import calibration_summary
-        from otf_core.reports.page import sections_to_dict
+        from otf_core.files.strict_yaml import read_json
+        from otf_core.reports.calibration import write_calibration
+        from otf_core.reports.calibration_page import calibration_summary
 
         progress('writing', 0.0)
-        facts = facts_of(result)
         with out.filled('calibrate') as folder:
             files = write_calibration(
                 result,
                 folder,
                 residuals_csv=writing.residuals_csv,
                 report=writing.report,
-                facts=facts,
                 missing=out.missing,
             )
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
-    report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
-    answer_from(arguments, calibration_summary(facts), files, TABLES, report=report)
+    words = calibration_summary(read_json(out.path / TABLES))
+    answer_from(arguments, words, files, TABLES)
     return result.verdicts.exit_code
 
 

@@ -74,6 +74,7 @@ class OffsetBound:
             'unit': 'm',
             'offset': self.offset.tolist(),
             'contains': {name: list(rotations) for name, rotations in self.contains.items()},
+            'sentence': self.sentence,
         }
 
 

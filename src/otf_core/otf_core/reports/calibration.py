@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,11 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
+from otf_core.calibration.budget_blocks import (
+    budget_lines,
+    budget_to_dict,
+    expanded_uncertainties,
+)
 from otf_core.calibration.calibration_result import (
     COLUMNS,
     CalibrationResult,
@@ -28,67 +33,24 @@ from otf_core.calibration.calibration_result import (
     gauge_of,
     table_cells,
 )
+from otf_core.calibration.views import result_views, run_view
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.effects.stated_effect import effects_to_list
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import (
     ensure_folder,
     write_if_possible,
     write_text,
 )
 from otf_core.model.machine import SPINDLE
-from otf_core.model.motions import unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.provenance import STANDARD, provenance
-from otf_core.model.tables import tables_to_dict
+from otf_core.model.tables import ErrorTables, tables_to_dict
 from otf_core.noise.noise_model import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume, linear_positions
-from otf_core.prediction.volumetric import volumetric_error
-from otf_core.reports.calibration_facts import (
-    CalibrationFacts,
-    budget_lines,
-    budget_to_dict,
-    expanded_uncertainties,
-)
-from otf_core.reports.calibration_sections.error_motions import (
-    location_section,
-    motions_section,
-    nodes_section,
-    reversal_section,
-    reversal_to_dict,
-    squareness_section,
-    targets_section,
-)
-from otf_core.reports.calibration_sections.first_screen import (
-    heading,
-    limits_section,
-    overview_section,
-)
-from otf_core.reports.calibration_sections.measurement import (
-    conditions_section,
-    conventions_section,
-    data_quality_section,
-    drift_section,
-    effects_section,
-    fit_section,
-    path_section,
-    provenance_section,
-)
-from otf_core.reports.calibration_sections.uncertainty_budget import (
-    budget_section,
-    correlations_section,
-)
-from otf_core.reports.calibration_sections.volumetric_error import (
-    coverage_section,
-    diagonals_section,
-    turns_section,
-    volume_section,
-)
-from otf_core.reports.certificate import certificate_html
-from otf_core.reports.page import (
-    Section,
-    page_html,
-)
+from otf_core.reports.calibration_page import calibration_page, certificate_page
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
     RESIDUALS_TEXT,
@@ -96,59 +58,19 @@ from otf_core.reports.residual_files import (
     write_residuals,
     write_residuals_text,
 )
+from otf_core.solving.reversal import Reversal
 from otf_core.threads import limit_to_one_thread
 
-SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
-    overview_section,
-    limits_section,
-    motions_section,
-    squareness_section,
-    location_section,
-    targets_section,
-    effects_section,
-    volume_section,
-    turns_section,
-    diagonals_section,
-    reversal_section,
-    budget_section,
-    conditions_section,
-    conventions_section,
-    path_section,
-    coverage_section,
-    correlations_section,
-    data_quality_section,
-    drift_section,
-    fit_section,
-    nodes_section,
-    provenance_section,
-)
-"""Functions of ``calibration_sections`` in the order of the report."""
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
 
 
-def calibration_sections(facts: CalibrationFacts) -> list[Section]:
-    """All sections of one calibration; pictures are drawn when a page asks for them."""
-    sections = (section(facts) for section in SECTIONS)
-    return [section for section in sections if section is not None]
-
-
-def calibration_html(facts: CalibrationFacts) -> str:
-    """Return the report as one page."""
-    return page_html(heading(facts), calibration_sections(facts))
-
-
-def result_to_dict(
-    result: CalibrationResult, verb: str = 'calibrate', facts: CalibrationFacts | None = None
-) -> dict[str, Any]:
-    """Return a calibration as plain data in the layout of error_tables.json.
-
-    ``facts`` are worked out if not given.
-    """
-    facts = facts or facts_of(result, verb)
-    data, lines, tables = tables_to_dict(result.tables), list(facts.lines), result.tables
+def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json."""
+    data, tables = tables_to_dict(result.tables), result.tables
+    lines = budget_lines(tables, result.budget_with_typical, result.not_identifiable)
     entries = {**data['motions'], **data['squareness'], **data['location']}
     for name, wide in expanded_uncertainties(tables, lines).items():
         entries[name] |= wide
@@ -184,8 +106,13 @@ def result_to_dict(
         'headline': result.headline.to_dict(),
         'target_offset_bound': result.offset_bound.to_dict(),
         'config': asdict(result.config),
-        'volumetric_error': volumetric_error(tables),
-        'provenance': dict(facts.provenance),
+        **result_views(result),
+        'provenance': provenance(
+            verb,
+            method=result.method,
+            runs=result.origin,
+            coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
+        ),
     }
 
 
@@ -212,6 +139,7 @@ def _run_to_dict(run: RunResult) -> dict[str, Any]:
         'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
         'noise': noise_to_fields(run.noise),
         'misfit': asdict(run.misfit),
+        **run_view(run),
     }
 
 
@@ -252,7 +180,6 @@ def write_calibration(
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = True,
-    facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write all files of a calibration, the most important first.
@@ -271,8 +198,6 @@ def write_calibration(
         Write report.html.
     certificate : bool
         Write certificate.html if machine.yaml has a section ``certificate``.
-    facts : CalibrationFacts, optional
-        Worked out if not given.
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json
         never is.
@@ -283,17 +208,17 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    facts = facts or facts_of(result, verb)
-    data = result_to_dict(result, verb, facts)
-    write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
+    text = json.dumps(result_to_dict(result, verb), indent=1)
+    write_text(folder / TABLES_FILE, text + '\n')
+    data = json.loads(text)
     wanted: dict[str, Callable[[], object]] = {
         'error_tables.csv': lambda: write_text(folder / 'error_tables.csv', _rows_csv(result)),
     }
     if report:
-        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_html(facts))
+        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_page(data))
     if certificate and result.tables.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
-            folder / CERTIFICATE_FILE, certificate_html(facts)
+            folder / CERTIFICATE_FILE, certificate_page(data)
         )
     if residuals:
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
@@ -320,18 +245,6 @@ def write_calibration(
     return files
 
 
-def facts_of(result: CalibrationResult, verb: str = 'calibrate') -> CalibrationFacts:
-    """What a report is made of."""
-    about = provenance(
-        verb,
-        method=result.method,
-        runs=result.origin,
-        coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
-    )
-    lines = budget_lines(result.tables, result.budget_with_typical, result.not_identifiable)
-    return CalibrationFacts(result, tuple(lines), about)
-
-
 def _write_effects(result: CalibrationResult, folder: Path) -> list[Path]:
     """Write what was taken off: of the first run, and of others where it differs."""
     files, first = list[Path](), result.applied[0] if result.applied else ()
@@ -354,6 +267,42 @@ def write_later(result: CalibrationResult, folder: Path, name: str) -> None:
         pairs.append((result.uncorrected, folder / PLAIN_FOLDER))
     for one, place in pairs:
         if name == REPORT_FILE:
-            write_text(place / REPORT_FILE, calibration_html(facts_of(one)))
+            write_text(place / REPORT_FILE, calibration_page(read_json(place / TABLES_FILE)))
         else:
             write_residuals(residual_arrays(one.runs), place)
+
+
+def _directions(
+    reversal: Reversal, tables: ErrorTables
+) -> Iterator[tuple[str, Array, Array, bool]]:
+    for name, table in reversal.motions.items():
+        mean = tables.motions[name].value
+        forward, backward = mean + 0.5 * table.value, mean - 0.5 * table.value
+        yield name, forward, backward, table.identifiable
+
+
+def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
+    """Return a reversal model as plain data for error_tables.json."""
+    motions = {}
+    for name, forward, backward, seen in _directions(reversal, tables):
+        table = reversal.motions[name]
+        motions[name] = {
+            'axis': ErrorMotion.of(name).axis,
+            'unit': unit_of(name),
+            'position': table.position.tolist(),
+            'forward': forward.tolist(),
+            'backward': backward.tolist(),
+            'value': table.value.tolist(),
+            'u': table.u.tolist(),
+            'identifiable': seen,
+        }
+    return {
+        'model': reversal.model,
+        'evidence': dict(reversal.evidence),
+        'held': reversal.held,
+        'sign': 'value = forward minus backward; forward: towards larger positions',
+        'axes': {
+            axis: {'value': size.value, 'u': size.u} for axis, size in reversal.backlash.items()
+        },
+        'motions': motions,
+    }

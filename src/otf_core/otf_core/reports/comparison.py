@@ -19,7 +19,7 @@ from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
-from otf_core.reports.drawing.panel import (
+from otf_core.reports.charts import (
     LEVELS,
     Bar,
     Panel,
@@ -30,8 +30,8 @@ from otf_core.reports.drawing.panel import (
     heat_step,
     scale_around,
 )
-from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
-from otf_core.reports.drawing.style import text
+from otf_core.reports.scene import Item, Strokes, box, magnification, scene
+from otf_core.reports.rendering import escaped as text
 from otf_core.reports.page import (
     Heading,
     Picture,

@@ -27,7 +27,7 @@ from otf_core.model.expanded import (
 )
 from otf_core.model.motions import unit_of
 from otf_core.prediction.absorbed import OffsetBound
-from otf_core.reports.drawing.panel import Panel, dates, scale_around
+from otf_core.reports.charts import Panel, dates, scale_around
 from otf_core.reports.page import (
     Cell,
     Heading,

@@ -15,7 +15,7 @@ from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
 from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.drawing.panel import Panel, decades
+from otf_core.reports.charts import Panel, decades
 from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html, write_result
 
 NOISE_CAPTION = (

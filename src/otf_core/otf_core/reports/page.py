@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.files.writing import tidy, write_text
-from otf_core.reports.drawing.style import STYLE, running_head, text
+from otf_core.reports.rendering import TEMPLATES, State, join_names, micro, place, running_head, write_result
+from otf_core.reports.rendering import escaped as text
 
 # Numbers of reports as text: micrometres and microradians, positions in millimetres.
 

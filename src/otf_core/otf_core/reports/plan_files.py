@@ -42,7 +42,7 @@ from otf_core.planning.line_of_sight import (
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import programs_of
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.drawing.panel import (
+from otf_core.reports.charts import (
     LEVELS,
     Bar,
     bars,
@@ -50,7 +50,7 @@ from otf_core.reports.drawing.panel import (
     heat_key,
     heat_step,
 )
-from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
+from otf_core.reports.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
 from otf_core.reports.page import (
     Heading,
     Picture,

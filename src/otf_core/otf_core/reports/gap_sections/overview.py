@@ -20,7 +20,7 @@ from otf_core.effects.inputs import label_of
 from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.provenance import moment
 from otf_core.reports.calibration_facts import measurement_dates, run_table, stated_tables
-from otf_core.reports.drawing.panel import Bar, Panel, Scale, bars, scale_around
+from otf_core.reports.charts import Bar, Panel, Scale, bars, scale_around
 from otf_core.reports.gap_sections.residual_views import (
     groups_side_by_side,
     size_pictures,

@@ -13,7 +13,7 @@ from otf_core.diagnosis.place import groups as by
 from otf_core.diagnosis.place.groups import Bands, Group, Grouping, RunView, band_groups, partition
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
-from otf_core.reports.drawing.panel import (
+from otf_core.reports.charts import (
     LETTER,
     Bar,
     Panel,
@@ -24,7 +24,7 @@ from otf_core.reports.drawing.panel import (
     heat_step,
     scale_around,
 )
-from otf_core.reports.drawing.panel import words as svg_words
+from otf_core.reports.charts import words as svg_words
 from otf_core.reports.page import Picture, Section, join_names
 
 DRAWN_RUNS = 3
