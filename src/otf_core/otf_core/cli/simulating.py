@@ -231,7 +231,7 @@ def _workers(arguments: argparse.Namespace) -> Workers:
 
 def run_fleet_verb(arguments: argparse.Namespace) -> int:
     """Calibrate or diagnose many recordings."""
-    from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
+    from otf_core.fleet.fleet import listed_jobs, read_list, run_fleet, take_folder
     from otf_core.reports.fleet_report import format_fleet, write_fleet
 
     def told(text: str) -> None:
@@ -242,11 +242,8 @@ def run_fleet_verb(arguments: argparse.Namespace) -> int:
     folder = take_folder(Path(arguments.out), verb)
     jobs = listed_jobs(verb, runs, folder, arguments.config)
     outcomes = run_fleet(jobs, folder, workers, told)
-    files, warnings = write_fleet(verb, folder, outcomes)
-    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
-        files, arguments.out
-    )
-    answer(arguments, words, fleet_to_dict(verb, outcomes) | {'warnings': warnings})
+    files, doc = write_fleet(verb, folder, outcomes)
+    answer(arguments, format_fleet(doc) + report_files(files, arguments.out), doc)
     exits = {o.exit for o in outcomes.values()} - {0}
     if not exits:
         return 0

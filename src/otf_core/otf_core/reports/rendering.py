@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -96,7 +97,7 @@ def columns_to_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> li
     """Lines of a table for a terminal; numbers are set to the right."""
     texts = [[str(getattr(cell, 'words', cell)) for cell in row] for row in rows]
     wide = [max(map(len, column)) for column in zip(head, *texts, strict=True)]
-    right = [all(re.fullmatch(r'[-+\d.e]*', r[k]) for r in texts) for k in range(len(head))]
+    right = [all(re.fullmatch(r'[-+\d.e]*( mm| deg)?', r[k]) for r in texts) for k in range(len(head))]
     return [
         '  '.join(
             cell.rjust(w) if own else cell.ljust(w)
@@ -154,7 +155,7 @@ def environment(page: bool = True) -> Environment:
         'significant': significant,
         'with_expanded': with_expanded,
     }
-    made.globals |= {'State': State}
+    made.globals |= {'State': State, 'nan': math.nan}
     if page:
         made.globals |= {
             'style': Markup((TEMPLATES / 'page.css').read_text(encoding='utf-8')),
