@@ -202,7 +202,12 @@ def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.control_chart import history_of
     from otf_core.history.store import read_store
-    from otf_core.reports.history_report import report_machine, store_to_dict, write_history
+    from otf_core.reports.history_report import (
+        format_history,
+        history_to_dict,
+        store_to_dict,
+        write_history,
+    )
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')
@@ -217,14 +222,12 @@ def run_history(arguments: argparse.Namespace) -> int:
             f'--name: no {arguments.name} in the store; it contains: {", ".join(store.machines)}'
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
-    reports, alone = [], len(machines) == 1
-    for machine in machines:  # one at a time: its tables take megabytes
-        history = history_of(store, machine, limit)
-        reports.append(report_machine(history, alone=alone, drawn=out is not None))
-    words = '\n\n'.join(report.words for report in reports)
+    # one at a time: its tables take megabytes
+    doc = store_to_dict([history_to_dict(history_of(store, m, limit)) for m in machines])
+    words = '\n\n'.join(map(format_history, doc['machines']))
     if out is not None:
         with out.filled('history') as folder:
-            names = [f.name for f in write_history(reports, folder)]
+            names = [f.name for f in write_history(doc, folder)]
         words += report_files([out.path / n for n in names], arguments.out)
-    answer(arguments, words, store_to_dict(reports))
+    answer(arguments, words, doc)
     return 0
