@@ -239,12 +239,12 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
     from otf_core.reports.diagnosis import format_diagnosis
-    from otf_core.reports.plan_files import plan_summary
+    from otf_core.reports.plan_files import plan_summary, report_to_dict
 
     if isinstance(of, Diagnosis):
         return format_diagnosis(of)
     if isinstance(of, PlanReport):
-        return plan_summary(of).rstrip()
+        return plan_summary(report_to_dict(of)).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 

@@ -127,6 +127,7 @@ class ExpectedRemainder:
                 'typical_for': list(self.assumed),
                 'presets': list(TYPICAL) if self.assumed else [],
             },
+            'label': self.label,
             'noise_and_misfit_alone': {'U': dict(self.observed), 'k': self.k},
         }
 
@@ -170,7 +171,6 @@ class Headline(ExpectedRemainder):
             'error': dict(self.error),
             'U_of_largest': self.of_largest,
             **super().to_dict(),
-            'label': self.label,
             'sentences': list(self.words),
         }
 

@@ -153,6 +153,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Path for a machine, forecast of what it can see, NC program."""
     config = parameters(PlannerConfig, arguments)
     judged = parameters(ForecastConfig, arguments)
+    from otf_core.files.strict_yaml import read_json
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
@@ -186,7 +187,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
             files = write_report(report, folder, dialect, about)
     if dialect is None:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
-    answer_from(arguments, plan_summary(report).rstrip(), files, 'plan.json')
+    words = plan_summary(read_json(out.path / 'plan.json')).rstrip()
+    answer_from(arguments, words, files, 'plan.json')
     return 0
 
 

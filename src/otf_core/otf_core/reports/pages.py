@@ -16,6 +16,7 @@ PAGES = {
     'otf-comparison/2': ('comparison', 'comparison_pages'),
     'otf-fleet/1': ('fleet_report', 'fleet_pages'),
     'otf-history/1': ('history_report', 'history_pages'),
+    'otf-plan/2': ('plan_files', 'plan_pages'),
     'otf-noise/1': ('noise_report', 'noise_pages'),
 }
 """Module and function that returns the pages of a document by file name, by schema."""
