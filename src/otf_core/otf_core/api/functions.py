@@ -238,11 +238,11 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
         return calibration_summary(result_to_dict(of))
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
-    from otf_core.reports.diagnosis import format_diagnosis
+    from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis
     from otf_core.reports.plan_files import plan_summary, report_to_dict
 
     if isinstance(of, Diagnosis):
-        return format_diagnosis(of)
+        return format_diagnosis(diagnosis_to_dict(of))
     if isinstance(of, PlanReport):
         return plan_summary(report_to_dict(of)).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')

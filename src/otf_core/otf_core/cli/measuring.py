@@ -111,9 +111,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import EVERY
     from otf_core.effects.effects_yaml import read_own_causes
+    from otf_core.files.strict_yaml import read_json
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import gap_sections, write_diagnosis
-    from otf_core.reports.page import sections_to_dict, sections_to_text
+    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
     from otf_core.sim.twin import twin_recording
 
     search = parameters(DiagnosisConfig, arguments)
@@ -135,9 +135,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)
-    sections = gap_sections(diagnosis)
-    report = sections_to_dict(sections)
-    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
+    words = format_diagnosis(read_json(out.path / 'gap.json'))
+    answer_from(arguments, words, files, 'gap.json')
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0

@@ -127,6 +127,11 @@ def _linear_positions(result: CalibrationResult) -> Array:
     return linear_positions(result.tables.machine, q[spindle] if spindle.any() else q)
 
 
+def driven_run(run: RunResult) -> dict[str, Any]:
+    """Return how a run was driven and measured; where its residuals lie is left out."""
+    return {k: v for k, v in _run_to_dict(run).items() if k not in ('legs', 'track', 'drift')}
+
+
 def _run_to_dict(run: RunResult) -> dict[str, Any]:
     return {
         'name': run.name,

@@ -15,6 +15,7 @@ PAGES = {
     'otf-error-tables/2': ('calibration_page', 'calibration_pages'),
     'otf-comparison/2': ('comparison', 'comparison_pages'),
     'otf-fleet/1': ('fleet_report', 'fleet_pages'),
+    'otf-gap/1': ('diagnosis', 'gap_pages'),
     'otf-history/1': ('history_report', 'history_pages'),
     'otf-plan/2': ('plan_files', 'plan_pages'),
     'otf-noise/1': ('noise_report', 'noise_pages'),
