@@ -427,6 +427,20 @@ def scalar_words(content: Content, name: str) -> str:
     return f'{name} {micro_with_expanded(value, wide, unit_of(name))}'
 
 
+def squareness_words(name: str, value: float, wide: float) -> str:
+    """State a squareness error and its U, rad, as an angle, to the last stated digit of U.
+
+    C0Y > 0 tilts +Y to -X, B0Z > 0 tilts +Z to +X, A0Z > 0 tilts +Z to -Y.
+    """
+    one, other, sign = ANGLES[name]
+    change = sign * value
+    return (
+        f'angle between {one} and {other} is 90 deg {"-" if change < 0 else "+"} '
+        f'{figure(1e6 * abs(change), 1e6 * wide)} urad '
+        f'({figure(abs(change) / ARCSEC, wide / ARCSEC)} arcsec)'
+    )
+
+
 def squareness_row(content: Content, name: str) -> dict[str, Any]:
     """A squareness error as an angle in words, in both habits of sign, and where it holds."""
     own, need = content.entries[name], content.entries[name].get('needs')
@@ -434,18 +448,13 @@ def squareness_row(content: Content, name: str) -> dict[str, Any]:
         missing = f'not identifiable in these data{f"; needs {need}" if need else ""}'
         return {'words': missing, 'cells': ('not known', '', '', '', '')}
     value, wide = own['value'], float(content.wide[name][0])
-    one, other, sign = ANGLES[name]
-    change = sign * value
+    change = ANGLES[name][2] * value
     inside = content.doc['target_offset_bound']
     rotations, holds = inside['contains'].get(name), ''
     if rotations:
         offset = offset_words(np.array(inside['offset']))
         holds = f'at target offset {offset}, contains {", ".join(rotations)}'
-    statement = (
-        f'angle between {one} and {other} is 90 deg {"-" if change < 0 else "+"} '
-        f'{figure(1e6 * abs(change), 1e6 * wide)} urad '
-        f'({figure(abs(change) / ARCSEC, wide / ARCSEC)} arcsec){f", {holds}" if holds else ""}'
-    )
+    statement = squareness_words(name, value, wide) + (f', {holds}' if holds else '')
     cells = [figure(1e6 * v, 1e6 * wide) for v in (value, change)]
     cells += [
         significant(1e6 * wide),

@@ -33,7 +33,7 @@ from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_facts import (
+from otf_core.calibration.budget_blocks import (
     budget_lines,
     budget_to_dict,
     correlations,

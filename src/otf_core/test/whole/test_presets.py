@@ -25,7 +25,7 @@ from otf_core.planning.forecast import (
 )
 from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_facts import budget_lines
+from otf_core.calibration.budget_blocks import budget_lines
 from otf_core.reports.plan_files import plan_summary, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -243,7 +243,7 @@ def planned(machine, plan):
     found = forecast(plan, setup)
     systematic = planned_systematic(found)
     report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, ())
-    return systematic, plan_summary(report), report_to_dict(report)
+    return systematic, plan_summary(report_to_dict(report)), report_to_dict(report)
 
 
 def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
