@@ -38,7 +38,6 @@ LAYERS = (
 SUBPACKAGES = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
-    'reports': (('reports',), ('reports.drawing',)),
 }
 """Layers inside packages that have subpackages."""
 FORBIDDEN = [

@@ -17,7 +17,7 @@ from otf_core.model.chain import displacement, rotations
 from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.calibration_document import tables_to_dict
-from otf_core.reports.fleet_report import fleet_page, fleet_rows
+from otf_core.reports.fleet_report import fleet_document, fleet_pages, fleet_rows
 from otf_core.sim.cell import random_tables
 
 GAUGE = {'gauge': 'one gauge'}
@@ -173,8 +173,9 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     }
     written(folder, 'error_tables', tables, **extra)
     outcomes = {'one': JobResult(0, '', 'x')}
-    columns, (row,), shared = fleet_rows('calibrate', tmp_path, outcomes)
+    doc = fleet_document('calibrate', tmp_path, outcomes)
+    _, (row,), _ = fleet_rows(doc)
     assert 'X0C 12.5 +/- 2.0 um' in row[-1]
     assert 'A0C not known' in row[-1]
     assert row[3].words == 'broken'
-    assert 'X0C' in fleet_page('calibrate', outcomes, columns, [row], shared)
+    assert 'X0C' in fleet_pages(doc)['fleet.html']

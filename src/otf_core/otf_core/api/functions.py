@@ -43,7 +43,7 @@ from otf_core.prediction.calibration_document import (
 )
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
-from otf_core.reports.terminal import calibration_summary
+from otf_core.reports.calibration_page import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -237,16 +237,16 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration_summary(of.document)
+        return calibration_summary(of.to_dict())
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
-    from otf_core.reports.diagnosis import format_diagnosis
-    from otf_core.reports.plan_files import plan_summary
+    from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis
+    from otf_core.reports.plan_files import plan_summary, report_to_dict
 
     if isinstance(of, Diagnosis):
-        return format_diagnosis(of)
+        return format_diagnosis(diagnosis_to_dict(of))
     if isinstance(of, PlanReport):
-        return plan_summary(of).rstrip()
+        return plan_summary(report_to_dict(of)).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 

@@ -19,6 +19,8 @@ from otf_core.prediction.volumetric import table_places, volume_rows
 from otf_core.threads import one_thread
 
 GRID = 'grid'
+INFINITE_DOF = 1e6
+"""Degrees of freedom that are given as infinite."""
 LISTED_CORRELATION = 0.5
 """Correlations at least as large are listed."""
 
@@ -49,6 +51,11 @@ class BudgetLine:
     parts: dict[str, float]
     k: float
     dof: float
+
+
+def whole_dof(dof: float) -> int | None:
+    """Effective degrees of freedom, cut to the next lower integer (GUM G.4.1); None: infinite."""
+    return int(dof) if dof < INFINITE_DOF else None
 
 
 def _line(

@@ -175,7 +175,7 @@ def assemble(
         runs=tuple(results),
         targets=_targets(solved, joint, whole, run),
         fit=fit,
-        headline=headline_of(VolumetricError(tables, expected), budget, typical, hidden),
+        headline=headline_of(VolumetricError(tables, expected), budget, typical),
         reversal=_reversal(solved.choice, tables, joint, whole),
         lags=tuple(lags(joint, whole)),
         fraction=made.fraction,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -60,18 +60,10 @@ from otf_core.solving.reversal_choice import AxisLag
 from otf_core.solving.tabulate import TableCost
 
 
-def contributions(volume: VolumetricError, hidden: Collection[str]) -> dict[str, float]:
-    """What every error makes alone, root mean square, m; largest first."""
-    names = [n for n in table_places(volume.tables) if n not in hidden]
-    sizes = {n: float(np.sqrt(np.mean(np.sum(volume.part(n) ** 2, axis=1)))) for n in names}
-    return dict(sorted(sizes.items(), key=lambda pair: -pair[1]))
-
-
 def headline_of(
     volume: VolumetricError,
     budget: Budget,
     typical: TypicalSystematic | None,
-    hidden: Collection[str],
 ) -> Headline:
     """Work out the headline of a calibration.
 
@@ -106,7 +98,6 @@ def headline_of(
         points=len(volume.grid),
         error=error,
         u_of_largest=longest,
-        contributions=contributions(volume, hidden),
         sentences=(
             f'volumetric error as found: mean {mean}, largest {largest}',
             left.expanded_words,

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.budget.lines import GRID, LISTED_CORRELATION, correlations
+from otf_core.budget.lines import GRID, LISTED_CORRELATION, correlations, whole_dof
+from otf_core.calibration.views import result_views, run_view
 from otf_core.model.expanded import COVERAGE_PROBABILITY
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import ErrorMotion, unit_of
@@ -102,6 +103,7 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
         if result.covariance_change is None
         else PackedCovariance.of(result.covariance_change, machine),
         config=asdict(result.config),
+        **result_views(result),
         provenance=provenance(
             'calibrate', method=result.method, runs=result.origin, coverage=STANDARD
         ),
@@ -115,7 +117,7 @@ def _beside(result: CalibrationResult) -> dict[str, dict[str, Any]]:
     for name in (*result.tables.machine.motions, *result.tables.machine.scalars):
         line = lines.get(name)
         beside[name] = {'needs': result.advice.get(name)}
-        beside[name] |= {'k': line.k, 'dof': line.dof} if line else {}
+        beside[name] |= {'k': line.k, 'dof': whole_dof(line.dof)} if line else {}
     return beside
 
 
@@ -131,9 +133,12 @@ def _budget(result: CalibrationResult) -> BudgetBlock:
     freedoms = dict(zip(result.budget.names, result.budget.freedoms.tolist(), strict=True))
     return BudgetBlock(
         coverage_probability=COVERAGE_PROBABILITY,
-        dof={name: freedoms.get(name, np.inf) for name in lines[GRID].parts},
+        dof={name: whole_dof(freedoms.get(name, np.inf)) for name in lines[GRID].parts},
         not_stated=result.budget.not_stated,
-        u_rms={n: BudgetEntry(one.unit, one.u, one.parts) for n, one in lines.items()},
+        u_rms={
+            n: BudgetEntry(one.unit, one.u, one.parts, one.k, whole_dof(one.dof))
+            for n, one in lines.items()
+        },
     )
 
 
@@ -161,6 +166,12 @@ def _driven_positions(result: CalibrationResult) -> Array:
     return linear_positions(result.tables.machine, q[spindle] if spindle.any() else q)
 
 
+def driven_run(run: RunResult) -> dict[str, Any]:
+    """Return how a run was driven and measured; where its residuals lie is left out."""
+    own = _run(run).to_dict()
+    return {k: v for k, v in own.items() if k not in ('legs', 'track', 'drift')}
+
+
 def _run(run: RunResult) -> RunEntry:
     return RunEntry(
         name=run.name,
@@ -173,6 +184,7 @@ def _run(run: RunResult) -> RunEntry:
         residual_rms=float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
         noise=noise_to_fields(run.noise),
         misfit=asdict(run.misfit),
+        **run_view(run),
     )
 
 

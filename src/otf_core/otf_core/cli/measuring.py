@@ -116,6 +116,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
     from otf_core.bags.bag import points_of
+    from otf_core.files.strict_yaml import read_json
     from otf_core.inputs.recordings import open_reading
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
@@ -135,7 +136,8 @@ def run_noise(arguments: argparse.Namespace) -> int:
         )
         with out.filled('noise') as folder:
             files = write_noise(report, folder, provenance('noise', runs=[origin]))
-    answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
+    words = format_noise(read_json(out.path / 'noise.json'))
+    answer_from(arguments, words + '\n', files, 'noise.json')
     return 0
 
 
@@ -187,6 +189,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
     from otf_core.comparison.compare import compare, load_source
+    from otf_core.files.strict_yaml import read_json
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
@@ -208,7 +211,8 @@ def run_compare(arguments: argparse.Namespace) -> int:
     result = compare(a, b, points)
     with progress_of('drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
-    answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
+    words = format_comparison(read_json(out.path / 'comparison.json'))
+    answer_from(arguments, words + '\n', files, 'comparison.json')
     return 0
 
 

@@ -43,8 +43,8 @@ class MotionTable(Document):
     axis: str = stated('axis that moves', default='')
     unit: str = stated('of value and u: m or rad', default='')
     position_unit: str = stated('m or rad', default='')
-    k: float | None = stated('coverage factor for 95 %', default=None, sparse=True)
-    dof: float | None = stated('degrees of freedom; null: infinite', default=None, sparse=True)
+    k: float | None = stated('coverage factor for 95 %', default=None)
+    dof: float | None = stated('degrees of freedom; null: infinite', default=None)
     needs: str | None = stated('what would show it', default=None, sparse=True)
 
     def at(self, q: Array) -> Array:
@@ -78,8 +78,8 @@ class ScalarError(Document):
         'standard uncertainty by noise and misfit of the run alone', 'm or rad', least=0.0,
         default=None, sparse=True,
     )  # fmt: skip
-    k: float | None = stated('coverage factor for 95 %', default=None, sparse=True)
-    dof: float | None = stated('degrees of freedom; null: infinite', default=None, sparse=True)
+    k: float | None = stated('coverage factor for 95 %', default=None)
+    dof: float | None = stated('degrees of freedom; null: infinite', default=None)
     needs: str | None = stated('what would show it', default=None, sparse=True)
 
     def with_defaults(self) -> ScalarError:

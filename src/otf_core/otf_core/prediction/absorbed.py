@@ -42,6 +42,11 @@ class OffsetBound(Document):
     contains: Mapping[str, tuple[str, ...]] = stated(
         'rotations that a motion or squareness error contains', factory=dict
     )
+    sentence: str = stated('all of them in one sentence; may be empty', default='')
+
+    def __post_init__(self) -> None:
+        """Say them in one sentence."""
+        object.__setattr__(self, 'sentence', self._sentence())
 
     def words(self, name: str) -> str:
         """What stands beside a value; empty for one that holds at any target offset."""
@@ -50,9 +55,7 @@ class OffsetBound(Document):
             return ''
         return f'at target offset {offset_words(self.offset)}, contains {", ".join(rotations)}'
 
-    @property
-    def sentence(self) -> str:
-        """All of them in one sentence; empty if there are none."""
+    def _sentence(self) -> str:
         if not self.contains:
             return ''
         unseen = dict.fromkeys(r for rotations in self.contains.values() for r in rotations)

@@ -123,6 +123,20 @@ class RunEntry(Document):
     misfit: Mapping[str, float] = stated(
         'what the model leaves: of every piece (independent), shared by a line (slow)', 'm'
     )
+    standstill: bool = stated('only the stops at the corners')
+    duration: float = stated('from the first to the last piece', 's')
+    rate: float = stated('usual rate of the samples', 'Hz')
+    feed: Array = stated('feed of 5, 50 and 95 % of the path', 'm/s', shape=(3,))
+    used: int = stated('samples that were used')
+    outliers: int = stated('samples off their own line, left out')
+    lost: Mapping[str, float] = stated('samples missing by the stamps, gaps, longest gap (s)')
+    remarks: tuple[str, ...] = stated('what was repaired or left out while it was read')
+    residual_rms_of: Array = stated('residual of each direction, root mean square', 'm')
+    legs: Mapping[str, Any] = stated(
+        'time (s) of every leg, distance from the path before and after compensation (m)'
+    )
+    track: Mapping[str, Any] = stated('where residuals lie: leg, point (m), residual (m)')
+    drift: Mapping[str, Any] = stated('mean residual by part: time (s), value, u (m)')
 
 
 @dataclass(frozen=True)
@@ -222,6 +236,8 @@ class BudgetEntry(Document):
     unit: str = stated('m or rad')
     u: float = stated('standard uncertainty, root mean square over nodes or grid', 'm or rad')
     sources: Mapping[str, float] = stated('the same by source; squares add up', 'm or rad')
+    k: float = stated('coverage factor for 95 %')
+    dof: float | None = stated('effective degrees of freedom; null: infinite')
 
 
 @dataclass(frozen=True)
@@ -229,7 +245,7 @@ class BudgetBlock(Document):
     """Uncertainty by source."""
 
     coverage_probability: float = stated('of k')
-    dof: Mapping[str, float] = stated('degrees of freedom by source; null: infinite', unknown=True)
+    dof: Mapping[str, int | None] = stated('degrees of freedom by source; null: infinite')
     not_stated: tuple[str, ...] = stated('contributions that machine.yaml does not declare')
     u_rms: Mapping[str, BudgetEntry] = stated('by motion, scalar, and grid: the error vector')
 
@@ -330,9 +346,6 @@ class Headline(Remainder):
     points: int = stated('of the grid over the driven volume')
     error: Mapping[str, float] = stated('mean, p95 and max length of the errors as found', 'm')
     u_of_largest: float = stated('standard uncertainty of the largest length', 'm')
-    contributions: Mapping[str, float] = stated(
-        'what every error makes alone, root mean square over the volume; largest first', 'm'
-    )
     sentences: tuple[str, ...] = stated('error, what compensation leaves, noise and misfit alone')
 
     @property
@@ -498,6 +511,23 @@ class CalibrationDocument(Document):
     )  # fmt: skip
     config: Mapping[str, Any] = stated('parameters of the calibration', factory=dict)
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
+    volumetric_error: Mapping[str, Any] | None = stated(
+        'error vectors over the volume: position, error, u (m); what every error makes alone',
+        default=None, sparse=True,
+    )  # fmt: skip
+    sizes: Mapping[str, Mapping[str, Any]] | None = stated(
+        'span of every motion and size of every scalar with u and k; null: not known',
+        default=None, sparse=True,
+    )  # fmt: skip
+    coverage: Mapping[str, Any] | None = stated(
+        'samples along every axis and around its nodes', default=None, sparse=True
+    )
+    diagonals: tuple[Mapping[str, Any], ...] = stated(
+        'diagonals as the tables predict them, in the manner of ISO 230-6 (m)', default=()
+    )
+    turns: Mapping[str, Any] | None = stated(
+        'mean length of the error vector over the rotary axes', default=None
+    )
     imported: Mapping[str, float] | None = stated(
         'what the tables leave of a lattice', default=None, sparse=True
     )

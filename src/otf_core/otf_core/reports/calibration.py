@@ -15,60 +15,17 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from otf_core.calibration.calibration_result import (
-    COLUMNS,
-    CalibrationResult,
-    table_cells,
-)
+from otf_core.calibration.calibration_result import COLUMNS, CalibrationResult, table_cells
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import (
     ensure_folder,
     write_if_possible,
     write_text,
 )
 from otf_core.prediction.calibration_document import CalibrationDocument
-from otf_core.reports.calibration_facts import (
-    CalibrationFacts,
-)
-from otf_core.reports.calibration_sections.error_motions import (
-    location_section,
-    motions_section,
-    nodes_section,
-    reversal_section,
-    squareness_section,
-    targets_section,
-)
-from otf_core.reports.calibration_sections.first_screen import (
-    heading,
-    limits_section,
-    overview_section,
-)
-from otf_core.reports.calibration_sections.measurement import (
-    conditions_section,
-    conventions_section,
-    data_quality_section,
-    drift_section,
-    effects_section,
-    fit_section,
-    path_section,
-    provenance_section,
-)
-from otf_core.reports.calibration_sections.uncertainty_budget import (
-    budget_section,
-    correlations_section,
-)
-from otf_core.reports.calibration_sections.volumetric_error import (
-    coverage_section,
-    diagonals_section,
-    turns_section,
-    volume_section,
-)
-from otf_core.reports.certificate import certificate_html
-from otf_core.reports.page import (
-    Section,
-    page_html,
-)
+from otf_core.reports.calibration_page import calibration_page, certificate_page
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
     RESIDUALS_TEXT,
@@ -78,46 +35,10 @@ from otf_core.reports.residual_files import (
 )
 from otf_core.threads import limit_to_one_thread
 
-SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
-    overview_section,
-    limits_section,
-    motions_section,
-    squareness_section,
-    location_section,
-    targets_section,
-    effects_section,
-    volume_section,
-    turns_section,
-    diagonals_section,
-    reversal_section,
-    budget_section,
-    conditions_section,
-    conventions_section,
-    path_section,
-    coverage_section,
-    correlations_section,
-    data_quality_section,
-    drift_section,
-    fit_section,
-    nodes_section,
-    provenance_section,
-)
-"""Functions of ``calibration_sections`` in the order of the report."""
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
-
-
-def calibration_sections(facts: CalibrationFacts) -> list[Section]:
-    """All sections of one calibration; pictures are drawn when a page asks for them."""
-    sections = (section(facts) for section in SECTIONS)
-    return [section for section in sections if section is not None]
-
-
-def calibration_html(facts: CalibrationFacts) -> str:
-    """Return the report as one page."""
-    return page_html(heading(facts), calibration_sections(facts))
 
 
 def _rows_csv(document: CalibrationDocument) -> str:
@@ -143,7 +64,6 @@ def write_calibration(
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = True,
-    facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write all files of a calibration, the most important first.
@@ -160,8 +80,6 @@ def write_calibration(
         Write report.html.
     certificate : bool
         Write certificate.html if machine.yaml has a section ``certificate``.
-    facts : CalibrationFacts, optional
-        Worked out if not given.
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json
         never is.
@@ -172,19 +90,19 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    facts = facts or facts_of(result)
-    text = json.dumps(result.to_dict(), indent=1, allow_nan=False) + '\n'
-    write_text(folder / TABLES_FILE, text)
+    text = json.dumps(result.to_dict(), indent=1, allow_nan=False)
+    write_text(folder / TABLES_FILE, text + '\n')
+    data = json.loads(text)
     wanted: dict[str, Callable[[], object]] = {
         'error_tables.csv': lambda: write_text(
             folder / 'error_tables.csv', _rows_csv(result.document)
         ),
     }
     if report:
-        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_html(facts))
+        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_page(data))
     if certificate and result.tables.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
-            folder / CERTIFICATE_FILE, certificate_html(facts)
+            folder / CERTIFICATE_FILE, certificate_page(data)
         )
     if residuals:
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
@@ -211,11 +129,6 @@ def write_calibration(
     return files
 
 
-def facts_of(result: CalibrationResult) -> CalibrationFacts:
-    """What a report is made of."""
-    return CalibrationFacts(result, tuple(result.budget_lines), result.document.provenance)
-
-
 def _write_effects(result: CalibrationResult, folder: Path) -> list[Path]:
     """Write what was taken off: of the first run, and of others where it differs."""
     files, first = list[Path](), result.applied[0] if result.applied else ()
@@ -238,6 +151,6 @@ def write_later(result: CalibrationResult, folder: Path, name: str) -> None:
         pairs.append((result.uncorrected, folder / PLAIN_FOLDER))
     for one, place in pairs:
         if name == REPORT_FILE:
-            write_text(place / REPORT_FILE, calibration_html(facts_of(one)))
+            write_text(place / REPORT_FILE, calibration_page(read_json(place / TABLES_FILE)))
         else:
             write_residuals(residual_arrays(one.runs), place)

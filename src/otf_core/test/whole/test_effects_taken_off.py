@@ -13,7 +13,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.predict import predict
-from otf_core.reports.calibration import calibration_html, facts_of
+from otf_core.reports.calibration_page import calibration_page
 from otf_core.sim.twin import twin_recording
 
 CELL = {
@@ -102,5 +102,5 @@ def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
     assert done.effects == () and done.applied == ()
     assert 'No gap' in done.effects_sentence and 'No effect was removed' in done.effects_sentence
-    assert 'No effect was removed' in calibration_html(facts_of(done))
+    assert 'No effect was removed' in calibration_page(done.to_dict())
     assert done.run_id == done.plain.run_id

@@ -21,7 +21,7 @@ from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
 from otf_core.fleet.fleet import listed_jobs, read_list
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.fleet_report import fleet_rows
+from otf_core.reports.fleet_report import fleet_document, fleet_rows
 
 STUB = """
 import json, os, pathlib, sys
@@ -296,7 +296,7 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
     done = {'flat': fleet_module.JobResult(0, '', 'digest')}
-    columns, (row,), _ = fleet_rows('calibrate', tmp_path, done)
+    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done))
     shown = dict(zip(columns, row, strict=True))
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',

@@ -239,7 +239,7 @@ def planned(machine, plan):
     found = forecast(plan, setup)
     systematic = planned_systematic(found)
     report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, ())
-    return systematic, plan_summary(report), report_to_dict(report)
+    return systematic, plan_summary(report_to_dict(report)), report_to_dict(report)
 
 
 def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):

@@ -27,7 +27,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
 from otf_core.planning.nc.dialect import words
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.calibration_sections.error_motions import squareness_words
+from otf_core.reports.calibration_errors import squareness_words
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'

@@ -29,8 +29,8 @@ from otf_core.model.nodes import table_nodes
 from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.calibration import calibration_html, facts_of, write_calibration
-from otf_core.reports.calibration_sections.error_motions import reversal_section
+from otf_core.reports.calibration import write_calibration
+from otf_core.reports.calibration_page import calibration_page
 from otf_core.sim.cell import simulate
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import identifiable_blocks
@@ -190,7 +190,7 @@ def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
     evidence = result.reversal.evidence
     assert evidence['gain_constant'] > evidence['needed'] * evidence['scatter_constant']
     assert evidence['rival'] == 'servo_mismatch'
-    assert 'servo_mismatch explains' in calibration_html(facts_of(result))
+    assert 'servo_mismatch explains' in calibration_page(result.to_dict())
 
 
 def test_a_short_path_gives_no_evidence():
@@ -253,7 +253,7 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
     write_calibration(chosen, tmp_path, report=False)
     content = load_tables(tmp_path / 'error_tables.json')
     stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
-    text = ' '.join(reversal_section(facts_of(chosen)).words)
+    text = calibration_page(chosen.to_dict())
     for axis in AXES:
         found = chosen.reversal.backlash[axis]
         assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6
