@@ -277,8 +277,9 @@ def _quantity(cause: Mapping[str, Any], name: str) -> str:
 def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
     """A cause for a terminal."""
     axes = f' ({", ".join(cause["axes"])})' if cause['axes'] else ''
-    yield (f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
-           f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %')  # fmt: skip
+    sizes = f'{cause["before_um"]:.2f} um -> {cause["after_um"]:.2f} um'
+    name, sure = cause['effect'], f'confidence {100 * cause["confidence"]:.0f} %'
+    yield f'cause {name}{axes}: gap {sizes}, {sure}'
     names, more, weak = shown_parameters(cause)
     yield from (f'    {name} = {_quantity(cause, name)} (k = 2)' for name in names)
     rest = (shape_words(cause), *left_out_words(more, weak))
