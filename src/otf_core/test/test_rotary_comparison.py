@@ -168,6 +168,7 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
             'u_of_largest': 2.5e-6,
             'k': 2.0,
             'u': {'mean': 1e-6, 'max': 2.5e-6},
+            'u_run': {'mean': 1e-7, 'max': 2e-7},
         },
         'target_offset_bound': {'contains': {}, 'offset': [0.0, 0.0, 0.0]},
     }

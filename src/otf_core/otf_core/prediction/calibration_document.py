@@ -348,11 +348,6 @@ class Headline(Remainder):
     u_of_largest: float = stated('standard uncertainty of the largest length', 'm')
     sentences: tuple[str, ...] = stated('error, what compensation leaves, noise and misfit alone')
 
-    @property
-    def of_largest(self) -> float:
-        """Expanded uncertainty of the largest length, m."""
-        return self.k * self.u_of_largest
-
 
 @dataclass(frozen=True)
 class LimitVerdict(Document):

@@ -35,7 +35,7 @@ name = pathlib.Path(bag).name
 offset = [0.0, 0.0, -0.25 if 'longer' in name else -0.15]
 sizes = {'mean': 1e-5, 'max': 2e-5}
 data = {'headline': {'error': sizes, 'u_of_largest': 1e-6, 'k': 2.0,
-                     'u': sizes},
+                     'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': 'gate' not in name, 'sentence': 'NOT GOOD'},
                      'machine': {'state': 'fail' if 'limit' in name else 'not stated'}},
         'machine': {'name': 'm', 'target_offset': offset},
@@ -286,7 +286,7 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     sizes = {'mean': 1e-5, 'max': 2e-5}
     data = {
         'headline': {'error': sizes, 'u_of_largest': 1e-6, 'k': 2.0,
-                     'u': sizes},
+                     'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
         'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},

@@ -192,7 +192,7 @@ def test_the_headline_is_the_same_whether_typical_values_are_declared_or_assumed
     for own, other in ((first.expanded, whole.expanded), (first.observed, whole.observed)):
         assert own == pytest.approx(other, rel=0.2)
     assert first.error == pytest.approx(whole.error, rel=0.01)
-    assert first.of_largest == pytest.approx(whole.of_largest, rel=0.2)
+    assert first.u_of_largest == pytest.approx(whole.u_of_largest, rel=0.2)
     assert first.k == whole.k == 2.0
     assert all(first.observed[k] < 0.3 * first.expanded[k] for k in first.expanded)
     assert 'typical, not declared' in first.expanded_words
