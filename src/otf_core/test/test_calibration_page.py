@@ -139,7 +139,7 @@ def test_nodes_in_the_page_are_those_of_json_and_csv(page, tables, folder, motio
             assert abs(number(row[column]) - 1e6 * entry[key][k]) < 5.1e-4
         assert number(row[0]) == pytest.approx(1e3 * entry['position'][k], abs=1e-3)
         known = [f'{entry.get("k") or 0:.2f}']
-        assert row[4:5] == (['-'] if 'k' not in entry else known)
+        assert row[4:5] == (['-'] if entry['k'] is None else known)
         assert float(line[2]) == pytest.approx(entry['position'][k], abs=1e-15)
         assert [float(line[n]) for n in (4, 6)] == [entry['value'][k] + 0.0, entry['u'][k]]
         seen = entry['identifiable'] and entry.get('node_identifiable', {k: True})[k]

@@ -21,7 +21,10 @@ from otf_core.reports.calibration_page import certificate_page
 LIMITS = {'volumetric_error': 1e-3, 'uncertainty': 1e-4, 'EXX': 2e-6, 'C0Y': 1e-3}
 FULL = Circumstances(
     dict.fromkeys(INSTRUMENT, 'AT960, of hall 3 and 750123'),
-    {**dict.fromkeys(TEXTS, 'A. Miller and others'), **dict.fromkeys(NUMBERS, 20.5)},
+    {
+        **dict.fromkeys(TEXTS, 'A. Miller and others'),
+        **{k: 0.5 * (low + high) for k, (*_, low, high) in NUMBERS.items()},
+    },
     dict.fromkeys(CERTIFICATE, 'Example Works Ltd., Example Street 3'),
 )
 BROWSER = shutil.which('chromium') or shutil.which('chromium-browser')
@@ -75,8 +78,9 @@ def test_all_21_errors_stand_in_it_with_u_limit_and_state(source, plain):
             assert row[2:4] == ['not known', '']
             continue
         value = one['size'] if name in MOTIONS else plain.tables.squareness[name].value
-        assert number(row[2]) == pytest.approx(1e6 * value, abs=0.051 * 1e6 * one['U'])
-        assert number(row[3]) == pytest.approx(1e6 * one['U'], rel=0.051)
+        wide = 1e6 * one['k'] * one['u']
+        assert number(row[2]) == pytest.approx(1e6 * value, abs=0.051 * wide)
+        assert number(row[3]) == pytest.approx(wide, rel=0.051)
     assert rows['EXX'][5:] == ['2', 'fail']
     assert rows['C0Y'][5:] == ['1000', 'pass']
     volume = [row for row in Page(source).rows('All 21 errors') if row[0] == 'volume']

@@ -162,7 +162,9 @@ def test_runs_with_other_targets_are_compared_at_the_latest_or_it_is_said(found,
         series = series_of(read_store(store).runs)
         assert series.common.machine.target_offset[2] == other['machine']['target_offset'][2]
         assert bool(series.warnings) == warns
-        assert ('WARNING' in format_history(history_of(read_store(store), 'small'))) == warns
+        assert (
+            'WARNING' in format_history(history_to_dict(history_of(read_store(store), 'small')))
+        ) == warns
 
 
 def test_a_steady_machine_shows_no_drift(found, tmp_path):
@@ -260,7 +262,7 @@ def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     (tmp_path / 'declared.json').write_text(json.dumps(declared))
     add_run(tmp_path / 'other', tmp_path / 'declared.json', '2026-01-01')
     assert 'typical size' not in format_history(
-        history_of(read_store(tmp_path / 'other'), 'small')
+        history_to_dict(history_of(read_store(tmp_path / 'other'), 'small'))
     )
 
 

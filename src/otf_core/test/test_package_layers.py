@@ -21,7 +21,8 @@ ROOT_MODULES = (
 )
 """Modules outside the packages: used everywhere, and the public names, loaded lazily."""
 LAYERS = (
-    ('api', 'cli'),
+    ('cli',),
+    ('api',),
     ('reports',),
     ('checking', 'history'),
     ('planning',),

@@ -68,10 +68,17 @@ def _change(change: Change) -> dict[str, Any]:
     return {**numbers, 'significant': change.significant}
 
 
+def _stated(history: History) -> dict[str, Any] | None:
+    first = _stated_uncertainty(history)
+    if first is None:
+        return None
+    return {'u': first.u['mean'], 'k': first.k, 'systematic': first.systematic}
+
+
 def history_to_dict(history: History) -> dict[str, Any]:
     """Return one machine as plain data, SI units."""
     runs = history.series.runs
-    drift, due, uncertainty = history.drift, history.due, _stated_uncertainty(history)
+    drift, due = history.drift, history.due
     return {
         'machine': history.machine,
         'state': history.standing.value,
@@ -105,13 +112,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
         ],
         'reference': runs[history.reference].name,
         'warnings': history.series.warnings,
-        'stated': None
-        if uncertainty is None
-        else {
-            'u': uncertainty.u['mean'],
-            'k': uncertainty.k,
-            'systematic': uncertainty.systematic,
-        },
+        'stated': _stated(history),
         'drift': None
         if drift is None
         else {

@@ -156,7 +156,7 @@ def test_nothing_is_known_where_the_machine_was_not_driven(calibrated):
     assert states == ['not known', 'not known', 'not known', 'pass']
     # what is stated first is that of the driven volume
     sizes = [
-        headline_of(VolumetricError(c.tables, c.covariance), c.budget, None, ())
+        headline_of(VolumetricError(c.tables, c.covariance), c.budget, None)
         for c in (calibrated, wide)
     ]
     assert sizes[0].expanded == sizes[1].expanded

@@ -266,7 +266,7 @@ def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(c
     found, text, _ = planned(machine, cell.plan)
     assert found.missing == ()
     nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
-    free = free_uncertainty(machine, nodes, result.covariance_run, lattice(machine, 7))
+    free = free_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))
     stated = np.linalg.norm(free, axis=1).mean()
     assert found.with_declared == pytest.approx(stated, rel=0.05)
     first = result.headline
