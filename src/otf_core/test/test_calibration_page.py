@@ -14,9 +14,8 @@ from html_cells import Page, number, unloading
 import otf_core
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.calibration.views import deviations, diagonals, drift
-from otf_core.model.expanded import figure
 from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import MOTIONS
 from otf_core.model.sections import Circumstances, DeclaredUncertainty, Limits
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict, write_calibration
@@ -278,7 +277,7 @@ def test_the_page_of_the_file_is_that_of_the_verb(folder, source):
 
 
 def test_all_errors_are_bars_with_u_and_the_limits_that_are_stated(source, tables):
-    bars = re.findall(r'<svg[^>]*aria-label="size of all errors in u[^"]+"', source)
+    bars = re.findall(r'<svg[^>]*aria-label="size of all errors in µ[^"]+"', source)
     assert len(bars) == 2 and len(tables['sizes']) == 21
     shown = re.findall(r'<text[^>]*>([^<]*, limit [^<]*)</text>', source)
     assert len([said for said in shown if '±' in said]) == 2

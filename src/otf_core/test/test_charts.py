@@ -20,6 +20,8 @@ from otf_core.reports.charts import (
     heat_step,
     scale_around,
 )
+from otf_core.reports.rendering import TEMPLATES, typeset
+from otf_core.reports.rendering import escaped as text
 from otf_core.reports.scene import (
     ELEVATION,
     HEIGHT,
@@ -31,8 +33,6 @@ from otf_core.reports.scene import (
     scene,
     tracker_items,
 )
-from otf_core.reports.rendering import TEMPLATES, typeset
-from otf_core.reports.rendering import escaped as text
 
 STYLE = (TEMPLATES / 'page.css').read_text(encoding='utf-8')
 MARKS = STYLE.partition('* { box-sizing')[0]

@@ -10,7 +10,7 @@ from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.calibration.calibration_result import CalibrationResult, RunResult
@@ -37,7 +37,7 @@ TURNS, PER_CELL = 7, 60
 """Positions of every rotary axis at which errors are stated, and of all axes at each."""
 
 
-def _fine(values: ArrayLike, decimals: int = 10) -> Any:
+def _fine(values: Any, decimals: int = 10) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
@@ -74,7 +74,8 @@ def error_sizes(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 def diagonals(machine: Machine) -> list[tuple[str, str, Array, Array]]:
     """Kind, direction and ends (k,), m and rad, of the diagonals of the linear axes.
 
-    Body diagonals, and face diagonals in the middle planes: all of three axes, two of each pair; rotary axes stand at zero, or as near as they come.
+    Body diagonals, all of three axes, and face diagonals in the middle planes, two of each pair;
+    rotary axes stand at zero, or as near as they come.
     """
     low, high = machine.lower, machine.upper
     linear = [k for k, own in enumerate(machine.axes.values()) if not own.rotary]

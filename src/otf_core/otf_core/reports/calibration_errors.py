@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.calibration.machine_verdict import FAIL, MEANING, OPEN, PASS, UNKNOWN
 from otf_core.files.writing import tidy
 from otf_core.model.chain import nominal_position
@@ -172,7 +172,7 @@ class Content:
 # The volume, and all errors with limits.
 
 
-def _drawn(content: Content) -> Array:
+def _drawn(content: Content) -> Index:
     """Which points of the volume are drawn: every other of a lattice, the first of others."""
     size, axes = len(content.grid), len(content.machine.axis_names)
     count = round(size ** (1 / axes))
@@ -525,7 +525,7 @@ def node_rows(content: Content, name: str) -> Iterator[tuple[str, ...]]:
 
 def component_charts(content: Content) -> list[str]:
     """Components of the error along X, Y and Z: as found, then as expected after compensation."""
-    found, expected = [], []
+    found, expected = list[str](), list[str]()
     u = np.maximum(1e6 * np.array(content.doc['volumetric_error']['u']), 1e-6)
     for k, axis in enumerate(XYZ):
         values = 1e6 * content.error[:, k]

@@ -16,6 +16,7 @@ from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder
 from otf_core.model.evaluation import mean_length
+from otf_core.model.expanded import micro_unit
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
@@ -25,10 +26,8 @@ from otf_core.reports.rendering import (
     State,
     columns_to_text,
     micro,
-    micro_unit,
     place,
     render,
-    sentence,
     write_result,
 )
 from otf_core.reports.scene import box, magnification, scene
@@ -88,7 +87,9 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             **{k: v.tolist() for k, v in columns.items()},
             'normalised_error': normalised,
             'largest_difference': float(np.abs(pair.difference).max()),
-            'largest_normalised_error': max([v for v in normalised if v is not None], default=None),
+            'largest_normalised_error': max(
+                [v for v in normalised if v is not None], default=None
+            ),
             'within': _number(agreement(pair.normalised)),
         }
     data: dict[str, Any] = {

@@ -81,7 +81,9 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'smallest_found_um': dict(diagnosis.smallest_found_um),
         'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
         'reversal': diagnosis.reversal.model,
-        'reversal_holds': [w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))],
+        'reversal_holds': [
+            w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))
+        ],
         'machine': diagnosis.machine.to_dict(),
         'conditions': dict(diagnosis.shown.conditions),
         'calibration_runs': [driven_run(run) for run in diagnosis.calibration.plain.runs],
@@ -182,7 +184,9 @@ def next_measurements(doc: Mapping[str, Any]) -> list[str]:
             others = ' or '.join(r.replace('_', ' ') for r in rivals)
             reason = f'to distinguish {effect_name(cause["effect"])} from {others}'
             wishes += [
-                (n, reason) for n in dict.fromkeys(map(_needed_for, (cause['effect'], *rivals))) if n
+                (n, reason)
+                for n in dict.fromkeys(map(_needed_for, (cause['effect'], *rivals)))
+                if n
             ]
     if doc['verdict'] in ('unknown', 'partly_explained'):
         wishes.append(
@@ -222,9 +226,7 @@ def describe_search(doc: Mapping[str, Any]) -> list[str]:
         return []
     hidden = [one['effect'] for one in doc['not_visible']]
     seen = {
-        effect: size
-        for effect, size in doc['smallest_found_um'].items()
-        if effect not in hidden
+        effect: size for effect, size in doc['smallest_found_um'].items() if effect not in hidden
     }
     if not seen:
         return []
@@ -257,7 +259,9 @@ def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
         named.append(f'In these data indistinguishable from {rivals}')
         sure.append('that it is one of these')
     names, more, weak = shown_parameters(cause)
-    parameters = [f'{n} {_quantity(cause, n)}'.replace(' ', '\u00a0') for n in names]
+    parameters = [
+        f'{n} {_quantity(cause, n)}'.replace('+/-', '±').replace(' ', '\u00a0') for n in names
+    ]
     return (
         str(rank), named, ', '.join(cause['axes']) or '–',
         ['', *parameters, *left_out_words(more, weak), *filter(None, [shape_words(cause)])],
@@ -274,8 +278,10 @@ def _quantity(cause: Mapping[str, Any], name: str) -> str:
 def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
     """A cause for a terminal."""
     axes = f' ({", ".join(cause["axes"])})' if cause['axes'] else ''
-    yield (f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
-           f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %')  # fmt: skip
+    yield (
+        f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
+        f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %'
+    )
     names, more, weak = shown_parameters(cause)
     yield from (f'    {name} = {_quantity(cause, name)} (k = 2)' for name in names)
     rest = (shape_words(cause), *left_out_words(more, weak))

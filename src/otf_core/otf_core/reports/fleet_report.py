@@ -149,7 +149,11 @@ def fleet_rows(doc: Mapping[str, Any]) -> tuple[tuple[str, ...], list[Row], list
         for cause, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
         if count > 1
     ]
-    return GAP_COLUMNS, [_diagnosed(n, own, runs[n]['message']) for n, own in results.items()], shared
+    return (
+        GAP_COLUMNS,
+        [_diagnosed(n, own, runs[n]['message']) for n, own in results.items()],
+        shared,
+    )
 
 
 def fleet_document(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:

@@ -128,9 +128,7 @@ def time_charts(doc: Mapping[str, Any], leg: Mapping[str, Any]) -> list[str]:
     return charts
 
 
-def volume_charts(
-    doc: Mapping[str, Any], planes: Sequence[Sequence[str]] = ()
-) -> dict[str, Any]:
+def volume_charts(doc: Mapping[str, Any], planes: Sequence[Sequence[str]] = ()) -> dict[str, Any]:
     """Views of the volume in some planes or all, without and with the causes at one scale."""
     shown = [v for v in doc['views']['cells'] if not planes or v['plane'] in list(planes)]
     every = [cells for view in shown for cells in view['states']]
@@ -162,10 +160,10 @@ def _plane_chart(
     metre = max(float(span[0]) / VIEW_WIDTH, float(span[1]) / VIEW_HEIGHT, 1e-9) * 1.08
     half = 0.5 * metre * np.array([VIEW_WIDTH, VIEW_HEIGHT])
     low, high = 1e3 * (middle - half), 1e3 * (middle + half)
-    panel = Panel(
-        *(Scale(float(low[k]), float(high[k]), f'{view["plane"][k]} (mm)') for k in range(2)),
-        height=VIEW_HEIGHT + 62.0,
+    across, up = (
+        Scale(float(low[k]), float(high[k]), f'{view["plane"][k]} (mm)') for k in range(2)
     )
+    panel = Panel(across, up, height=VIEW_HEIGHT + 62.0)
     corner, size = np.reshape(cells['low'], (-1, 2)), np.array(cells['size'])
     places = panel.points(1e3 * corner[:, 0], 1e3 * (corner[:, 1] + size[1]))
     wide, tall = size / metre
@@ -174,7 +172,9 @@ def _plane_chart(
         f'height="{tall:.1f}"/>'
         for (x, y), level in zip(places, heat_classes(np.array(cells['rms']), step), strict=True)
     ]
-    reach = 0.5 * ARROW_CELLS * size.min() / max(longest, 1e-9) * np.reshape(cells['mean'], (-1, 2))
+    reach = (
+        0.5 * ARROW_CELLS * size.min() / max(longest, 1e-9) * np.reshape(cells['mean'], (-1, 2))
+    )
     centre = corner + 0.5 * size
     marks.append(panel.arrows(1e3 * (centre - reach), 1e3 * (centre + reach), 'dark thin'))
     return panel.draw(marks, f'residual over {" and ".join(view["plane"])}, {label}', label)

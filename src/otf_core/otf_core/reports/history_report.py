@@ -105,8 +105,9 @@ def history_to_dict(history: History) -> dict[str, Any]:
         ],
         'reference': runs[history.reference].name,
         'warnings': history.series.warnings,
-        'stated': None if uncertainty is None else
-        {'U': uncertainty[0], 'systematic': uncertainty[1]},
+        'stated': None
+        if uncertainty is None
+        else {'U': uncertainty[0], 'systematic': uncertainty[1]},
         'drift': None
         if drift is None
         else {
@@ -409,7 +410,7 @@ def machine_tiles(doc: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         expected = f'{1e6 * step["expected"]:.2f} um expected without change'
         tiles.append(('last change in the volume', f'{1e6 * step["size"]:.2f} um', expected))
     if due := doc['next_calibration']:
-        day = (due['not_before'] or 'a day beyond 100 years')
+        day = due['not_before'] or 'a day beyond 100 years'
         day = day[:10] if due['not_before'] else day
         limit = f'{1e6 * due["limit"]:.2f} um mean drift'
         tiles.append(('calibrate again: not before', day, limit))

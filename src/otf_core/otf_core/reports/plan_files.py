@@ -25,7 +25,7 @@ from otf_core.files.writing import tidy, write_csv, write_text
 from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.axis_path import along_legs, nominal_track, position_at
 from otf_core.model.chain import Sight
-from otf_core.model.expanded import micro_significant, micro_unit
+from otf_core.model.expanded import micro_unit
 from otf_core.model.machine import BED, TABLE, Machine, machine_from_dict
 from otf_core.model.motions import is_motion, unit_of
 from otf_core.model.plan import Part
@@ -44,7 +44,7 @@ from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import programs_of
 from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.charts import LEVELS, Bar, bars, heat_classes, heat_key, heat_step
-from otf_core.reports.rendering import State, place, render
+from otf_core.reports.rendering import State, render
 from otf_core.reports.scene import Dots, Item, Strokes, box, scene, tracker_items
 
 DRAWN_STEP, DRAWN_TURN = 0.05, 0.05

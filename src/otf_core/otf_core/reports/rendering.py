@@ -97,7 +97,9 @@ def columns_to_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> li
     """Lines of a table for a terminal; numbers are set to the right."""
     texts = [[str(getattr(cell, 'words', cell)) for cell in row] for row in rows]
     wide = [max(map(len, column)) for column in zip(head, *texts, strict=True)]
-    right = [all(re.fullmatch(r'[-+\d.e]*( mm| deg)?', r[k]) for r in texts) for k in range(len(head))]
+    right = [
+        all(re.fullmatch(r'[-+\d.e]*( mm| deg)?', r[k]) for r in texts) for k in range(len(head))
+    ]
     return [
         '  '.join(
             cell.rjust(w) if own else cell.ljust(w)

@@ -298,4 +298,3 @@ def scene(
         return picture
     numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
     return picture.replace('<svg ', f'<svg class="turn" tabindex="0" data-scene="{numbers}" ', 1)
-

@@ -22,6 +22,12 @@ from otf_core.budget.budget import (
     welch_satterthwaite,
     whole_check,
 )
+from otf_core.calibration.budget_blocks import (
+    budget_lines,
+    budget_to_dict,
+    correlations,
+    expanded_uncertainties,
+)
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
@@ -33,12 +39,6 @@ from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import result_to_dict
-from otf_core.calibration.budget_blocks import (
-    budget_lines,
-    budget_to_dict,
-    correlations,
-    expanded_uncertainties,
-)
 from otf_core.sim.tracker import measure
 from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
 from otf_core.solving.sensitivity import components_across, piece_state, sensitivity

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
+from otf_core.calibration.budget_blocks import budget_lines
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import ForecastConfig
 from otf_core.errors import ConfigError
@@ -25,7 +26,6 @@ from otf_core.planning.forecast import (
 )
 from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.calibration import result_to_dict
-from otf_core.calibration.budget_blocks import budget_lines
 from otf_core.reports.plan_files import plan_summary, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]

@@ -12,7 +12,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from otf_core.arrays import Array
 from otf_core.diagnosis.place import groups as by
@@ -40,7 +39,7 @@ States = Sequence[Sequence[Array]]
 """Residuals of all runs, without and with the causes."""
 
 
-def _fine(values: ArrayLike, decimals: int = 4) -> Any:
+def _fine(values: Any, decimals: int = 4) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
