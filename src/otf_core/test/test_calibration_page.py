@@ -275,7 +275,7 @@ def test_the_page_of_the_file_is_that_of_the_verb(folder, source):
 
 
 def test_all_errors_are_bars_with_u_and_the_limits_that_are_stated(source, tables):
-    bars = re.findall(r'<svg[^>]*aria-label="size of all errors in u[^"]+"', source)
+    bars = re.findall(r'<svg[^>]*aria-label="size of all errors in µ[^"]+"', source)
     assert len(bars) == 2 and len(tables['sizes']) == 21
     shown = re.findall(r'<text[^>]*>([^<]*, limit [^<]*)</text>', source)
     assert len([said for said in shown if '±' in said]) == 2

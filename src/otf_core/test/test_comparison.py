@@ -38,6 +38,11 @@ from otf_core.reports.comparison import (
 )
 from otf_core.sim.cell import random_tables
 
+
+def text_of(result):
+    return format_comparison(comparison_to_dict(result))
+
+
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -130,7 +135,7 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain, other):
         result = compared(*pair)
         assert set(result.common.folded) == set(blind)
         assert largest(result) < 1e-15
-    assert 'treated as such' in format_comparison(comparison_to_dict(result))
+    assert 'treated as such' in text_of(result)
 
 
 def _constant(machine, motion, still=''):
@@ -180,7 +185,7 @@ def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of()
 
     one = blind((0.0, 0.0, -0.15))
     same, longer = compared(one, one), compared(one, blind((0.0, 0.0, -0.25)))
-    assert same.common.apart == () and 'WARNING' not in format_comparison(comparison_to_dict(same))
+    assert same.common.apart == () and 'WARNING' not in text_of(same)
     assert longer.common.apart == (
         'EAZ',
         'EBZ',
@@ -255,7 +260,7 @@ def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
     data = comparison_to_dict(result)
     assert data['volume']['within'] is None
     assert {m['within'] for m in data['motions'].values()} == {None}
-    text = format_comparison(comparison_to_dict(result))
+    text = text_of(result)
     assert '100 %' not in text and 'neither source states an uncertainty' in text
 
 
@@ -268,7 +273,7 @@ def test_a_side_without_uncertainty_is_said_to_count_as_exact():
         comparison_to_dict(result)
     )
     both = replace(tables, motions=known)
-    assert 'treats it as exact' not in format_comparison(comparison_to_dict(compared(both, both)))
+    assert 'treats it as exact' not in text_of(compared(both, both))
     # the scatter of a single run is not known
     single = measure_directly(tables, 1, runs=1, noise=PERFECT)
     direct = source_of_measurement('d', single, tables.machine)
@@ -341,11 +346,10 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
     result = compared(tables, moved)
     volume = result.volume
     assert mean_length(volume.difference) < 1e-12 < mean_length(volume.a)
-    assert (
-        'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100'
-        in format_comparison(comparison_to_dict(result))
+    assert 'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100' in text_of(
+        result
     )
-    assert 'both at' not in format_comparison(comparison_to_dict(compared(tables, tables)))
+    assert 'both at' not in text_of(compared(tables, tables))
 
 
 def test_a_comparison_says_whether_squareness_was_known():
@@ -409,7 +413,7 @@ def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     assert data['normalised_error'] == pytest.approx(3.0)
     assert re.search(
         r'^C0Y +urad +15\.00 .* 3\.00 +0 %$',
-        format_comparison(comparison_to_dict(compared(a, b))),
+        text_of(compared(a, b)),
         re.M,
     )
 

@@ -30,6 +30,11 @@ from otf_core.reports.history_report import (
     store_to_dict,
 )
 
+
+def text_of(history):
+    return format_history(history_to_dict(history))
+
+
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 
 
@@ -162,9 +167,7 @@ def test_runs_with_other_targets_are_compared_at_the_latest_or_it_is_said(found,
         series = series_of(read_store(store).runs)
         assert series.common.machine.target_offset[2] == other['machine']['target_offset'][2]
         assert bool(series.warnings) == warns
-        assert (
-            'WARNING' in format_history(history_to_dict(history_of(read_store(store), 'small')))
-        ) == warns
+        assert ('WARNING' in text_of(history_of(read_store(store), 'small'))) == warns
 
 
 def test_a_steady_machine_shows_no_drift(found, tmp_path):
@@ -238,9 +241,7 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     assert alone.standing is MachineStatus.STEADY
     add_event(tmp_path / 'store', 'new spindle', '2026-01-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    assert h.standing is MachineStatus.UNJUDGED and 'cannot be assessed yet' in format_history(
-        history_to_dict(h)
-    )
+    assert h.standing is MachineStatus.UNJUDGED and 'cannot be assessed yet' in text_of(h)
     add_event(tmp_path / 'store', 'collision', '2026-02-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
     assert h.standing is MachineStatus.UNJUDGED and h.due is None
@@ -253,17 +254,13 @@ def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     wide = found.data['headline']['u']['mean'] * found.data['headline']['k']
     share = f'up to about {micro_significant(2**0.5 * wide)} in the volume'
     page = page_of(h).replace('\u00a0', ' ').replace('µ', 'u')
-    assert share in format_history(history_to_dict(h)) and share in page
+    assert share in text_of(h) and share in page
     assert f'U = {micro_significant(wide)}' in page
-    assert 'measured with one target offset, (20, -30, -150) mm: ' in format_history(
-        history_to_dict(h)
-    )
+    assert 'measured with one target offset, (20, -30, -150) mm: ' in text_of(h)
     declared = {**found.data, 'headline': {**found.data['headline'], 'systematic': 'declared'}}
     (tmp_path / 'declared.json').write_text(json.dumps(declared))
     add_run(tmp_path / 'other', tmp_path / 'declared.json', '2026-01-01')
-    assert 'typical size' not in format_history(
-        history_to_dict(history_of(read_store(tmp_path / 'other'), 'small'))
-    )
+    assert 'typical size' not in text_of(history_of(read_store(tmp_path / 'other'), 'small'))
 
 
 def test_one_run_alone_is_not_judged(found, tmp_path):
@@ -278,7 +275,7 @@ def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
         h.standing is MachineStatus.CHANGED
         and 'cannot distinguish a drift from a jump' in head_of(h)[2]
     )
-    assert 'if it continues evenly' in format_history(history_to_dict(h))
+    assert 'if it continues evenly' in text_of(h)
 
 
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
@@ -291,7 +288,7 @@ def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, t
     assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
     shown = history_to_dict(h)['next_calibration']
     assert shown['at'] is None and 'straight line' in shown['withheld']
-    assert 'no date' in format_history(history_to_dict(h))
+    assert 'no date' in text_of(h)
 
 
 def test_charts_have_dates_events_and_the_reference_and_no_line_across_an_event(found, tmp_path):
@@ -384,4 +381,4 @@ def test_history_of_a_machine_with_rotary_axes_shows_what_drifts(tmp_path):
     exact = displacement(rotary_tables(machine, 1e-5), common.grid)
     exact = without_rigid_motion(exact, nominal_position(machine, common.grid)).ravel()
     assert np.allclose(common.field_rows @ found.series.values[-1], exact, atol=1e-15)
-    assert 'X0C' in format_history(history_to_dict(found))
+    assert 'X0C' in text_of(found)

@@ -13,6 +13,11 @@ from otf_core.noise.report import noise_report
 from otf_core.reports.noise_report import format_noise, noise_to_dict
 from otf_core.sim.tracker import measure
 
+
+def text_of(report):
+    return format_noise(noise_to_dict(report))
+
+
 DATA = Path(__file__).parent / 'data'
 SPEED = 0.002
 
@@ -111,4 +116,4 @@ def test_lost_samples_of_a_recorded_stream_are_told(cart):
 
 
 def test_a_target_that_is_never_at_rest_is_told(cart):
-    assert 'WARNING noisier than laser trackers are' in format_noise(noise_to_dict(cart))
+    assert 'WARNING noisier than laser trackers are' in text_of(cart)

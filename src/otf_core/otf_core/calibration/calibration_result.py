@@ -391,6 +391,14 @@ class CalibrationResult:
         return STANDSTILL if self.runs[0].pieces.standstill else OTF
 
     @property
+    def needs(self) -> list[str]:
+        """What would show the errors that the data do not show, one line for those of one need."""
+        by_need: dict[str, list[str]] = {}
+        for name, need in self.advice.items():
+            by_need.setdefault(need, []).append(name)
+        return [f'{", ".join(names)}: needs {need}' for need, names in by_need.items()]
+
+    @property
     def sentence(self) -> str:
         """The outcome."""
         measurement, machine = self.verdicts.measurement, self.verdicts.machine

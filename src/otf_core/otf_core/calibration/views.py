@@ -10,7 +10,7 @@ from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.calibration.machine_verdict import size_and_u
@@ -39,8 +39,8 @@ TURNS, PER_CELL = 7, 60
 """Positions of every rotary axis at which errors are stated, and of all axes at each."""
 
 
-def _fine(values: ArrayLike, decimals: int = 10) -> Any:
-    return (np.round(np.asarray(values, float), decimals) + 0.0).tolist()
+def _fine(values: Any, decimals: int = 10) -> Any:
+    return (np.round(values, decimals) + 0.0).tolist()
 
 
 def volume_view(result: CalibrationResult) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def error_sizes(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 def diagonals(machine: Machine) -> list[tuple[str, str, Array, Array]]:
     """Kind, direction and ends (k,), m and rad, of the diagonals of the linear axes.
 
-    Body diagonals, and face diagonals in the middle planes: all of three axes, two of each pair;
+    Body diagonals, all of three axes, and face diagonals in the middle planes, two of each pair;
     rotary axes stand at zero, or as near as they come.
     """
     low, high = machine.lower, machine.upper

@@ -260,7 +260,9 @@ def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
         named.append(f'In these data indistinguishable from {rivals}')
         sure.append('that it is one of these')
     names, more, weak = shown_parameters(cause)
-    parameters = [f'{n} {_quantity(cause, n)}'.replace(' ', '\u00a0') for n in names]
+    parameters = [
+        f'{n} {_quantity(cause, n)}'.replace('+/-', '±').replace(' ', '\u00a0') for n in names
+    ]
     return (
         str(rank), named, ', '.join(cause['axes']) or '–',
         ['', *parameters, *left_out_words(more, weak), *filter(None, [shape_words(cause)])],
@@ -277,9 +279,10 @@ def _quantity(cause: Mapping[str, Any], name: str) -> str:
 def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
     """A cause for a terminal."""
     axes = f' ({", ".join(cause["axes"])})' if cause['axes'] else ''
-    sizes = f'{cause["before_um"]:.2f} um -> {cause["after_um"]:.2f} um'
-    name, sure = cause['effect'], f'confidence {100 * cause["confidence"]:.0f} %'
-    yield f'cause {name}{axes}: gap {sizes}, {sure}'
+    yield (
+        f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
+        f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %'
+    )
     names, more, weak = shown_parameters(cause)
     yield from (f'    {name} = {_quantity(cause, name)} (k = 2)' for name in names)
     rest = (shape_words(cause), *left_out_words(more, weak))

@@ -160,8 +160,10 @@ def _plane_chart(
     metre = max(float(span[0]) / VIEW_WIDTH, float(span[1]) / VIEW_HEIGHT, 1e-9) * 1.08
     half = 0.5 * metre * np.array([VIEW_WIDTH, VIEW_HEIGHT])
     low, high = 1e3 * (middle - half), 1e3 * (middle + half)
-    x, y = (Scale(float(low[k]), float(high[k]), f'{view["plane"][k]} (mm)') for k in range(2))
-    panel = Panel(x, y, height=VIEW_HEIGHT + 62.0)
+    across, up = (
+        Scale(float(low[k]), float(high[k]), f'{view["plane"][k]} (mm)') for k in range(2)
+    )
+    panel = Panel(across, up, height=VIEW_HEIGHT + 62.0)
     corner, size = np.reshape(cells['low'], (-1, 2)), np.array(cells['size'])
     places = panel.points(1e3 * corner[:, 0], 1e3 * (corner[:, 1] + size[1]))
     wide, tall = size / metre

@@ -126,16 +126,18 @@ def history_to_dict(history: History) -> dict[str, Any]:
             'not_linear': drift.bent,
             'motions_per_day': {n: _change(c) for n, c in drift.motions.items()},
         },
-        'next_calibration': None
-        if due is None
-        else {
-            'limit': due.limit,
-            'at': None if due.days is None else _after(history, due.days),
-            'not_before': _after(history, due.earliest),
-            'not_after': None if due.latest is None else _after(history, due.latest),
-            'confidence': 0.95,
-            'withheld': due.withheld or None,
-        },
+        'next_calibration': due and _due_to_dict(history, due),
+    }
+
+
+def _due_to_dict(history: History, due: DueDate) -> dict[str, Any]:
+    return {
+        'limit': due.limit,
+        'at': None if due.days is None else _after(history, due.days),
+        'not_before': _after(history, due.earliest),
+        'not_after': None if due.latest is None else _after(history, due.latest),
+        'confidence': 0.95,
+        'withheld': due.withheld or None,
     }
 
 

@@ -12,7 +12,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from otf_core.arrays import Array
 from otf_core.diagnosis.place import groups as by
@@ -40,8 +39,8 @@ States = Sequence[Sequence[Array]]
 """Residuals of all runs, without and with the causes."""
 
 
-def _fine(values: ArrayLike, decimals: int = 4) -> Any:
-    return (np.round(np.asarray(values, float), decimals) + 0.0).tolist()
+def _fine(values: Any, decimals: int = 4) -> Any:
+    return (np.round(values, decimals) + 0.0).tolist()
 
 
 def gap_views(views: Sequence[RunView], causes: bool, grouping: str) -> dict[str, Any]:
