@@ -28,7 +28,7 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import SampleBuffer
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos

@@ -39,7 +39,6 @@ from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.forecast import free_rows
 from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.reports.calibration_facts import budget_lines, expanded_uncertainties
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
 from otf_core.solving.unknowns import layout, linear
@@ -134,8 +133,8 @@ def value_and_u(tables: ErrorTables, name: str) -> tuple[Array, Array]:
     """Values and standard uncertainties of one motion or squareness error."""
     if name in SQUARENESS:
         entry = tables.squareness[name]
-        return np.array([entry.value]), np.array([entry.u])
-    return tables.motions[name].value, tables.motions[name].u
+        return np.array([entry.value]), np.array([entry.u_run])
+    return tables.motions[name].value, tables.motions[name].u_run
 
 
 def grid_rows(result: CalibrationResult, grid: Array) -> tuple[Array, Array]:
@@ -143,20 +142,19 @@ def grid_rows(result: CalibrationResult, grid: Array) -> tuple[Array, Array]:
     nodes = {m: result.tables.motions[m].position for m in MOTIONS}
     rows = prediction_rows(result.tables.machine, nodes, grid)
     flat = free_rows(rows.reshape(-1, rows.shape[2]), grid)
-    return flat, np.sqrt(np.einsum('ij,ij->i', flat @ result.covariance, flat))
+    return flat, np.sqrt(np.einsum('ij,ij->i', flat @ result.covariance_run, flat))
 
 
 def deviations(case: Case) -> dict[str, tuple[Array, Array, Array]]:
     """Deviation from the truth, u and U of every motion, squareness error and of the grid."""
     result, truth = case.result, truth_in_gauge(case)
-    found = {}
-    wide = expanded_uncertainties(result.tables, budget_lines(result.tables, result.budget))
+    found, factors = {}, {line.name: line.k for line in result.budget_lines}
     for name in NAMES:
         if name in result.not_identifiable:
             continue
         value, u = value_and_u(result.tables, name)
-        free = u > 1e-12
-        found[name] = (value - truth[name])[free], u[free], np.atleast_1d(wide[name]['U'])[free]
+        free, k = u > 1e-12, factors[name]
+        found[name] = (value - truth[name])[free], u[free], k * u[free]
     grid = lattice(result.tables.machine, GRID)
     field = displacement(result.tables, grid) - displacement(case.truth, grid)
     flat, u = grid_rows(result, grid)

@@ -27,7 +27,7 @@ from geometry_msgs.msg import PointStamped
 from markdown import heading, row
 
 from otf_bringup.domain import free_domain
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_msgs.msg import CalibrationResult
 from otf_ros import qos
 

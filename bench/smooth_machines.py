@@ -78,7 +78,7 @@ def run_case(form, rate, colour, chain, seed, with_limits):
     start = time.perf_counter()
     result = calibrate_recordings([recording])
     seconds = {OURS: time.perf_counter() - start}
-    judged = {OURS: judge(cell, result.tables, result.covariance)}
+    judged = {OURS: judge(cell, result.tables, result.covariance_run)}
     for kind in KINDS if with_limits else KINDS[:3]:
         start = time.perf_counter()
         found = estimate(cell, result.runs[0], noise, kind)

@@ -112,7 +112,8 @@ def judged(row, form, chain, seed, path):
     except OtfError as error:
         print(f'{condition.name}, {form}, {chain}, seed {seed}: {error}', file=sys.stderr)
         return None
-    return {k: float(v) for k, v in asdict(judge(cell, result.tables, result.covariance)).items()}
+    judged = judge(cell, result.tables, result.covariance_run)
+    return {k: float(v) for k, v in asdict(judged).items()}
 
 
 def cells_of(judged: list[Judgement | None]):

@@ -9,7 +9,7 @@ import yaml
 from otf_core.model.chain import Sight, displacement, exact_position
 from otf_core.model.evaluation import evenly_spread, lattice, mean_length, without_rigid_motion
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
-from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_core.solving.tabulate import remove_rigid_motions
 

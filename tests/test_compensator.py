@@ -13,7 +13,8 @@ from geometry_msgs.msg import Point
 
 from otf_core.model.chain import exact_position
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import ErrorTables, MotionTable, tables_to_dict
+from otf_core.model.tables import ErrorTables, MotionTable
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import ErrorTables as ErrorTablesMessage
 from otf_msgs.srv import Compensate

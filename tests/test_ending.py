@@ -22,7 +22,7 @@ from otf_bringup import demo as demonstration
 from otf_bringup import view
 from otf_bringup.processes import module_of
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.msg import CalibrationResult
 
@@ -211,7 +211,10 @@ def test_page_of_the_demo_is_not_waited_for_where_nobody_can_press_a_key(monkeyp
 def test_demo_states_samples_that_were_lost_in_words(tmp_path, capsys):
     machine = load_machine(write_machine(tmp_path, axes=SMALL))
     tables = random_tables(machine, 1e-5, np.random.default_rng(1))
-    head = {'noise_and_misfit_alone': {'U': {'mean': 1e-6, 'max': 2e-6}}}
+    sizes = {'mean': 0.5e-6, 'p95': 0.8e-6, 'max': 1e-6}
+    head = {'u': sizes, 'u_run': sizes, 'k': 2.0, 'systematic': 'declared', 'typical_for': [],
+            'label': '', 'points': 8, 'error': sizes, 'u_of_largest': 1e-6, 'contributions': {},
+            'sentences': []}  # fmt: skip
     (tmp_path / 'error_tables.json').write_text(
         json.dumps({**tables_to_dict(tables), 'headline': head})
     )

@@ -10,7 +10,7 @@ from graph import offline, without_date
 from nav_msgs.msg import Path
 
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_msgs.msg import ErrorTables, TrackerStatus
 from otf_ros import qos
 from otf_ros.convert import ns_from_time

@@ -9,7 +9,7 @@ from emulator import Cell
 
 from otf_core.config import PlannerConfig
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_msgs.msg import CalibrationResult
 
 PATH = {**SHORT, 'feed': 0.5, 'corner_dwell': 0.1}

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Twelve recordings and what they gave: tables within a tenth of u, causes and their sizes."""
 
+import json
+from pathlib import Path
+
 import pytest
 from command import otf, read
 from golden import (
@@ -44,7 +47,11 @@ def test_diagnosis_is_the_one_that_was_given_before(result_of, name):
 
 @pytest.mark.parametrize('name', MOST_LEFT)
 def test_tables_leave_little_of_the_true_errors_and_u_is_honest(result_of, tmp_path, name):
-    words = (result_of(name).file, RECORDINGS[name].truth, '--out', tmp_path / 'out', '--json')
+    # a simulation holds noise and nothing systematic: u_run is what is to be honest
+    alone = json.loads(Path(result_of(name).file).read_text())
+    alone['covariance'] = alone['covariance_run']
+    (tmp_path / 'alone.json').write_text(json.dumps(alone))
+    words = (tmp_path / 'alone.json', RECORDINGS[name].truth, '--out', tmp_path / 'out', '--json')
     done = otf('compare', *words)
     assert done.code == 0
     left = done.document['volume_with_squareness']

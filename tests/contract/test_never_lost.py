@@ -107,7 +107,7 @@ def test_declared_contributions_enter_the_uncertainty(tmp_path):
     document = read(tmp_path / 'out/error_tables.json')
     own = document['motions']['EXX']
     assert own['u'][-1] > 2 * 0.5e-6  # air and machine temperature: more than noise
-    assert document['headline']['expected_after_compensation']['U']['mean'] > 2e-6
+    assert document['headline']['u']['mean'] > 1e-6
 
 
 def test_reversal_is_chosen_on_lines_that_were_not_fitted(result_of):
@@ -146,7 +146,7 @@ def test_forecast_of_a_plan_is_what_its_run_gives(result_of, tmp_path):
     done = otf(*words, '--path', tmp_path / 'path.csv', '--tracker-place', '0.15,-0.3,-0.1')
     assert done.code == 0
     expected = read(tmp_path / 'plan/plan.json')['forecast']['mean_grid_u']
-    alone = result_of('backlash').document['headline']['noise_and_misfit_alone']['U']['mean'] / 2
+    alone = result_of('backlash').document['headline']['u_run']['mean']
     assert 0.6 < alone / expected < 1.6
 
 

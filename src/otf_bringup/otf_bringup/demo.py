@@ -34,7 +34,8 @@ from otf_core.model.evaluation import evenly_spread, lattice, without_rigid_moti
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_figure, micro_significant
 from otf_core.model.machine import SPINDLE, TABLE, load_machine
 from otf_core.model.motions import unit_of
-from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_core.solving.tabulate import remove_rigid_motions
 from otf_msgs.msg import CalibrationResult, GapReport
@@ -192,7 +193,7 @@ def _report(truth: ErrorTables, result: CalibrationResult) -> None:
     before = exact_position(truth, q) - q
     fields = before, before - displacement(calibrated.tables, q)
     lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
-    alone = calibrated.extra['headline']['noise_and_misfit_alone']['U']
+    alone = calibrated.headline.observed
     print(result.message)
     print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')
     for when, length in zip(('as it stands', 'compensated'), lengths, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.predict import (
     EDGE,
     PredictedErrors,
@@ -49,7 +49,7 @@ class Tables:
             )
         content = load_tables(file)
         self._predictor = Predictor.of(content)
-        self.run_id = str(content.extra.get('run_id', ''))
+        self.run_id = content.run_id
         self.machine = self._predictor.tables.machine.name
         self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 

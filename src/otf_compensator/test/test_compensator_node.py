@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point
 from otf_compensator.node import Compensator
 from otf_core.errors import ConfigError
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.srv import Compensate
 from otf_ros.testing import SMALL_MACHINE, node_on_bench

@@ -9,7 +9,7 @@ import pytest
 from otf_compensator.tables import Tables
 from otf_core.errors import ConfigError
 from otf_core.model.chain import exact_position, nominal_position
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 
 TRUNNION = Path(__file__).parents[3] / 'bags/trunnion/truth.json'
 

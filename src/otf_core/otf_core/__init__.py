@@ -52,9 +52,10 @@ if TYPE_CHECKING:
     from otf_core.model.observation import Samples
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import Plan
-    from otf_core.model.tables import ErrorTables, TablesFile, load_tables
+    from otf_core.model.tables import ErrorTables
     from otf_core.pieces.runs import Recording
     from otf_core.planning.plan_report import PlanReport
+    from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
     from otf_core.prediction.predict import Prediction
 
 _HOMES = {
@@ -81,15 +82,17 @@ _HOMES = {
     'model.observation': ('Samples',),
     'model.path': ('NominalPath',),
     'model.plan': ('Plan',),
-    'model.tables': ('ErrorTables', 'TablesFile', 'load_tables'),
+    'model.tables': ('ErrorTables',),
     'pieces.runs': ('Recording',),
     'planning.plan_report': ('PlanReport',),
+    'prediction.calibration_document': ('CalibrationDocument', 'load_tables'),
     'prediction.predict': ('Prediction',),
 }
 """Where the public names come from; the imports above say the same to type checkers."""
 
 __all__ = [
     'CalibrationConfig',
+    'CalibrationDocument',
     'CalibrationResult',
     'ConfigError',
     'Diagnosis',
@@ -108,7 +111,6 @@ __all__ = [
     'ShapeError',
     'Simulation',
     'SimulationConfig',
-    'TablesFile',
     'calibrate',
     'diagnose',
     'load_machine',

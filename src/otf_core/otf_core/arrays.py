@@ -9,3 +9,4 @@ if TYPE_CHECKING:
 
 Array: TypeAlias = 'numpy.typing.NDArray[numpy.float64]'
 Index: TypeAlias = 'numpy.typing.NDArray[numpy.int64]'
+Flags: TypeAlias = 'numpy.typing.NDArray[numpy.bool_]'

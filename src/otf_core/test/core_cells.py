@@ -19,12 +19,13 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
 from otf_core.model.plan import Plan
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness, tables_to_dict
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.noise.noise_model import NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed
 from otf_core.planning.nc.programs import on_increment, part_program
 from otf_core.planning.path_creation import plan_path
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.drive import drives_of
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
@@ -63,7 +64,7 @@ def zero_tables(machine, nodes=2):
         axis = machine.axes[name[2]]
         position = np.linspace(axis.min, axis.max, nodes)
         motions[name] = MotionTable(position, np.zeros(nodes), np.zeros(nodes))
-    return ErrorTables(machine, motions, {k: Squareness() for k in SQUARENESS})
+    return ErrorTables(machine, motions, {k: ScalarError() for k in SQUARENESS})
 
 
 def constant_tables(machine, **errors):
@@ -72,7 +73,7 @@ def constant_tables(machine, **errors):
     motions, squareness = dict(tables.motions), dict(tables.squareness)
     for name, value in errors.items():
         if name in SQUARENESS:
-            squareness[name] = Squareness(value)
+            squareness[name] = ScalarError(value)
         else:
             motions[name] = replace(motions[name], value=np.full(2, value))
     return replace(tables, motions=motions, squareness=squareness)
@@ -321,7 +322,7 @@ def tables_of(machine, unknowns, solution):
         motions[name] = MotionTable(unknowns.knots[name[2]], value, np.zeros_like(value))
     places = {k: unknowns.blocks[k].start for k in SQUARENESS}
     return ErrorTables(
-        machine, motions, {k: Squareness(float(solution.value[i])) for k, i in places.items()}
+        machine, motions, {k: ScalarError(float(solution.value[i])) for k, i in places.items()}
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from core_cells import error_of, some_machine
 
 from otf_core.exports import HOMES
-from otf_core.model.tables import tables_from_dict, tables_to_dict
+from otf_core.prediction.calibration_document import tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 

@@ -19,8 +19,8 @@ from otf_core.errors import OtfError
 from otf_core.inputs.nc_program import read_program
 from otf_core.inputs.path_file import read_plan, read_points
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import load_tables
 from otf_core.noise.noise_model import read_noise
+from otf_core.prediction.calibration_document import load_tables
 
 MACHINE = {
     'name': 'cell',

@@ -9,10 +9,10 @@ from otf_core.inputs.recordings import read_recording
 from otf_core.model.axis_path import nominal_track
 from otf_core.model.machine import load_machine
 from otf_core.model.plan import plan_along
-from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
 from otf_core.planning.forecast import Setup
 from otf_core.planning.part_choice import planned
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.sim.cell import simulate
 
 BAG = Path(__file__).parents[3] / 'bags' / 'trunnion'

@@ -11,7 +11,7 @@ from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.machine import Chain
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.absorbed import offset_bound
 
 HIDDEN = ('ECY', 'EAZ', 'EBZ', 'ECZ')
@@ -29,7 +29,7 @@ def test_a_target_along_z_puts_tilts_of_z_into_its_straightness_and_squareness()
     assert found.words('A0Z') == 'at target offset (0, 0, -150) mm, contains EAZ'
     assert found.words('C0Y') == '' and found.words('EXX') == ''
     assert found.sentence.startswith(
-        'valid only at the target offset (0, 0, -150) mm: B0Z, A0Z, EXZ, EYZ; they contain EBZ'
+        'measured with one target offset, (0, 0, -150) mm: B0Z, A0Z, EXZ, EYZ include EBZ'
     )
 
 
@@ -92,5 +92,5 @@ def tables_of(machine, values, squareness=None):
         axis = machine.axes[m.axis]
         nodes = np.linspace(axis.min, axis.max, 7)
         motions[m] = MotionTable(nodes, values.get(m, np.zeros(7)), np.zeros(7))
-    angles = {n: Squareness((squareness or {}).get(n, 0.0)) for n in SQUARENESS}
+    angles = {n: ScalarError((squareness or {}).get(n, 0.0)) for n in SQUARENESS}
     return ErrorTables(machine, motions, angles)

@@ -15,7 +15,8 @@ from otf_core.exports import HOMES, export_format
 from otf_core.exports.format import ANY_AXES, LINES, THREE_AXES
 from otf_core.model.chain import displacement, exact_position, nominal_position
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.tables import load_tables, tables_from_dict, tables_to_dict
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 GANTRY, PLOTTER, TABLE = 'w-b-X-Y-t', 'w-Y-b-X-t', 'w-C-b-t'
@@ -48,8 +49,10 @@ def test_tables_of_any_chain_are_read_as_they_were_written(chain, tmp_path):
     tables = constant(machine, 3e-6, machine.motions[3])
     (tmp_path / 't.json').write_text(json.dumps(tables_to_dict(tables)))
     file = load_tables(tmp_path / 't.json')
-    assert tables_to_dict(file.tables) == tables_to_dict(tables)
-    assert (file.without_value, file.without_u) == ((), ())
+    known = {m: t.with_defaults() for m, t in tables.motions.items()}
+    again = ErrorTables(tables.machine, known, file.squareness, file.location)
+    assert tables_to_dict(file.tables) == tables_to_dict(again)
+    assert (file.remarks, file.without_u) == ((), ())
 
 
 def test_position_of_the_target_is_that_of_the_axes_and_zero_along_what_is_none():

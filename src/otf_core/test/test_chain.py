@@ -13,7 +13,7 @@ from otf_core.errors import ShapeError
 from otf_core.model.chain import Sight, displacement, exact_position, nominal_position
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import DIRECTIONS
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.sim.cell import random_tables
 
 # T = (0.02, -0.03, -0.15) and q = (0.1, 0.2, -0.1); e_x x L = (0, -Lz, Ly),
@@ -240,8 +240,8 @@ def constant(machine, size=0.0, name=None):
         m: MotionTable(np.zeros(1), np.full(1, size if m == name else 0.0), np.zeros(1))
         for m in machine.motions
     }
-    square = {n: Squareness(size if n == name else 0.0) for n in machine.squareness}
-    location = {n: LocationError(size if n == name else 0.0) for n in machine.location}
+    square = {n: ScalarError(size if n == name else 0.0) for n in machine.squareness}
+    location = {n: ScalarError(size if n == name else 0.0) for n in machine.location}
     return ErrorTables(machine, motions, square, location)
 
 

@@ -25,14 +25,23 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import MotionTable, Squareness, TablesFile, tables_to_dict
-from otf_core.prediction.covariance import pack_covariance
+from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    PackedCovariance,
+    tables_to_dict,
+)
 from otf_core.reports.comparison import (
     comparison_to_dict,
     format_comparison,
     write_comparison,
 )
 from otf_core.sim.cell import random_tables
+
+
+def text_of(result):
+    return format_comparison(comparison_to_dict(result))
+
 
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -51,10 +60,10 @@ def changed(tables, **added):
 
 
 def source(name, tables, covariance=None, hidden=()):
-    extra = {'not_identifiable': list(hidden)}
+    extra = {'not_identifiable': tuple(hidden)}
     if covariance is not None:
-        extra['covariance'] = pack_covariance(covariance, tables.machine)
-    return source_of_tables(name, TablesFile(tables, extra))
+        extra['covariance'] = PackedCovariance.of(covariance, tables.machine)
+    return source_of_tables(name, CalibrationDocument.of_tables(tables, **extra))
 
 
 def compared(a, b, points=None):
@@ -126,7 +135,7 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain, other):
         result = compared(*pair)
         assert set(result.common.folded) == set(blind)
         assert largest(result) < 1e-15
-    assert 'treated as such' in format_comparison(result)
+    assert 'treated as such' in text_of(result)
 
 
 def _constant(machine, motion, still=''):
@@ -176,12 +185,14 @@ def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of()
 
     one = blind((0.0, 0.0, -0.15))
     same, longer = compared(one, one), compared(one, blind((0.0, 0.0, -0.25)))
-    assert same.common.apart == () and 'WARNING' not in format_comparison(same)
+    assert same.common.apart == () and 'WARNING' not in text_of(same)
     assert longer.common.apart == (
         'EAZ',
         'EBZ',
     )  # a longer tool along Z is none for a turn about Z
-    assert 'WARNING EAZ, EBZ: neither source distinguishes' in format_comparison(longer)
+    assert 'WARNING EAZ, EBZ: neither source distinguishes' in format_comparison(
+        comparison_to_dict(longer)
+    )
     assert comparison_to_dict(longer)['translations_apart_by'] == ['EAZ', 'EBZ']
 
 
@@ -249,7 +260,7 @@ def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
     data = comparison_to_dict(result)
     assert data['volume']['within'] is None
     assert {m['within'] for m in data['motions'].values()} == {None}
-    text = format_comparison(result)
+    text = text_of(result)
     assert '100 %' not in text and 'neither source states an uncertainty' in text
 
 
@@ -258,9 +269,11 @@ def test_a_side_without_uncertainty_is_said_to_count_as_exact():
     known = {n: replace(t, u=1e-6 + 0.0 * t.u) for n, t in tables.motions.items()}
     result = compared(replace(tables, motions=known), tables)
     assert comparison_to_dict(result)['without_uncertainty'] == ['b']
-    assert 'b states no uncertainty: E_n treats it as exact' in format_comparison(result)
+    assert 'b states no uncertainty: E_n treats it as exact' in format_comparison(
+        comparison_to_dict(result)
+    )
     both = replace(tables, motions=known)
-    assert 'treats it as exact' not in format_comparison(compared(both, both))
+    assert 'treats it as exact' not in text_of(compared(both, both))
     # the scatter of a single run is not known
     single = measure_directly(tables, 1, runs=1, noise=PERFECT)
     direct = source_of_measurement('d', single, tables.machine)
@@ -333,11 +346,10 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
     result = compared(tables, moved)
     volume = result.volume
     assert mean_length(volume.difference) < 1e-12 < mean_length(volume.a)
-    assert (
-        'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100'
-        in format_comparison(result)
+    assert 'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100' in text_of(
+        result
     )
-    assert 'both at' not in format_comparison(compared(tables, tables))
+    assert 'both at' not in text_of(compared(tables, tables))
 
 
 def test_a_comparison_says_whether_squareness_was_known():
@@ -392,14 +404,18 @@ def test_constants_of_rotations_go_into_squareness_of_every_chain(chain):
 def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     machine = some_machine()
     a, b = zero_tables(machine), zero_tables(machine)
-    a = replace(a, squareness={**a.squareness, 'C0Y': Squareness(1e-5, 2e-6)})
-    b = replace(b, squareness={**b.squareness, 'C0Y': Squareness(-5e-6, 1.5e-6)})
+    a = replace(a, squareness={**a.squareness, 'C0Y': ScalarError(1e-5, 2e-6)})
+    b = replace(b, squareness={**b.squareness, 'C0Y': ScalarError(-5e-6, 1.5e-6)})
     one = compared(a, b).errors['C0Y']
     assert (one.a[0], one.b[0]) == (pytest.approx(1e-5), pytest.approx(-5e-6))
     assert one.normalised[0] == pytest.approx(1.5e-5 / (2 * 2.5e-6))
     data = comparison_to_dict(compared(a, b))['squareness']['C0Y']
     assert data['normalised_error'] == pytest.approx(3.0)
-    assert re.search(r'^C0Y +urad +15\.00 .* 3\.00 +0 %$', format_comparison(compared(a, b)), re.M)
+    assert re.search(
+        r'^C0Y +urad +15\.00 .* 3\.00 +0 %$',
+        text_of(compared(a, b)),
+        re.M,
+    )
 
 
 def test_squareness_that_one_side_does_not_know_is_not_compared():
@@ -407,13 +423,15 @@ def test_squareness_that_one_side_does_not_know_is_not_compared():
     a = source('a', tables, None, ('A0Z',))
     result = compare(a, source('b', tables))
     assert result.common.scalars == ('C0Y', 'B0Z')
-    assert 'not compared: A0Z: a does not determine it' in format_comparison(result)
+    assert 'not compared: A0Z: a does not determine it' in format_comparison(
+        comparison_to_dict(result)
+    )
 
 
 def test_a_comparison_writes_a_page_like_the_others(tmp_path):
     machine = some_machine()
     a = replace(zero_tables(machine), squareness={
-        **zero_tables(machine).squareness, 'C0Y': Squareness(1e-5, 2e-6)})  # fmt: skip
+        **zero_tables(machine).squareness, 'C0Y': ScalarError(1e-5, 2e-6)})  # fmt: skip
     write_comparison(compared(a, truth_of(machine)), tmp_path)
     source = (tmp_path / 'report.html').read_text(encoding='utf-8')
     page = Page(source)

@@ -18,7 +18,7 @@ def test_a_result_is_one_line_that_says_what_is_stated_first(calibrated):
     line = repr(calibrated)
     assert '\n' not in line and len(line) < 600
     head = calibrated.headline
-    assert head.error_words in line and head.expanded_words in line
+    assert all(words in line for words in head.sentences[:2])
     assert 'measurement: good' in line and 'machine: no limits' in line
 
 
@@ -26,7 +26,7 @@ def test_a_notebook_shows_a_short_table_and_no_markup_from_names(calibrated):
     page = calibrated._repr_html_()
     assert len(page) < 2500 and 'µm' in page and ' um' not in page
     # the uncertainty of a squareness error is that of the headline: systematic contributions in it
-    k, u = 2.0, np.sqrt(calibrated.covariance_with_typical[0, 0])
+    k, u = 2.0, np.sqrt(calibrated.covariance[0, 0])
     stated = re.search(r'C0Y</th><td>[\d. -]+ ± ([\d.]+) µrad', page)[1]
     assert float(stated) == pytest.approx(1e6 * k * u, rel=0.06)
     unseen = [m for m in MOTIONS if not calibrated.tables.motions[m].identifiable]
@@ -44,7 +44,7 @@ def test_a_data_frame_holds_what_the_csv_holds(calibrated, tmp_path):
     assert list(frame.axis) == [r['axis'] for r in rows]
     assert list(frame.unit) == [r['unit'] for r in rows]
     assert [str(v).lower() for v in frame.identifiable] == [r['identifiable'] for r in rows]
-    for name in ('position', 'value', 'u', 'U', 'k', 'U_with_typical'):
+    for name in ('position', 'value', 'u', 'u_run', 'k'):
         stated = [float(r[name]) if r[name] else np.nan for r in rows]
         np.testing.assert_allclose(frame[name], stated, rtol=1e-12, atol=1e-15, err_msg=name)
     offset = tuple(calibrated.tables.machine.target_offset.tolist())
@@ -72,7 +72,7 @@ def test_a_figure_has_a_panel_an_error_motion_in_mm_and_um(calibrated):
         [v[1] for v in band.get_paths()[0].vertices if abs(v[0] - line.get_xdata()[-1]) < 1e-9]
     )
     place = 3 + len(table.position) - 1
-    u = np.sqrt(calibrated.covariance_with_typical[place, place])
+    u = np.sqrt(calibrated.covariance[place, place])
     assert wide == pytest.approx(2 * 2.0 * 1e6 * u, rel=0.02)
     import matplotlib.pyplot as plt
 

@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +19,15 @@ from otf_core.exports import export_format, lattice
 from otf_core.exports.format import Request, remaining_error
 from otf_core.exports.lattice import sampled_lattice, tables_from_lattice
 from otf_core.model.evaluation import mean_length, without_rigid_motion
-from otf_core.model.tables import MotionTable, TablesFile, load_tables, tables_to_dict
+from otf_core.model.tables import MotionTable
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    ReversalBlock,
+    load_tables,
+    tables_to_dict,
+)
 from otf_core.prediction.predict import predict
-from otf_core.prediction.volumetric import volumetric_error
+from otf_core.prediction.volumetric import VolumetricError
 from otf_core.sim.cell import random_tables
 
 FULL = ('isg', 'etalon', 'lattice-csv')
@@ -44,7 +51,9 @@ def places(tables):
 
 def exported(name, tables, sign='error', points=None):
     sign = sign if name in ASKED else None
-    return export_format(name).export(Request(TablesFile(tables), 'cell.txt', sign, points))
+    return export_format(name).export(
+        Request(CalibrationDocument.of_tables(tables), 'cell.txt', sign, points)
+    )
 
 
 every_format = pytest.mark.parametrize('name', NAMES)
@@ -66,7 +75,8 @@ def test_the_forecast_is_of_what_the_reader_takes_off(name, tables, places):
     np.testing.assert_allclose(made.held(places), -change, atol=5e-9)  # m; six decimals of a mm
     left = remaining_error(tables, made.held)
     assert left.after_mean < left.before_mean
-    stated = volumetric_error(tables)  # what a calibration states under the same name
+    volume = VolumetricError(tables, np.zeros((1, 1)))  # as a calibration states
+    stated = volume.sizes() | {'points': len(volume.grid)}
     assert (left.points, left.before_mean, left.before_max) == pytest.approx(
         (stated['points'], stated['mean'], stated['max']), rel=1e-12
     )
@@ -75,7 +85,7 @@ def test_the_forecast_is_of_what_the_reader_takes_off(name, tables, places):
 @every_format
 def test_the_file_says_what_its_values_are_and_info_what_it_is(name, tables, tmp_path, capsys):
     sign = 'error' if name in ASKED else None
-    request = Request(TablesFile(tables, {'run_id': 'abc123'}), 'cell.txt', sign)
+    request = Request(CalibrationDocument.of_tables(tables, run_id='abc123'), 'cell.txt', sign)
     made = export_format(name).export(request)
     words = export_format(name).value_words
     for file, content in made.files.items():
@@ -89,7 +99,7 @@ def test_the_file_says_what_its_values_are_and_info_what_it_is(name, tables, tmp
 
 
 def test_digits_of_what_remains_follow_the_uncertainty_of_the_calibration(tables):
-    headline = {'expected_after_compensation': {'U': {'mean': 7.3e-6}}}
+    headline = SimpleNamespace(expanded={'mean': 7.3e-6})
     said = remaining_error(tables, lambda q: 0.0 * q, headline).words
     assert re.search(r'mean \d+\.\d um, largest \d+\.\d um; this file leaves', said)
 
@@ -100,7 +110,7 @@ def test_the_sign_that_the_user_names_turns_the_values(name, tables, places):
     as_error = READERS[name](exported(name, tables).files, places, 'error')
     np.testing.assert_allclose(READERS[name](files, places, 'correction'), as_error, atol=1e-12)
     with pytest.raises(ConfigError, match=r'--sign: .* needs it'):
-        export_format(name).export(Request(TablesFile(tables), 'a.txt'))
+        export_format(name).export(Request(CalibrationDocument.of_tables(tables), 'a.txt'))
 
 
 def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(tables, places):
@@ -175,18 +185,18 @@ def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tabl
     hidden = {m: replace(tables.motions[m], identifiable=False) for m in ('EAZ', 'ECZ')}
     blind = replace(tables, motions={**tables.motions, **hidden})
     sign = 'error' if name in ASKED else None
-    content = TablesFile(blind, {'not_identifiable': ['B0Z', 'EAZ', 'ECZ']})
+    content = CalibrationDocument.of_tables(blind, not_identifiable=('B0Z', 'EAZ', 'ECZ'))
     made = export_format(name).export(Request(content, 'cell.txt', sign))
     said = 'zero because the calibration does not determine them: B0Z, EAZ, ECZ;'
     assert said in made.remarks[-2]
-    assert made.remarks[-1].startswith('valid only at the target offset ')
+    assert made.remarks[-1].startswith('measured with one target offset, ')
     assert said.encode() in made.files['cell.txt']
 
 
 @every_format
 def test_no_name_leaves_its_comment(name, tables, places):
     named = replace(tables, machine=replace(tables.machine, name='a---b\nG0 X100\ufffe--'))
-    content = TablesFile(named, {'run_id': '1\nG0 X1'})
+    content = CalibrationDocument.of_tables(named, run_id='1\nG0 X1')
     sign = 'error' if name in ASKED else None
     files = export_format(name).export(Request(content, 'cell.txt', sign)).files
     assert not any(re.search(rb'^G0', file, re.M) for file in files.values())
@@ -195,8 +205,9 @@ def test_no_name_leaves_its_comment(name, tables, places):
 
 
 def test_backlash_stands_in_the_columns_of_the_directions(tables):
-    reversal = {'motions': {'EYY': {'position': [0.0, 0.25], 'value': [4e-6, 6e-6]}}}
-    request = Request(TablesFile(tables, {'reversal': reversal}), 'a.ini')
+    entry = {'position': [0.0, 0.25], 'value': [4e-6, 6e-6]}
+    reversal = ReversalBlock.from_dict({'motions': {'EYY': entry}})
+    request = Request(CalibrationDocument.of_tables(tables, reversal=reversal), 'a.ini')
     exported_files = export_format('linuxcnc').export(request)
     files, said = exported_files.files, ' '.join(exported_files.remarks)
     assert re.search(r'on average X 0\.00 um, Y [45]\.\d\d um, Z 0\.00 um', said), said
@@ -205,9 +216,6 @@ def test_backlash_stands_in_the_columns_of_the_directions(tables):
         rows = np.array([line.split() for line in lines if line[0] != '#'], float)
         # error in forward travel less that in backward travel, mm
         np.testing.assert_allclose((rows[:, 1] - rows[:, 2])[[0, -1]], wanted, atol=2e-6)
-    with pytest.raises(ConfigError, match='reversal: EYY'):
-        wrong = {'motions': {'EYY': {'position': [0.0], 'value': 'x'}}}
-        export_format('linuxcnc').export(Request(TablesFile(tables, {'reversal': wrong}), 'a'))
 
 
 def test_a_file_typed_by_hand_and_the_one_that_is_written_read_alike(tables):
@@ -228,7 +236,7 @@ def test_a_file_typed_by_hand_and_the_one_that_is_written_read_alike(tables):
 
 
 def test_an_etalon_file_says_what_the_format_leaves_open(tables):
-    content = TablesFile(tables, {'gauge': 'zero at axis zero'})
+    content = CalibrationDocument.of_tables(tables, gauge='zero at axis zero')
     made = export_format('etalon').export(Request(content, 'cell.txt'))
     text = made.files['cell.txt'].decode()
     for words in ('actual minus nominal', 'outside of the grid', 'in no table',
@@ -303,7 +311,7 @@ def test_an_imported_lattice_knows_what_it_does_not_show(chain):
     lost = [m for m, t in found.tables.motions.items() if not t.identifiable]
     assert len(lost) == 4 and not any(found.tables.motions[m].value.any() for m in lost)
     q = np.array([[0.2, 0.1, -0.1]])
-    content = TablesFile(found.tables)
+    content = CalibrationDocument.of_tables(found.tables)
     np.testing.assert_allclose(predict(content, q).error, error_of(tables, q), atol=2e-7)
     assert not any('were not seen' in n for n in predict(content, q).notes)
     other = machine.target_offset + np.array([0.1, 0.05, -0.2])

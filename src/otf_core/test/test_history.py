@@ -21,22 +21,19 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.expanded import micro_significant
 from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import (
-    ErrorTables,
-    LocationError,
-    MotionTable,
-    Squareness,
-    load_tables,
-    tables_from_dict,
-    tables_to_dict,
-)
-from otf_core.reports.calibration import result_to_dict
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
+from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.reports.history_report import (
     format_history,
-    history_page,
+    history_pages,
     history_to_dict,
-    report_machine,
+    store_to_dict,
 )
+
+
+def text_of(history):
+    return format_history(history_to_dict(history))
+
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 
@@ -44,9 +41,9 @@ START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 @pytest.fixture(scope='module')
 def found(calibrated):
     """Plain data of a real calibration, and the root of its covariance."""
-    values, vectors = np.linalg.eigh(calibrated.covariance)
+    values, vectors = np.linalg.eigh(calibrated.covariance_run)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return SimpleNamespace(data=json.loads(json.dumps(result_to_dict(calibrated))), root=root)
+    return SimpleNamespace(data=json.loads(json.dumps(calibrated.to_dict())), root=root)
 
 
 def moved(data, size):
@@ -134,9 +131,9 @@ def with_less_driven(data, axis):
     data = json.loads(json.dumps(data))
     for table in data['motions'].values():
         if table['axis'] == axis:
-            for key in ('position', 'value', 'u', 'node_identifiable', 'U'):
+            for key in ('position', 'value', 'u', 'u_run', 'node_identifiable'):
                 table[key] = (table[key] or [])[1:]
-    del data['covariance']
+    del data['covariance'], data['covariance_run']
     return data
 
 
@@ -170,7 +167,7 @@ def test_runs_with_other_targets_are_compared_at_the_latest_or_it_is_said(found,
         series = series_of(read_store(store).runs)
         assert series.common.machine.target_offset[2] == other['machine']['target_offset'][2]
         assert bool(series.warnings) == warns
-        assert ('WARNING' in format_history(history_of(read_store(store), 'small'))) == warns
+        assert ('WARNING' in text_of(history_of(read_store(store), 'small'))) == warns
 
 
 def test_a_steady_machine_shows_no_drift(found, tmp_path):
@@ -210,11 +207,15 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.standing is MachineStatus.DRIFT and not h.drift.bent and not h.due.withheld
 
 
+def page_of(*histories):
+    return history_pages(store_to_dict([history_to_dict(h) for h in histories]))['history.html']
+
+
 def head_of(*histories):
     """Badge, its class and sentence of a page."""
     found = re.search(
         r'class="badge (\w+)">(.*?)</span>.*?class="verdict">(.*?)</p>',
-        history_page([report_machine(h) for h in histories]), re.S,
+        page_of(*histories), re.S,
     )  # fmt: skip
     return found.groups()
 
@@ -230,7 +231,7 @@ def test_a_machine_of_which_one_run_follows_an_event_is_not_called_steady(found,
     assert (mood, badge) == ('open', 'changed')
     assert 'EXX by' in sentence and 'after X scale replaced (2029-06-01)' in sentence
     assert 'cannot be assessed yet' in sentence
-    assert not re.search('steady', history_page([report_machine(h)]), re.I)
+    assert not re.search('steady', page_of(h), re.I)
 
 
 def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(found, tmp_path):
@@ -240,7 +241,7 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     assert alone.standing is MachineStatus.STEADY
     add_event(tmp_path / 'store', 'new spindle', '2026-01-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    assert h.standing is MachineStatus.UNJUDGED and 'cannot be assessed yet' in format_history(h)
+    assert h.standing is MachineStatus.UNJUDGED and 'cannot be assessed yet' in text_of(h)
     add_event(tmp_path / 'store', 'collision', '2026-02-15')
     h = history_of(read_store(tmp_path / 'store'), 'small')
     assert h.standing is MachineStatus.UNJUDGED and h.due is None
@@ -250,19 +251,16 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
 
 def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 0.0], 22)
-    wide = found.data['headline']['expected_after_compensation']['U']['mean']
+    wide = found.data['headline']['u']['mean'] * found.data['headline']['k']
     share = f'up to about {micro_significant(2**0.5 * wide)} in the volume'
-    page = history_page([report_machine(h)]).replace('\u00a0', ' ').replace('µ', 'u')
-    assert share in format_history(h) and share in page
+    page = page_of(h).replace('\u00a0', ' ').replace('µ', 'u')
+    assert share in text_of(h) and share in page
     assert f'U = {micro_significant(wide)}' in page
-    assert 'valid only at the target offset (20, -30, -150) mm: ' in format_history(h)
-    declared = {**found.data, 'headline': {'expected_after_compensation': {
-        'U': {'mean': wide}, 'systematic': 'declared'}}}  # fmt: skip
+    assert 'measured with one target offset, (20, -30, -150) mm: ' in text_of(h)
+    declared = {**found.data, 'headline': {**found.data['headline'], 'systematic': 'declared'}}
     (tmp_path / 'declared.json').write_text(json.dumps(declared))
     add_run(tmp_path / 'other', tmp_path / 'declared.json', '2026-01-01')
-    assert 'typical size' not in format_history(
-        history_of(read_store(tmp_path / 'other'), 'small')
-    )
+    assert 'typical size' not in text_of(history_of(read_store(tmp_path / 'other'), 'small'))
 
 
 def test_one_run_alone_is_not_judged(found, tmp_path):
@@ -277,7 +275,7 @@ def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
         h.standing is MachineStatus.CHANGED
         and 'cannot distinguish a drift from a jump' in head_of(h)[2]
     )
-    assert 'if it continues evenly' in format_history(h)
+    assert 'if it continues evenly' in text_of(h)
 
 
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
@@ -290,7 +288,7 @@ def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, t
     assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
     shown = history_to_dict(h)['next_calibration']
     assert shown['at'] is None and 'straight line' in shown['withheld']
-    assert 'no date' in format_history(h)
+    assert 'no date' in text_of(h)
 
 
 def test_charts_have_dates_events_and_the_reference_and_no_line_across_an_event(found, tmp_path):
@@ -298,7 +296,7 @@ def test_charts_have_dates_events_and_the_reference_and_no_line_across_an_event(
         add_run(tmp_path / 'store', file)
     add_event(tmp_path / 'store', 'moved', '2027-06-01')
     h = history_of(read_store(tmp_path / 'store'), 'small')
-    pictures = re.findall(r'<svg.*?</svg>', history_page([report_machine(h)]), re.S)
+    pictures = re.findall(r'<svg.*?</svg>', page_of(h), re.S)
     for picture in pictures:
         texts = re.findall(r'<text[^>]*>(.*?)</text>', picture)
         assert {'2027', '2028'} <= set(texts) and 'days' not in texts
@@ -363,8 +361,8 @@ def rotary_tables(machine, growth):
         at = np.linspace(axis.min, axis.max, 5)
         value = growth * np.linspace(0.0, 1.0, 5) if motion == 'ECC' else np.zeros(5)
         motions[motion] = MotionTable(at, value, np.full(5, 1e-7))
-    square = {n: Squareness(0.0, 1e-7) for n in machine.squareness}
-    location = {n: LocationError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
+    square = {n: ScalarError(0.0, 1e-7) for n in machine.squareness}
+    location = {n: ScalarError(growth if n == 'X0C' else 0.0, 1e-7) for n in machine.location}
     return ErrorTables(machine, motions, square, location)
 
 
@@ -383,4 +381,4 @@ def test_history_of_a_machine_with_rotary_axes_shows_what_drifts(tmp_path):
     exact = displacement(rotary_tables(machine, 1e-5), common.grid)
     exact = without_rigid_motion(exact, nominal_position(machine, common.grid)).ravel()
     assert np.allclose(common.field_rows @ found.series.values[-1], exact, atol=1e-15)
-    assert 'X0C' in format_history(found)
+    assert 'X0C' in text_of(found)

@@ -49,7 +49,7 @@ def test_tables_of_a_calibration_and_of_others_and_their_folder(calibrated, tmp_
     write_manifest(tmp_path / MANIFEST, files, 'calibrate')
     found = said(tmp_path / 'error_tables.json', capsys)
     assert found['kind'] == 'error tables' and found['provenance']['verb'] == 'calibrate'
-    assert calibrated.verdicts.measurement_words in found['headline']
+    assert calibrated.verdicts.measurement.sentence in found['headline']
     assert f'not seen: {", ".join(calibrated.not_identifiable)}' in found['headline']
     assert 'small-trunnion' in said(ROOT / 'bags/trunnion/truth.json', capsys)['headline']
     found = said(tmp_path, capsys)

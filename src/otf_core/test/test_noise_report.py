@@ -17,9 +17,14 @@ from otf_core.model.path import NominalPath
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
-from otf_core.reports.drawing.style import typeset
 from otf_core.reports.noise_report import format_noise, noise_to_dict
+from otf_core.reports.rendering import typeset
 from otf_core.sim.tracker import measure
+
+
+def text_of(report):
+    return format_noise(noise_to_dict(report))
+
 
 SPEED = 0.002
 RATE = 500.0
@@ -77,7 +82,7 @@ def test_white_noise_has_no_correlation_time():
     noise = standstill_noise(samples, find_standstills(samples, SPEED)).noise
     assert [c.correlation_time for c in noise] == [0.0] * 3
     np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.05)
-    assert 'the noise is white' in format_noise(noise_report(samples, SPEED))
+    assert 'the noise is white' in text_of(noise_report(samples, SPEED))
 
 
 def test_standstills_in_which_the_target_creeps_are_left_out():
@@ -128,7 +133,7 @@ def test_a_step_is_told_and_is_no_noise():
     assert report.steps[0].size[0] == pytest.approx(15e-6, rel=0.1)
     assert report.steps[0].time == pytest.approx(2 * 4.3 + 1.5, abs=0.2)
     np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.3)
-    assert '1 steps within standstills, the largest at 10.' in format_noise(report)
+    assert '1 steps within standstills, the largest at 10.' in text_of(report)
     assert not noise_report(stops(6, 4.0), SPEED).steps
 
 
@@ -152,7 +157,7 @@ def test_lost_samples_leave_level_and_colour():
     assert report.lost.samples == pytest.approx(np.sum(~kept), abs=3)
     np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.2)
     assert 0.5 < report.measured.noise.range.correlation_time / 0.3 < 2.0
-    assert '(10 %)' in format_noise(report)
+    assert '(10 %)' in text_of(report)
     late = samples.stamp_ns + np.where(np.arange(len(samples)) < 900, 0, 4_000_000_000)
     for parts, gaps in ((1, 1), (2, 0)):  # between two parts a reflector is moved by hand
         assert noise_report(Samples(late, samples.xyz), SPEED, parts).lost.gaps == gaps
@@ -171,7 +176,7 @@ def test_rounding_to_a_micrometre_changes_levels_by_its_own_noise():
 def test_held_points_are_told_from_rounded_ones():
     samples = stops(4, 5.0)
     held = samples.xyz[np.arange(len(samples)) // 4 * 4]
-    text = format_noise(noise_report(Samples(samples.stamp_ns, held), SPEED))
+    text = text_of(noise_report(Samples(samples.stamp_ns, held), SPEED))
     assert 'measures 4.0 times slower than the stamps say' in text
     assert 'rounded' not in text
 
@@ -230,7 +235,7 @@ def test_vibration_is_a_peak_with_its_frequency_and_size():
     along = [p for p in report.peaks if p.quantity == 0]
     assert [round(p.frequency) for p in along] == [37]
     assert along[0].rms == pytest.approx(0.6e-6 / np.sqrt(2), rel=0.3)
-    assert 'peak of the range at 37' in format_noise(report)
+    assert 'peak of the range at 37' in text_of(report)
 
 
 def test_noise_without_vibration_shows_no_peaks():
@@ -268,7 +273,9 @@ def test_standstills_without_noise_are_called_that():
 
 def test_little_standstill_and_rounding_are_warned_of():
     samples = stops(1, 2.0)
-    text = format_noise(noise_report(Samples(samples.stamp_ns, samples.xyz.round(5)), SPEED))
+    text = format_noise(
+        noise_to_dict(noise_report(Samples(samples.stamp_ns, samples.xyz.round(5)), SPEED))
+    )
     assert 'WARNING only 1.9 s of standstill' in text
     assert 'the recording is rounded' in text
 

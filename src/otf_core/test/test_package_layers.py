@@ -14,13 +14,15 @@ ROOT_MODULES = (
     'aside',
     'blocks',
     'config',
+    'documents',
     'errors',
     'threads',
     'version',
 )
 """Modules outside the packages: used everywhere, and the public names, loaded lazily."""
 LAYERS = (
-    ('api', 'cli'),
+    ('cli',),
+    ('api',),
     ('reports',),
     ('checking', 'history'),
     ('planning',),
@@ -37,7 +39,6 @@ LAYERS = (
 SUBPACKAGES = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
-    'reports': (('reports',), ('reports.drawing',)),
 }
 """Layers inside packages that have subpackages."""
 FORBIDDEN = [

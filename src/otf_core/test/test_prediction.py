@@ -16,8 +16,8 @@ from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import tables_to_dict
-from otf_core.prediction.predict import predict, prior_from_dict
+from otf_core.prediction.calibration_document import tables_from_dict, tables_to_dict
+from otf_core.prediction.predict import predict
 from otf_core.solving.tabulate import USUAL_ANGLE, unseen_sizes
 
 OFFSET = np.array([0.02, -0.03, -0.15])
@@ -54,23 +54,25 @@ def test_outside_the_driven_volume_no_u_is_stated(tmp_path):
 @pytest.mark.parametrize(
     ('prior', 'words'),
     [
-        ([1.0], 'prior: expected motions'),
-        ({'EXX': 1.0}, 'prior: EXX: sd: expected a number from 0 on, got 1.0'),
-        ({'ECZ': {'sd': -1e-5}}, 'prior: ECZ: sd: expected a number from 0 on, got -1e-05'),
-        ({'ECZ': {'sd': True}}, 'prior: ECZ: sd: expected a number'),
-        ({'ECZ': {'sd': None}}, 'prior: ECZ: sd: expected a number'),
+        ([1.0], 'prior: expected a mapping'),
+        ({'EXX': 1.0}, 'prior: EXX: expected a mapping, got 1.0'),
+        ({'ECZ': {'sd': -1e-5}}, 'prior: ECZ: sd: must be at least 0, got -1e-05'),
+        ({'ECZ': {'sd': True}}, 'prior: ECZ: sd: expected a finite number'),
+        ({'ECZ': {'sd': None}}, 'prior: ECZ: sd: expected a finite number'),
     ],
 )
 def test_a_wrong_prior_is_named(prior, words):
     with pytest.raises(ConfigError) as caught:
-        prior_from_dict(prior, 'tables.json')
-    assert f'tables.json: {words}' in str(caught.value)
+        tables_from_dict(tables_to_dict(zero_tables(some_machine())) | {'prior': prior}, 'f.json')
+    assert f'f.json: {words}' in str(caught.value)
 
 
 def test_a_prior_may_be_absent_or_hold_more():
-    assert prior_from_dict(None, 'tables.json') == {}
+    data = tables_to_dict(zero_tables(some_machine()))
     more = {'C0Y': {'sd': 1e-5}, 'EAX': {'slope': 1, 'sd': 2e-5}}
-    assert prior_from_dict(more, 'tables.json') == {'EAX': 2e-5}
+    assert tables_from_dict(data | {'prior': None}, 'f').prior == {}
+    prior = tables_from_dict(data | {'prior': more}, 'f').prior
+    assert {name: one.sd for name, one in prior.items()} == {'EAX': 2e-5}
 
 
 def test_rotations_that_are_not_seen_are_as_large_as_those_that_are():
@@ -213,7 +215,7 @@ def command(tmp_path):
 def test_last_column_tells_inside_and_a_note_counts_the_others(command, capsys):
     assert command.run([(0.1, 0.1, -0.1), (0.3, 0.25, 0.0), (0.31, 0.1, -0.1)]) == 0
     header, *rows = command.out.read_text().splitlines()
-    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     assert [row.rsplit(',', 1)[1] for row in rows] == ['1', '1', '0']
     assert [row.endswith(',,,,0') for row in rows] == [False, False, True]
     shown = capsys.readouterr()
@@ -244,25 +246,16 @@ def test_target_offset_is_an_option_and_may_be_negative(command, capsys):
     assert 'target_offset: ' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ('uncertainty', 'not_stated', 'words'),
-    [
-        (None, ['air', 'target offset'], 'noise and misfit only'),
-        ({'tracker_scale': 1e-6}, ['air'], 'what was declared, but not: air'),
-        ({'tracker_scale': 1e-6}, [], 'noise, misfit and the declared systematic'),
-        (None, None, 'the contributions in the tables, which their file does not state'),
-    ],
-)
-def test_the_summary_says_what_u_holds(tmp_path, uncertainty, not_stated, words):
-    data = tables_to_dict(zero_tables(some_machine()))
-    if uncertainty:
-        data['machine']['uncertainty'] = uncertainty
-    if not_stated is not None:
-        data['budget'] = {'not_stated': not_stated}
+def test_older_files_mean_noise_misfit_and_what_was_declared_by_u(tmp_path):
+    data = tables_to_dict(known_to(zero_tables(some_machine()), 1e-7))
+    del data['systematic']
+    data['headline'] = {'unit': 'm', 'expected_after_compensation': {'U': {'mean': 1e-6}}}
     (tmp_path / 'tables.json').write_text(json.dumps(data))
     found = predict(tmp_path / 'tables.json', np.array([[0.1, 0.1, -0.1]]))
-    assert words in found.summary
+    assert 'the contributions in the tables, which their file does not state' in found.summary
     assert found.summary.startswith('1 point: ')
+    assert any('older file: u holds noise, misfit and what was declared' in n for n in found.notes)
+    np.testing.assert_array_equal(found.u, found.u_run)
 
 
 def test_points_in_inches_are_refused_with_the_cure(command, capsys):

@@ -2,6 +2,7 @@
 """The report of a diagnosis: complete, self-contained, safe, readable without any cause."""
 
 import functools
+import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -19,9 +20,14 @@ from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.expanded import quantity
 from otf_core.model.sections import Circumstances
-from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis, report_html
-from otf_core.reports.drawing.style import typeset
-from otf_core.reports.gap_sections.overview import confidence_words, next_measurements
+from otf_core.reports.diagnosis import (
+    confidence_words,
+    diagnosis_to_dict,
+    gap_pages,
+    next_measurements,
+)
+from otf_core.reports.diagnosis import format_diagnosis as text_of
+from otf_core.reports.rendering import typeset
 from otf_core.solving.reversal import Backlash, Reversal
 
 HIDDEN = (
@@ -52,6 +58,19 @@ def causes():
             {'tilt_Y_by_X': 'rad/m'}, 0.9, 0.5, 44.0, 0.6, (),
         ),
     )  # fmt: skip
+
+
+def document(found):
+    """The diagnosis as it is in its file."""
+    return json.loads(json.dumps(diagnosis_to_dict(found)))
+
+
+def report_html(found):
+    return gap_pages(document(found))['report.html']
+
+
+def format_diagnosis(found):
+    return text_of(document(found))
 
 
 @functools.cache
@@ -223,7 +242,7 @@ def test_long_lists_of_parameters_are_cut(view):
 
 
 def test_next_measurements_tell_rivals_apart_first(view):
-    lines = next_measurements(diagnosis(view, 'partly_explained', found=causes()))
+    lines = next_measurements(document(diagnosis(view, 'partly_explained', found=causes())))
     assert 'to distinguish cyclic error from vibration' in lines[0]
     assert any('second feed' in line for line in lines)
     assert any(line.startswith('A calibrated length') for line in lines)
@@ -234,7 +253,7 @@ def test_wishes_that_begin_alike_share_a_line(view):
         ('table_tilt', 'a second tracker place, or a level'),
         ('other', 'a second tracker place'),
     )
-    lines = next_measurements(diagnosis(view, not_visible=hidden))
+    lines = next_measurements(document(diagnosis(view, not_visible=hidden)))
     assert lines == ['A second tracker place (or a level): to see table tilt and other.']
 
 

@@ -243,9 +243,10 @@ def test_tables_predict_the_exact_error_within_second_order():
     sight = Sight.of_tool(machine())
     exact = exact_position(tables, q, sight) - sight.nominal(q)
     assert np.abs(exact - displacement(tables, q)).max() < 5e-8
-    from otf_core.model.tables import TablesFile
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
-    assert np.array_equal(predict(TablesFile(tables), q).error, displacement(tables, q))
+    found = predict(CalibrationDocument.of_tables(tables), q)
+    assert np.array_equal(found.error, displacement(tables, q))
 
 
 def test_check_says_what_a_recording_will_show(capsys):

@@ -15,8 +15,9 @@ from otf_core.errors import ConfigError
 from otf_core.fleet.fleet import JobResult
 from otf_core.model.chain import displacement, rotations
 from otf_core.model.evaluation import without_rigid_motion
-from otf_core.model.tables import LocationError, MotionTable, tables_to_dict
-from otf_core.reports.fleet_report import fleet_page, fleet_rows
+from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.prediction.calibration_document import tables_to_dict
+from otf_core.reports.fleet_report import fleet_document, fleet_pages, fleet_rows
 from otf_core.sim.cell import random_tables
 
 GAUGE = {'gauge': 'one gauge'}
@@ -155,8 +156,8 @@ def test_history_takes_machines_with_rotary_axes(tables, tmp_path):
 
 
 def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
-    hidden = {**tables.location, 'A0C': LocationError(0.0, 0.0, identifiable=False)}
-    tables = replace(tables, location={**hidden, 'X0C': LocationError(1.25e-5, 1e-6)})
+    hidden = {**tables.location, 'A0C': ScalarError(0.0, 0.0, identifiable=False)}
+    tables = replace(tables, location={**hidden, 'X0C': ScalarError(1.25e-5, 1e-6)})
     folder = tmp_path / 'one'
     folder.mkdir()
     extra = {
@@ -164,15 +165,18 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
         'not_identifiable': ['A0C', 'EBA'],
         'headline': {
             'error': {'mean': 5e-5, 'max': 1e-4},
-            'U_of_largest': 5e-6,
-            'expected_after_compensation': {'U': {'mean': 2e-6, 'max': 5e-6}},
+            'u_of_largest': 2.5e-6,
+            'k': 2.0,
+            'u': {'mean': 1e-6, 'max': 2.5e-6},
+            'u_run': {'mean': 1e-7, 'max': 2e-7},
         },
         'target_offset_bound': {'contains': {}, 'offset': [0.0, 0.0, 0.0]},
     }
     written(folder, 'error_tables', tables, **extra)
     outcomes = {'one': JobResult(0, '', 'x')}
-    columns, (row,), shared = fleet_rows('calibrate', tmp_path, outcomes)
+    doc = fleet_document('calibrate', tmp_path, outcomes)
+    _, (row,), _ = fleet_rows(doc)
     assert 'X0C 12.5 +/- 2.0 um' in row[-1]
     assert 'A0C not known' in row[-1]
     assert row[3].words == 'broken'
-    assert 'X0C' in fleet_page('calibrate', outcomes, columns, [row], shared)
+    assert 'X0C' in fleet_pages(doc)['fleet.html']

@@ -18,7 +18,8 @@ from otf_core.exports.format import THREE_AXES, Request, remaining_error
 from otf_core.exports.pivot import correct_axis_lines
 from otf_core.exports.terms import linear_tables
 from otf_core.model.chain import exact_position, nominal_position
-from otf_core.model.tables import LocationError, MotionTable, TablesFile, tables_to_dict
+from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.prediction.calibration_document import CalibrationDocument, tables_to_dict
 from otf_core.prediction.predict import Predictor
 from otf_core.sim.cell import random_tables
 
@@ -43,7 +44,7 @@ def five_axes(chain=CHAINS[0], seed=3):
 def exported(name, tables, sign='error', **extra):
     chosen = export_format(name)
     sign = sign if chosen.sign_is_asked else None
-    return chosen.export(Request(TablesFile(tables, extra), 'cell.txt', sign))
+    return chosen.export(Request(CalibrationDocument.of_tables(tables, **extra), 'cell.txt', sign))
 
 
 def places(machine, count=60):
@@ -273,7 +274,7 @@ def test_a_format_of_three_axes_refuses_rotary_axes(name):
 def location_only(machine, rng, tilts=True):
     tables = constant(machine)
     location = {
-        n: LocationError(rng.uniform(-1e-4, 1e-4) if tilts or n[0] in 'XYZ' else 0.0)
+        n: ScalarError(rng.uniform(-1e-4, 1e-4) if tilts or n[0] in 'XYZ' else 0.0)
         for n in machine.location
     }
     return replace(tables, location=location)
@@ -364,7 +365,7 @@ def test_new_centre_is_old_and_the_location_error():
     machine = five_axes()
     tables = replace(
         constant(machine, 1e-4, 'X0C'),
-        location={n: LocationError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
+        location={n: ScalarError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
     )
     made = exported('pivot', tables)
     text = made.files['cell.txt'].decode()
@@ -488,7 +489,7 @@ def test_corrected_commands_of_the_linear_axes_put_the_target_where_it_is_wanted
     """What the compensator answers: the position of the target on the table, at any angles."""
     tables = random_tables(five_axes(chain), 5e-5, np.random.default_rng(8))
     machine, q = tables.machine, places(tables.machine)
-    command = Predictor.of(TablesFile(tables)).corrected(q)
+    command = Predictor.of(CalibrationDocument.of_tables(tables)).corrected(q)
     turning = [machine.column(a) for a in machine.rotary_names]
     np.testing.assert_array_equal(command[:, turning], q[:, turning])
     wanted = nominal_position(machine, q)

@@ -13,7 +13,7 @@ from otf_core.calibration.machine_verdict import judge
 from otf_core.errors import ConfigError
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.sections import Limits
-from otf_core.model.tables import LocationError, MotionTable
+from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.volumetric import table_places
 
 SIZE = 2e-5
@@ -25,7 +25,7 @@ def cell(limits):
     ends = {a: np.linspace(v.min, v.max, 5) for a, v in machine.axes.items()}
     motions = {m: MotionTable(ends[m.axis], np.zeros(5), np.zeros(5)) for m in machine.motions}
     motions['ECC'] = replace(motions['ECC'], value=np.linspace(-SIZE, SIZE, 5))
-    location = {n: LocationError(SIZE if n == 'X0C' else 0.0) for n in machine.location}
+    location = {n: ScalarError(SIZE if n == 'X0C' else 0.0) for n in machine.location}
     return replace(constant(machine), motions=motions, location=location)
 
 

@@ -21,7 +21,7 @@ from nature import influences
 from otf_core.model.chain import Sight
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import MotionTable, Squareness
+from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.noise.noise_model import MODEL_FLOOR
 from otf_core.sim.cell import random_tables
 from otf_core.solving.normal import normal_equations
@@ -66,7 +66,7 @@ def test_columns_of_errors_are_derivatives_of_the_error_model(chain, bases, exac
                 table = MotionTable(place, value, 0 * value)
                 tables = replace(base, motions={**base.motions, name: table})
             else:
-                tables = replace(base, squareness={**base.squareness, name: Squareness(1.0)})
+                tables = replace(base, squareness={**base.squareness, name: ScalarError(1.0)})
             for row in rows:
                 expected = system.axes[:, row] @ error_by_hand(tables, system.q[row])
                 found = design[:, row, block.start + k]

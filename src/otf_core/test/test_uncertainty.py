@@ -19,7 +19,7 @@ from core_cells import (
 
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import MotionTable, Squareness
+from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
 from otf_core.solving.residuals import check_residuals
@@ -113,7 +113,7 @@ def test_prediction_rows_are_derivatives_of_the_error_model():
                 changed = {**zero.motions, name: MotionTable(nodes[name], value, 0 * value)}
                 tables = replace(zero, motions=changed)
             else:
-                tables = replace(zero, squareness={**zero.squareness, name: Squareness(1.0)})
+                tables = replace(zero, squareness={**zero.squareness, name: ScalarError(1.0)})
             expected = [error_by_hand(tables, point) for point in q]
             np.testing.assert_allclose(rows[:, :, column], expected, atol=1e-13, err_msg=name)
             column += 1
@@ -164,7 +164,7 @@ def test_estimated_quantities_count_as_lost_degrees_of_freedom():
 
 
 def test_calibration_reports_positive_uncertainty_where_it_says_it_sees(calibrated):
-    covariance = calibrated.covariance
+    covariance = calibrated.covariance_run
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-9 * np.abs(covariance).max())
     assert np.linalg.eigvalsh(covariance).min() > -1e-9 * np.trace(covariance)
     for name, table in calibrated.tables.motions.items():
@@ -179,7 +179,7 @@ def test_calibration_reports_positive_uncertainty_where_it_says_it_sees(calibrat
 def test_errors_of_a_calibration_are_within_a_few_uncertainties(cell, calibrated):
     q = lattice(cell.machine, 4)
     nodes = {n: calibrated.tables.motions[n].position for n in MOTIONS}
-    u = prediction_uncertainty(cell.machine, nodes, calibrated.covariance, q)
+    u = prediction_uncertainty(cell.machine, nodes, calibrated.covariance_run, q)
     error = error_of(calibrated.tables, q)
     truth = error_of(random_tables(cell.machine, 2e-5, np.random.default_rng(3)), q)
     # the gauge leaves a rigid motion open: take it out of the difference with weights 1 / u

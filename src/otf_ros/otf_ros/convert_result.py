@@ -16,18 +16,17 @@ from otf_core.calibration.calibration_result import (
     motion_sizes,
     volume_errors,
 )
-from otf_core.calibration.machine_verdict import (
+from otf_core.errors import ShapeError
+from otf_core.model.evaluation import VolumeErrors
+from otf_core.model.frames import RigidTransform
+from otf_core.prediction.calibration_document import (
     FAIL,
     NOT_STATED,
     OPEN,
     PASS,
     UNKNOWN,
+    CalibrationDocument,
 )
-from otf_core.errors import ShapeError
-from otf_core.model.evaluation import VolumeErrors
-from otf_core.model.frames import RigidTransform
-from otf_core.model.motions import unit_of
-from otf_core.model.tables import ErrorTables
 from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, TargetPlace
@@ -47,30 +46,30 @@ ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
 STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
 
 
-def _tables_to_messages(tables: ErrorTables) -> list[ErrorTable]:
+def _tables_to_messages(document: CalibrationDocument) -> list[ErrorTable]:
     """Return one message per error motion, EXX to ECZ first."""
     return [
         ErrorTable(
             motion=name,
-            axis=name.axis,
-            unit=unit_of(name),
-            position_unit=tables.machine.axes[name.axis].unit,
+            axis=table.axis,
+            unit=table.unit,
+            position_unit=table.position_unit,
             position=table.position.tolist(),
             value=table.value.tolist(),
             u=table.u.tolist(),
+            u_run=table.u_run.tolist(),
             identifiable=table.identifiable,
             node_identifiable=table.nodes_seen.tolist(),
             gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
         )
-        for name in tables.machine.motions
-        for table in [tables.motions[name]]
+        for name, table in document.motions.items()
     ]
 
 
 def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> TablesMessage:
     """Return all errors of one calibration; where its files lie is left empty."""
-    machine, run, tables = result.tables.machine, result.origin[0], result.tables
-    squareness, location = tables.squareness, tables.location
+    document, run = result.document, result.origin[0]
+    machine, squareness, location = document.machine, document.squareness, document.location
     return TablesMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -78,14 +77,16 @@ def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> Ta
         chain=str(machine.chain),
         method=method,
         passed=not result.failed_gates,
-        tables=_tables_to_messages(tables),
+        tables=_tables_to_messages(document),
         squareness=list(squareness),
         squareness_value=[entry.value for entry in squareness.values()],
         squareness_u=[entry.u for entry in squareness.values()],
-        squareness_identifiable=[name not in result.not_identifiable for name in squareness],
+        squareness_u_run=[entry.u_run for entry in squareness.values()],
+        squareness_identifiable=[entry.identifiable for entry in squareness.values()],
         location=list(location),
         location_value=[entry.value for entry in location.values()],
         location_u=[entry.u for entry in location.values()],
+        location_u_run=[entry.u_run for entry in location.values()],
         location_identifiable=[entry.identifiable for entry in location.values()],
         targets=[
             TargetPlace(
@@ -93,8 +94,9 @@ def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> Ta
                 link=own.link,
                 place=Point(**_xyz(own.place)),
                 u=Vector3(**_xyz(own.u)),
+                u_run=Vector3(**_xyz(own.u_run)),
             )
-            for name, own in result.targets.items()
+            for name, own in document.targets.items()
         ],
         tracker_link=machine.tracker.link,
         alignment=transform_to_message(result.T_machine_tracker),
@@ -130,10 +132,10 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         run_id=result.run_id,
         status=verdicts.exit_code,
         message=result.sentence,
-        measurement_good=verdicts.good,
-        measurement_verdict=verdicts.measurement_words,
-        machine_state=MACHINE_STATES[verdicts.machine_state],
-        machine_verdict=verdicts.machine_words,
+        measurement_good=verdicts.measurement.good,
+        measurement_verdict=verdicts.measurement.sentence,
+        machine_state=MACHINE_STATES[verdicts.machine.state],
+        machine_verdict=verdicts.machine.sentence,
         machine=machine.name,
         chain=str(machine.chain),
         method=method,
@@ -150,10 +152,10 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         residual_rms=fit.residual_rms,
         volumetric_error_mean=first.error['mean'],
         volumetric_error_largest=first.error['max'],
-        expected_mean=first.expanded['mean'],
-        expected_largest=first.expanded['max'],
-        observed_mean=first.observed['mean'],
-        observed_largest=first.observed['max'],
+        u_mean=first.u['mean'],
+        u_largest=first.u['max'],
+        u_run_mean=first.u_run['mean'],
+        u_run_largest=first.u_run['max'],
         coverage_factor=first.k,
         systematic=first.systematic,
         motions=list(sizes),

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,14 +33,17 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_along
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables, tables_from_dict
+from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import read_noise as noise_from_file
 from otf_core.pieces.runs import Recording
 from otf_core.prediction import predict as evaluation
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    load_tables,
+)
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
-from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_sections.first_screen import calibration_summary
+from otf_core.reports.calibration_page import calibration_summary
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
     from otf_core.diagnosis.result import Diagnosis
@@ -232,16 +234,16 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     verdict: none
     """
     if isinstance(of, CalibrationResult):
-        return calibration_summary(calibration.facts_of(of))
+        return calibration_summary(of.to_dict())
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.planning.plan_report import PlanReport
-    from otf_core.reports.diagnosis import format_diagnosis
-    from otf_core.reports.plan_files import plan_summary
+    from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis
+    from otf_core.reports.plan_files import plan_summary, report_to_dict
 
     if isinstance(of, Diagnosis):
-        return format_diagnosis(of)
+        return format_diagnosis(diagnosis_to_dict(of))
     if isinstance(of, PlanReport):
-        return plan_summary(of).rstrip()
+        return plan_summary(report_to_dict(of)).rstrip()
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 
@@ -314,6 +316,11 @@ def calibrate(
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
+    if runs[0].machine.rotary_names:
+        raise ConfigError(
+            f'effects: cannot be taken off for machines with rotary axes (chain '
+            f'{runs[0].machine.chain}); leave them out'
+        )
     from otf_core.diagnosis.diagnose import calibrate_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -324,6 +331,8 @@ def diagnose(
     recordings: Recordings,
     *,
     exclude: Sequence[str] = (),
+    own_causes: str | Path = '',
+    same_station: bool = False,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -335,6 +344,10 @@ def diagnose(
         Several: runs of one machine, diagnosed as one.
     exclude : sequence of str
         Effects that are not searched for.
+    own_causes : str or Path, optional
+        File of causes of your own to search for besides.
+    same_station : bool
+        As in `calibrate`.
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -358,13 +371,17 @@ def diagnose(
     if unknown:
         raise ConfigError(f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(EVERY)}')
     from otf_core.diagnosis.diagnose import diagnose
+    from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.sim.twin import twin_recording
 
-    return diagnose(runs, twin_recording, exclude, config, progress)
+    own = read_own_causes(own_causes, runs[0].machine) if own_causes else ()
+    return diagnose(
+        runs, twin_recording, exclude, config, progress, own=own, same_station=same_station
+    )
 
 
 def predict(
-    tables: CalibrationResult | TablesFile | ErrorTables | str | Path,
+    tables: CalibrationResult | CalibrationDocument | ErrorTables | str | Path,
     points: ArrayLike,
     *,
     target_offset: ArrayLike | None = None,
@@ -373,7 +390,7 @@ def predict(
 
     Parameters
     ----------
-    tables : CalibrationResult, TablesFile, ErrorTables, str or Path
+    tables : CalibrationResult, CalibrationDocument, ErrorTables, str or Path
         A result, or an error_tables.json, read or not. Tables alone hold no covariance: their
         nodes are taken as independent then.
     points : array_like, shape (n, m), m and rad
@@ -398,13 +415,11 @@ def predict(
     True
     """
     if isinstance(tables, CalibrationResult):
-        # through the layout of the file, so that a result and its file predict the same
-        content = json.loads(json.dumps(result_to_dict(tables)))
-        source = tables_from_dict(content, 'result')
+        source = tables.document
     elif isinstance(tables, ErrorTables):
-        source = TablesFile(tables)
+        source = CalibrationDocument.of_tables(tables)
     else:
-        source = tables if isinstance(tables, TablesFile) else load_tables(tables)
+        source = tables if isinstance(tables, CalibrationDocument) else load_tables(tables)
     q, names = np.asarray(points, dtype=float), source.tables.machine.point_names
     if q.ndim != 2 or q.shape[1] != len(names):
         raise ShapeError(

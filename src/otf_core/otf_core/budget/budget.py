@@ -407,8 +407,8 @@ STRAIGHT = 'straight lines'
 PLACES = 'places of targets'
 TYPICAL_SOURCE = 'typical, not declared'
 """What typical values add for systematic contributions that nobody declared."""
-OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, STRAIGHT)
-"""Sources that the run itself shows; all others are systematic."""
+OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, PLACES, STRAIGHT)
+"""Sources that the run shows, or that it leaves open; all others are systematic."""
 
 
 @dataclass(frozen=True)
@@ -461,6 +461,11 @@ class Budget:
     def whole(self) -> Array:
         """Combined covariance of all unknowns, poses and reversal included, (full, full)."""
         return np.asarray(sum(s.covariance for s in self.sources))
+
+    @property
+    def run(self) -> Array:
+        """The part of ``whole`` that the run itself shows: noise and misfit."""
+        return np.asarray(sum(s.covariance for s in self.sources if s.name in OBSERVED))
 
     @cached_property
     def covariance(self) -> Array:

@@ -17,6 +17,8 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
+    OBSERVED,
+    NoiseParts,
     make_budget,
     noise_parts,
     piece_states,
@@ -27,20 +29,15 @@ from otf_core.budget.budget import (
 from otf_core.budget.typical import (
     typical_pulls,
     typical_systematic,
-    typical_warnings,
     with_typical,
 )
 from otf_core.calibration.calibration_result import (
     CalibrationResult,
-    DrivenPart,
-    Fit,
     RunResult,
-    TargetPlace,
-    covariance_with_typical,
     headline_of,
 )
 from otf_core.calibration.lack_of_fit import find_lack_of_fit
-from otf_core.calibration.machine_verdict import judge
+from otf_core.calibration.machine_verdict import judge, measurement_verdict
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.table_checks import check_worth, sample_noise
 from otf_core.effects import State
@@ -50,7 +47,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine
 from otf_core.model.nodes import SAME_PLACE
 from otf_core.model.provenance import origins
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.noise_model import NoiseModel, sample_variance
 from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.finding import (
@@ -63,7 +60,8 @@ from otf_core.pieces.finding import (
 )
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed, Recording, Run, rigid_pose, run_id
-from otf_core.prediction.volumetric import VolumetricError, volume_rows
+from otf_core.prediction.calibration_document import DrivenPart, Fit, TargetPlace, Verdicts
+from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.joint import (
     JointSolution,
     SolvedRun,
@@ -110,15 +108,10 @@ def assemble(
     removed : RemovedEffects, optional
         Effects that were taken off the runs.
     """
-    joint, limit = solved.joint, config.unidentifiable_above
+    limit = config.unidentifiable_above
     recordings = [run.recording for run in solved.runs]
-    driven = [_driven_parts(*pair) for pair in zip(solved.runs, joint.runs, strict=True)]
-    pairs = zip(joint.runs, recordings, strict=True)
-    runs = [replace(one.run, machine=recording.machine) for one, recording in pairs]
-    as_solved = tables_of(joint.machine, joint.unknowns, joint.solution)
-    pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, as_solved))
-    parts = noise_parts(runs, joint)
-    joint = settle_covariance(joint, limit, parts.normal)
+    driven = [_driven_parts(*pair) for pair in zip(solved.runs, solved.joint.runs, strict=True)]
+    runs, joint, parts, pulls = _settled(solved, limit)
     states = piece_states(runs, joint, tables_of(joint.machine, joint.unknowns, joint.solution))
     check = whole_check(runs, joint, [s.residual for s in joint.runs])
     speed = solved.runs[0].speed_at_rest(config)
@@ -126,35 +119,47 @@ def assemble(
     budget = make_budget(runs, joint, parts, states, still, check)
     if removed is not None:
         budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
-    whole = budget.whole
-    grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, whole)
-    made = tabulate(joint.machine, joint, grid_u, limit).with_covariance(whole)
-    tables, covariance, hidden = made.tables, made.covariance, made.hidden
-    budget = replace(budget, rows=made.rows, straight=made.straight)
-    typical = typical_systematic(
-        runs, joint, tables, made.rows, covariance, pulls, lambda: volume_rows(tables), hidden
-    )
+    # what a machine does not declare changes no table: nodes and gates go by what is stated
+    stated = budget.whole
+    grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, stated)
+    made = tabulate(joint.machine, joint, grid_u, limit)
+    hidden, covariance = made.hidden, made.covariance_of(stated)
+    declared = with_uncertainty(made.tables, covariance)
+    declares = not set(budget.names) <= set(OBSERVED)
+    typical = typical_systematic(runs, joint, pulls)
+    budget = replace(with_typical(budget, typical), rows=made.rows, straight=made.straight)
+    whole, run = budget.whole, budget.run
+    expected, observed = made.covariance_of(whole), made.covariance_of(run)
+    tables = with_uncertainty(made.tables, expected, observed)
     results = _run_results(solved, runs, driven, states, config)
     fit = _fit(recordings, joint, results, check, budget.inflation)
     lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
     findings = (
         *findings,
         *(Finding('machine.yaml', GATE, words) for words in wrong_lines(lines, tables.machine)),
-        *check_worth(tables, covariance, sample_noise(runs)),
+        *check_worth(declared, covariance, sample_noise(runs)),
     )
-    lack_of_fit = find_lack_of_fit(runs, joint)
-    stated = with_typical(budget, typical)
-    expected = covariance_with_typical(covariance, budget, typical)
     machines = [r.machine for r in recordings]
+    warnings = (
+        *([typical.warning] if typical else []),
+        *words_of(findings, WARNING),
+        *_warnings(fit, declared, limit),
+        *_lack_of_fit(runs, joint, grid_u),
+        *mixture_warnings(machines, hidden),
+    )
+    gates = (*words_of(findings, GATE), *_failed_gates(fit, tables))
+    measurement = measurement_verdict(gates)
     return CalibrationResult(
         run_id=run_id(recordings, config),
         tables=tables,
-        covariance=covariance,
+        covariance=expected,
+        covariance_run=observed,
+        covariance_change=covariance if declares else None,
         budget=budget,
         runs=tuple(results),
-        targets=_targets(driven, joint, whole),
+        targets=_targets(driven, joint, whole, run),
         fit=fit,
-        headline=headline_of(VolumetricError(tables, expected), stated, typical),
+        headline=headline_of(VolumetricError(tables, expected), budget, typical),
         reversal=_reversal(solved.choice, tables, joint, whole),
         lags=tuple(lags(joint, whole)),
         fraction=made.fraction,
@@ -163,18 +168,12 @@ def assemble(
         not_identifiable=hidden,
         advice=advice_for(machines, driven, hidden),
         typical=typical,
-        warnings=(
-            *typical_warnings(typical),
-            *words_of(findings, WARNING),
-            *_warnings(fit, tables, limit),
-            *filter(None, [lack_of_fit.warning(grid_u) if lack_of_fit else None]),
-            *mixture_warnings(machines, hidden),
-        ),
-        failed_gates=(*words_of(findings, GATE), *_failed_gates(fit, tables)),
+        warnings=warnings,
+        failed_gates=gates,
+        verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
         config=config,
         origin=origins(recordings),
         effects=removed.stated if removed is not None else (),
-        machine_verdict=judge(tables, expected, stated, hidden),
     )
 
 
@@ -192,6 +191,19 @@ def _driven_parts(run: Run, solved: SolvedRun) -> list[DrivenPart]:
     return parts + missing
 
 
+def _settled(
+    solved: ReversalSolution[Run], limit: float
+) -> tuple[list[Observed], JointSolution, NoiseParts, Array]:
+    """Runs, their solution with its covariance, parts of the noise, pulls of typical values."""
+    joint = solved.joint
+    pairs = zip(joint.runs, solved.runs, strict=True)
+    runs = [replace(one.run, machine=run.recording.machine) for one, run in pairs]
+    tables = tables_of(joint.machine, joint.unknowns, joint.solution)
+    pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, tables))
+    parts = noise_parts(runs, joint)
+    return runs, settle_covariance(joint, limit, parts.normal), parts, pulls
+
+
 def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: Array) -> Reversal:
     found = (tables, joint.unknowns, joint.solution.value, whole, joint.solution.accepted)
     motions, backlash = reversal_tables(*found), backlash_at_target(*found)
@@ -199,17 +211,19 @@ def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: 
 
 
 def _targets(
-    driven: Sequence[Sequence[DrivenPart]], joint: JointSolution, whole: Array
+    driven: Sequence[Sequence[DrivenPart]], joint: JointSolution, whole: Array, run: Array
 ) -> dict[str, TargetPlace]:
     """Places of the reflectors that were seen; none where there is a known one alone."""
     machine, places = joint.machine, {}
     for name in sorted({part.target for own in driven for part in own}):
-        u, block = np.zeros(3), joint.unknowns.blocks.get(place_block(name))
-        if block is not None:
-            u = np.sqrt(np.maximum(np.diag(whole[block, block]), 0.0))
+        block = joint.unknowns.blocks.get(place_block(name))
+        u, u_run = (
+            np.zeros(3) if block is None else np.sqrt(np.maximum(np.diag(c[block, block]), 0.0))
+            for c in (whole, run)
+        )
         known = np.array(machine.targets[name].place)
         place = np.asarray(joint.places.get(name, known))
-        places[name] = TargetPlace(machine.targets[name].link, place, u)
+        places[name] = TargetPlace(machine.targets[name].link, place, u, u_run)
     return {} if set(places) == {TOOL} and not places[TOOL].u.any() else places
 
 
@@ -298,6 +312,11 @@ def _failed_gates(fit: Fit, tables: ErrorTables) -> tuple[str, ...]:
     if fit.path_mae_after >= fit.path_mae_before:
         failed.append('compensation: the tables do not reduce the distance from the path')
     return tuple(failed)
+
+
+def _lack_of_fit(runs: Sequence[Observed], joint: JointSolution, grid_u: float) -> list[str]:
+    found = find_lack_of_fit(runs, joint)
+    return [*filter(None, [found.warning(grid_u) if found else None])]
 
 
 def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -21,189 +21,48 @@ import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.budget.budget import OBSERVED, Budget
-from otf_core.budget.typical import TypicalSystematic, with_typical
-from otf_core.calibration.machine_verdict import Verdict, Verdicts
+from otf_core.budget.lines import BudgetLine, budget_lines
+from otf_core.budget.typical import TypicalSystematic
+from otf_core.calibration.document import document_of
 from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.effects import AppliedEffect
-from otf_core.effects.stated_effect import StatedEffect
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import tidy
 from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import VolumeErrors
-from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
+from otf_core.model.expanded import micro_figure, micro_with_expanded
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
-from otf_core.model.presets import TYPICAL
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import Misfit, NoiseModel
 from otf_core.noise.standstill import LostSamples
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    DrivenPart,
+    Fit,
+    Headline,
+    Remainder,
+    StatedEffect,
+    TargetPlace,
+    Verdicts,
+    systematic_fields,
+)
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
 from otf_core.solving.reversal import AxisLag, Reversal
 from otf_core.solving.tabulate import TableCost
 
-DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
-
-
-@dataclass(frozen=True)
-class ExpectedRemainder:
-    """Expanded uncertainty of the error vectors on a grid: what compensation will leave.
-
-    Attributes
-    ----------
-    expanded : mapping of 'mean', 'p95', 'max' to float, m
-        Systematic contributions included.
-    observed : mapping of the same, m
-        Nothing systematic: what is seen to scatter.
-    k : float
-        Coverage factor of both.
-    assumed : tuple of str
-        Contributions for which typical values stand, as the budget calls them.
-    nothing_declared : bool
-        True if machine.yaml declares no contribution at all.
-    """
-
-    expanded: Mapping[str, float]
-    observed: Mapping[str, float]
-    k: float
-    assumed: tuple[str, ...]
-    nothing_declared: bool
-
-    @property
-    def systematic(self) -> str:
-        """'declared', 'typical' or 'partly typical': where systematic contributions come from."""
-        if not self.assumed:
-            return DECLARED
-        return ASSUMED if self.nothing_declared else PARTLY
-
-    @property
-    def label(self) -> str:
-        """The same in a few words."""
-        return {
-            DECLARED: 'systematic contributions as declared',
-            PARTLY: f'systematic contributions as declared; {", ".join(self.assumed)} typical, '
-            f'not declared',
-            ASSUMED: 'systematic contributions typical, not declared in machine.yaml',
-        }[self.systematic]
-
-    @property
-    def expanded_words(self) -> str:
-        """What is to be expected after compensation."""
-        return (
-            f'expected after compensation: {self._sizes(self.expanded)} '
-            f'(U, k = {self.k:.3g}; {self.label})'
-        )
-
-    @property
-    def observed_words(self) -> str:
-        """The part that holds nothing systematic."""
-        return f'noise and misfit of this run alone: {self._sizes(self.observed)} (U)'
-
-    @property
-    def forecast_words(self) -> str:
-        """The same part before anything is measured."""
-        return f'noise of the tracker alone: {self._sizes(self.observed)} (U)'
-
-    def _sizes(self, sizes: Mapping[str, float]) -> str:
-        return ', '.join(
-            f'{word} {micro_significant(sizes[name])}'
-            for word, name in (('mean', 'mean'), ('largest', 'max'))
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data, SI."""
-        return {
-            'expected_after_compensation': {
-                'U': dict(self.expanded),
-                'k': self.k,
-                'systematic': self.systematic,
-                'typical_for': list(self.assumed),
-                'presets': list(TYPICAL) if self.assumed else [],
-            },
-            'noise_and_misfit_alone': {'U': dict(self.observed), 'k': self.k},
-        }
-
-
-@dataclass(frozen=True)
-class Headline(ExpectedRemainder):
-    """Volumetric error and its expanded uncertainty on one grid.
-
-    Attributes
-    ----------
-    points : int
-        Of the grid over the driven volume.
-    error : mapping of 'mean', 'p95', 'max' to float, m
-        Lengths of the error vectors as found.
-    of_largest : float, m
-        Expanded uncertainty of the length of the largest error vector.
-    """
-
-    points: int
-    error: Mapping[str, float]
-    of_largest: float
-
-    @property
-    def error_words(self) -> str:
-        """The volumetric error as found."""
-        mean = micro_figure(self.error['mean'], self.expanded['mean'])
-        largest = micro_with_expanded(self.error['max'], self.of_largest)
-        return f'volumetric error as found: mean {mean}, largest {largest}'
-
-    @property
-    def words(self) -> tuple[str, str, str]:
-        """Three lines: error, uncertainty, noise alone."""
-        return self.error_words, self.expanded_words, self.observed_words
-
-    def to_dict(self) -> dict[str, Any]:
-        """Entry ``headline`` of error_tables.json, SI."""
-        return {
-            'unit': 'm',
-            'points': self.points,
-            'rigid_motion': 'taken out',
-            'error': dict(self.error),
-            'U_of_largest': self.of_largest,
-            **super().to_dict(),
-        }
-
-
-def covariance_with_typical(
-    covariance: Array, budget: Budget, typical: TypicalSystematic | None
-) -> Array:
-    """Covariance (m, m) of the tables with typical values where nothing is declared."""
-    if typical is None:
-        return covariance
-    change = budget.rows @ typical.change
-    return np.asarray(covariance + change @ change.T)
-
-
-def expanded_of(
-    tables: ErrorTables, covariance: Array, budget: Budget, hidden: Collection[str]
-) -> dict[str, Array]:
-    """Expanded uncertainty of scalars (1,) and nodes (k,), m and rad; zero of what is hidden.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (m, m)
-        Of scalars and nodes, typical contributions included.
-    budget : Budget
-        With typical contributions, for the coverage factors.
-    """
-    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    variances, values = budget.variances(), {}
-    for name, place in table_places(tables).items():
-        k, _ = budget.expansion(variances[:, place])
-        values[name] = k * u[place] * (name not in hidden)
-    return values
-
 
 def headline_of(
-    volume: VolumetricError, budget: Budget, typical: TypicalSystematic | None
+    volume: VolumetricError,
+    budget: Budget,
+    typical: TypicalSystematic | None,
 ) -> Headline:
     """Work out the headline of a calibration.
 
@@ -220,27 +79,35 @@ def headline_of(
     k, _ = budget.expansion(variances)
     own = np.array([name in OBSERVED for name in budget.names])
     at = int(np.argmax(volume.length))
-    longest = budget.variances(volume.length_rows[[at]]).sum()
+    longest = float(np.sqrt(budget.variances(volume.length_rows[[at]]).sum()))
 
     def sizes(parts: Array) -> dict[str, float]:
         variance = parts.sum(axis=0).reshape(-1, 3)
-        return length_sizes(k * np.sqrt(variance.sum(axis=1)))
+        return length_sizes(np.sqrt(variance.sum(axis=1)))
 
+    missing, nothing = (typical.missing, typical.nothing_declared) if typical else ((), False)
+    left = Remainder(
+        u=sizes(variances), u_run=sizes(variances[own]), k=k, **systematic_fields(missing, nothing)
+    )
+    error, sized = volume.sizes(), left.expanded
+    mean = micro_figure(error['mean'], sized['mean'])
+    largest = micro_with_expanded(error['max'], k * longest)
     return Headline(
-        expanded=sizes(variances),
-        observed=sizes(variances[own]),
-        k=k,
-        assumed=typical.missing if typical else (),
-        nothing_declared=typical is not None and typical.nothing_declared,
+        **vars(left),
         points=len(volume.grid),
-        error=volume.sizes(),
-        of_largest=k * float(np.sqrt(longest)),
+        error=error,
+        u_of_largest=longest,
+        sentences=(
+            f'volumetric error as found: mean {mean}, largest {largest}',
+            left.expanded_words,
+            f'noise and misfit of this run alone: {left.observed_words}',
+        ),
     )
 
 
 COLUMNS = (
-    'error', 'axis', 'position', 'position_unit', 'value', 'unit', 'u', 'identifiable', 'U', 'k',
-    'U_with_typical', 'target_offset',
+    'error', 'axis', 'position', 'position_unit', 'value', 'unit', 'u', 'u_run', 'identifiable',
+    'k', 'target_offset',
 )  # fmt: skip
 WIDTH, HEIGHT = 2.6, 2.2
 """inch; of a panel of the figure."""
@@ -257,20 +124,9 @@ def _optional(module: str, needs: str) -> Any:
         ) from None
 
 
-def coverage_factors(tables: ErrorTables, budget: Budget) -> dict[str, float]:
-    """Coverage factor of every motion and squareness error; NaN where nothing is known."""
-    variances, factors = budget.variances(), {}
-    for name, part in table_places(tables).items():
-        own = variances[:, part]
-        known = own[:, own.sum(axis=0) > 0]
-        factors[name] = budget.expansion(known)[0] if known.size else math.nan
-    return factors
-
-
 def table_html(result: CalibrationResult) -> str:
     """The same as rows, and scalars; what else there is in a line."""
-    head, verdicts = result.headline, result.verdicts
-    lines = [*head.words[:2], verdicts.measurement_words, verdicts.machine_words]
+    lines = [*result.headline.sentences[:2], *result.verdicts.words[:2]]
     rows = []
     scalars = result.tables.machine.scalars
     for name in scalars:
@@ -298,27 +154,28 @@ def _typeset(text: str) -> str:
     return html.escape(with_micro_sign(text).replace('+/-', '±'))
 
 
-def table_cells(result: CalibrationResult) -> list[tuple[Any, ...]]:
+def _cells(name: str, own: tuple[Any, ...], offset: Any, *node: Any) -> tuple[Any, ...]:
+    """One row under ``COLUMNS``."""
+    (axis, along, unit, k, bound), (at, value, u, u_run, seen) = own, node
+    k = math.nan if k is None else k
+    return (name, axis, at, along, value, unit, u, u_run, seen, k, offset if bound else None)
+
+
+def table_cells(document: CalibrationDocument) -> list[tuple[Any, ...]]:
     """All nodes and scalars, a row under ``COLUMNS`` each."""
-    tables, bound = result.tables, result.offset_bound
-    factors, rows = coverage_factors(tables, result.budget_with_typical), list[tuple[Any, ...]]()
-    for name in (*map(str, tables.machine.motions), *tables.machine.scalars):
-        k, unit, whole = factors[name], unit_of(name), result.expanded[name].tolist()
-        offset = tuple(map(float, bound.offset)) if name in bound.contains else None
-        if name in tables.machine.scalars:
-            seen = name not in result.not_identifiable
-            nodes = [(math.nan, tables.scalar(name) + 0.0, tables.scalar_u(name), seen)]
-            axis = along = ''
-        else:
-            table, axis = tables.motions[name], name[2]
-            along, seen = tables.machine.axes[axis].unit, table.nodes_seen.tolist()
-            nodes = list(zip(map(tidy, table.position), (table.value + 0.0).tolist(),
-                             table.u.tolist(), seen, strict=True))  # fmt: skip
-        rows += [
-            (name, axis, at, along, value, unit, u, seen, k * u if u > 0.0 else 0.0, k, wide,
-             offset)
-            for (at, value, u, seen), wide in zip(nodes, whole, strict=True)
-        ]  # fmt: skip
+    bound, rows = document.target_offset_bound, list[tuple[Any, ...]]()
+    contains = bound.contains if bound else {}
+    offset = tuple(map(float, bound.offset)) if bound else None
+    for name, table in document.motions.items():
+        seen = table.nodes_seen.tolist()
+        nodes = (table.value + 0.0, table.u, table.u if table.u_run is None else table.u_run)
+        places = zip(map(tidy, table.position), *(v.tolist() for v in nodes), seen, strict=True)
+        own = (table.axis, table.position_unit, unit_of(name), table.k, contains.get(name))
+        rows += [_cells(name, own, offset, *place) for place in places]
+    for name, scalar in {**document.squareness, **document.location}.items():
+        own = ('', '', unit_of(name), scalar.k, contains.get(name))
+        size = (scalar.value + 0.0, scalar.u, scalar.u_run, scalar.identifiable)
+        rows.append(_cells(name, own, offset, math.nan, *size))
     return rows
 
 
@@ -326,7 +183,7 @@ def data_frame(result: CalibrationResult) -> Any:
     """The same as a data frame; see ``CalibrationResult.to_frame``."""
     module = _optional('pandas', 'CalibrationResult.to_frame()')
     tables = result.tables
-    frame = module.DataFrame(table_cells(result), columns=list(COLUMNS))
+    frame = module.DataFrame(table_cells(result.document), columns=list(COLUMNS))
     frame.attrs = {
         'machine': tables.machine.name,
         'chain': tables.machine.chain,
@@ -381,76 +238,6 @@ LINES_GAUGE = (
 def gauge_of(machine: Machine) -> str:
     """What is zero by definition in the tables of a machine."""
     return '; '.join([GAUGE, LINES_GAUGE] if machine.location else [GAUGE])
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Size and quality of a fit.
-
-    Attributes
-    ----------
-    unknowns, rank : int
-        Free unknowns after the gauge; combinations of them that the data determine.
-    coverage : float
-        Driven share of the path length.
-    path_mae_before, path_mae_after : float
-        Mean perpendicular distance from the path, m: rigidly aligned, and compensated.
-    residual_rms : float
-        Root mean square of the perpendicular residual, m.
-    residual_ratio : float
-        Residual of the pieces over the noise specified for single samples, root mean square.
-    variance_ratio, correlation_factor : float
-        See ``uncertainty.ResidualCheck``.
-    inflation : float
-        Factor on the covariance that these two call for.
-    """
-
-    samples: int
-    used: int
-    outliers: int
-    pieces: int
-    unknowns: int
-    rank: int
-    coverage: float
-    path_mae_before: float
-    path_mae_after: float
-    residual_rms: float
-    residual_ratio: float
-    variance_ratio: float
-    correlation_factor: float
-    inflation: float
-    iterations: int
-
-
-@dataclass(frozen=True)
-class DrivenPart:
-    """A part of a run between two places of the reflector.
-
-    Attributes
-    ----------
-    target : str
-        Name of the reflector.
-    corners : int
-        Of its path.
-    driven : float
-        Share of its path that was driven.
-    moved : tuple of str
-        Axes that moved the reflector in view of the tracker.
-    """
-
-    target: str
-    corners: int
-    driven: float
-    moved: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class TargetPlace:
-    """Place of a reflector in the frame of its link, and its standard uncertainty, m, (3,)."""
-
-    link: str
-    place: Array
-    u: Array
 
 
 @dataclass(frozen=True)
@@ -521,8 +308,13 @@ class CalibrationResult:
     ----------
     run_id : str
         Hash of samples, paths, machine and configuration.
-    covariance : ndarray, shape (m, m)
-        Of ``Machine.scalars`` and the nodes of ``Machine.motions``, m and rad: all sources.
+    covariance, covariance_run : ndarray, shape (m, m)
+        Of ``Machine.scalars`` and the nodes of ``Machine.motions``, m and rad: all sources, and
+        noise and misfit of the run alone.
+    covariance_change : ndarray, optional
+        The latter with declared contributions; None where none is declared.
+    budget : Budget
+        All sources, typical values where nothing is declared.
     targets : mapping of target to TargetPlace
         Of the reflectors whose places were sought.
     headline : Headline
@@ -555,13 +347,15 @@ class CalibrationResult:
         What was taken off, run by run.
     uncorrected : CalibrationResult, optional
         The one without that; None where nothing was taken off.
-    machine_verdict : Verdict, optional
-        By the limits of machine.yaml; None without any.
+    verdicts : Verdicts
+        Is the measurement good; is the machine within its limits.
     """
 
     run_id: str
     tables: ErrorTables
     covariance: Array
+    covariance_run: Array
+    covariance_change: Array | None
     budget: Budget
     runs: tuple[RunResult, ...]
     targets: Mapping[str, TargetPlace]
@@ -577,13 +371,13 @@ class CalibrationResult:
     typical: TypicalSystematic | None
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
+    verdicts: Verdicts
     config: CalibrationConfig
     origin: tuple[Origin, ...] = ()
     effects: tuple[StatedEffect, ...] = ()
     effects_sentence: str = ''
     applied: tuple[tuple[AppliedEffect, ...], ...] = ()
     uncorrected: CalibrationResult | None = None
-    machine_verdict: Verdict | None = None
 
     @property
     def plain(self) -> CalibrationResult:
@@ -604,33 +398,17 @@ class CalibrationResult:
         return [f'{", ".join(names)}: needs {need}' for need, names in by_need.items()]
 
     @property
-    def verdicts(self) -> Verdicts:
-        """Is the measurement good; is the machine within its limits."""
-        return Verdicts(self.failed_gates, self.machine_verdict)
-
-    @property
     def sentence(self) -> str:
         """The outcome."""
-        verdicts = self.verdicts
-        if not verdicts.good:
-            return verdicts.measurement_words
-        error, expected, _ = self.headline.words
-        return '; '.join([error, expected, verdicts.measurement_words, verdicts.machine_words])
-
-    @cached_property
-    def budget_with_typical(self) -> Budget:
-        """The budget with typical values where nothing is declared: that of the headline."""
-        return with_typical(self.budget, self.typical)
-
-    @cached_property
-    def covariance_with_typical(self) -> Array:
-        """Covariance with them, in the order of ``covariance``."""
-        return covariance_with_typical(self.covariance, self.budget, self.typical)
+        measurement, machine = self.verdicts.measurement, self.verdicts.machine
+        if not measurement.good:
+            return measurement.sentence
+        return '; '.join([*self.headline.sentences[:2], measurement.sentence, machine.sentence])
 
     @cached_property
     def volume(self) -> VolumetricError:
         """Errors over the volume of the tables, with the uncertainty of the headline."""
-        return VolumetricError(self.tables, self.covariance_with_typical)
+        return VolumetricError(self.tables, self.covariance)
 
     @cached_property
     def offset_bound(self) -> OffsetBound:
@@ -638,14 +416,26 @@ class CalibrationResult:
         return offset_bound(self.tables.machine, self.not_identifiable)
 
     @cached_property
-    def expanded(self) -> dict[str, Array]:
-        """Expanded uncertainty of scalars (1,) and nodes (k,), m and rad.
+    def budget_lines(self) -> list[BudgetLine]:
+        """Lines of the budget: everything that is identifiable, and the grid."""
+        return budget_lines(self.tables, self.budget, self.not_identifiable)
 
-        That of the headline: with typical values where nothing is declared; zero where a value
-        is not identifiable.
-        """
-        covariance, budget = self.covariance_with_typical, self.budget_with_typical
-        return expanded_of(self.tables, covariance, budget, self.not_identifiable)
+    @cached_property
+    def expanded(self) -> dict[str, Array]:
+        """K u of scalars (1,) and nodes (k,), m and rad; zero where not identifiable."""
+        factors = {line.name: line.k for line in self.budget_lines}
+        u = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        places = table_places(self.tables)
+        return {name: factors.get(name, 0.0) * u[place] for name, place in places.items()}
+
+    @cached_property
+    def document(self) -> CalibrationDocument:
+        """What is written and quoted: the content of error_tables.json."""
+        return document_of(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of error_tables.json as plain data."""
+        return self.document.to_dict()
 
     @property
     def T_machine_tracker(self) -> RigidTransform:
@@ -660,10 +450,10 @@ class CalibrationResult:
         pandas.DataFrame
             ``error`` (C0Y ... EXX ...), ``axis``, ``position`` (in ``position_unit``; NaN for
             scalars), ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u``
-            (standard uncertainty of what the budget holds), ``identifiable``, ``U``, ``k``: as in
-            error_tables.csv. ``U_with_typical`` is U with typical systematic contributions where
-            none are declared, ``target_offset`` the offset (m) at which alone a value holds, None
-            if at any. ``attrs`` hold machine, chain, run_id and target_offset.
+            (standard uncertainty with everything that is stated), ``u_run`` (noise and misfit of
+            the run alone), ``identifiable``, ``k`` (for 95 %), ``target_offset`` (m, at which
+            alone a value holds; None if at any): as in error_tables.csv. ``attrs`` hold machine,
+            chain, run_id and target_offset.
 
         Raises
         ------
@@ -673,7 +463,7 @@ class CalibrationResult:
         Examples
         --------
         >>> frame = result.to_frame()  # doctest: +SKIP
-        >>> frame[frame.error == 'EXX'].plot('position', 'value', yerr='U')  # doctest: +SKIP
+        >>> frame[frame.error == 'EXX'].plot('position', 'value', yerr='u')  # doctest: +SKIP
         """
         return data_frame(self)
 

@@ -37,12 +37,13 @@ from otf_core.effects import AppliedEffect, BelongsTo, Shape, State
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.removable_effect import RemovableEffect, removable_effect
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated_effect import FILE, RemovedEffects, StatedEffect, effects_to_list
+from otf_core.effects.stated_effect import FILE, RemovedEffects
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import TOOL, Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run
+from otf_core.prediction.calibration_document import StatedEffect
 from otf_core.solving.joint import (
     PARTS_PER_INTERVAL,
     JointSolution,
@@ -322,7 +323,7 @@ def calibrate_without_effects(
     """
     solved, fitted = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
     result = assemble(solved, config, examined.findings, fitted.taken_off(solved))
-    stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
+    stated = json.dumps([one.to_dict() for one in result.effects], sort_keys=True)
     run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
     result = replace(result, run_id=run_id[: len(result.run_id)])
     runs = range(len(examined.runs))

@@ -93,7 +93,7 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
         required=True,
         help='CSV with the header x,y,z in m, or a text table that states its units',
     )
-    add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1; no u outside')
+    add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,...,inside; m, k = 1; no u outside')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '

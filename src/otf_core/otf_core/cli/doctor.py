@@ -31,6 +31,7 @@ OLDEST_VERSIONS = {
     'rosbags': '0.11',
     'threadpoolctl': '3.1',
     'shtab': '1.5.5',
+    'Jinja2': '3.1',
 }
 """Distributions and their oldest versions, as in setup.cfg."""
 COMPILED = ('numpy', 'scipy.linalg', 'zstandard', 'yaml')

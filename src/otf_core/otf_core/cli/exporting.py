@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that hand error tables on, take them and keep them: export, import, history."""
+"""Verbs that hand results on, take them and keep them: report, export, import, history."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
 if TYPE_CHECKING:
-    from otf_core.model.tables import TablesFile
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
 
 # Verbs that hand error tables to controls and other programs, and take them: export, import.
 
 
 def add_exporting_verbs(verb: AddVerb) -> None:
-    """Add export and import."""
+    """Add report, export and import."""
+    sub = verb('report', run_report)
+    sub.add_argument('file', metavar='FILE.json', help='result of another verb')
+    add_out(sub, 'folder for the page')
     sub = verb('export', run_export)
     sub.add_argument('dir', metavar='DIR', help='results of otf calibrate, or error_tables.json')
     sub.add_argument('--format', required=True, choices=tuple(HOMES), help='format to write')
@@ -55,7 +58,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     from otf_core.exports import export_format
     from otf_core.exports.format import Request, is_export, remaining_error
     from otf_core.files.output_folder import OutputFile
-    from otf_core.model.tables import load_tables
+    from otf_core.prediction.calibration_document import load_tables
 
     if arguments.points is not None and arguments.points < 2:
         raise ConfigError(f'--points: {arguments.points}; at least 2')
@@ -73,7 +76,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     for target, packed in reversed(targets):
         with target.filled() as partial:
             partial.write_bytes(packed)
-    remainder = remaining_error(content.tables, export.held, content.extra.get('headline'))
+    remainder = remaining_error(content.tables, export.held, content.headline)
     data: dict[str, Any] = {
         'schema': 'otf-export/1',
         'format': chosen.name,
@@ -94,12 +97,28 @@ def run_export(arguments: argparse.Namespace) -> int:
     return _exit_code(content)
 
 
-def _exit_code(content: TablesFile) -> int:
+def _exit_code(content: CalibrationDocument) -> int:
     """Exit code by the quality gates of the calibration that the tables come from."""
-    failed = content.extra.get('failed_gates')
-    for gate in failed if isinstance(failed, list) else []:
+    failed = content.failed_gates
+    for gate in failed:
         note(f'otf export: the calibration is NOT GOOD: {gate}')
     return QUALITY_GATE_FAILED if failed else 0
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """The page of a result file, as its verb writes it."""
+    from otf_core.files.writing import write_text
+    from otf_core.reports.pages import pages_of
+
+    out = output_folder(arguments, arguments.file)
+    pages = pages_of(arguments.file)
+    with out.filled('report') as folder:
+        for name, page in pages.items():
+            write_text(folder / name, page)
+    written = [Path(arguments.out) / name for name in pages]
+    data = {'out': arguments.out, 'files': list(pages)}
+    answer(arguments, arguments.file + report_files(written, arguments.out), data)
+    return 0
 
 
 def run_import(arguments: argparse.Namespace) -> int:
@@ -109,7 +128,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.model.tables import tables_to_dict
+    from otf_core.prediction.calibration_document import tables_to_dict
 
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
@@ -183,7 +202,12 @@ def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.control_chart import history_of
     from otf_core.history.store import read_store
-    from otf_core.reports.history_report import report_machine, store_to_dict, write_history
+    from otf_core.reports.history_report import (
+        format_history,
+        history_to_dict,
+        store_to_dict,
+        write_history,
+    )
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')
@@ -198,14 +222,12 @@ def run_history(arguments: argparse.Namespace) -> int:
             f'--name: no {arguments.name} in the store; it contains: {", ".join(store.machines)}'
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
-    reports, alone = [], len(machines) == 1
-    for machine in machines:  # one at a time: its tables take megabytes
-        history = history_of(store, machine, limit)
-        reports.append(report_machine(history, alone=alone, drawn=out is not None))
-    words = '\n\n'.join(report.words for report in reports)
+    # one at a time: its tables take megabytes
+    doc = store_to_dict([history_to_dict(history_of(store, m, limit)) for m in machines])
+    words = '\n\n'.join(map(format_history, doc['machines']))
     if out is not None:
         with out.filled('history') as folder:
-            names = [f.name for f in write_history(reports, folder)]
+            names = [f.name for f in write_history(doc, folder)]
         words += report_files([out.path / n for n in names], arguments.out)
-    answer(arguments, words, store_to_dict(reports))
+    answer(arguments, words, doc)
     return 0

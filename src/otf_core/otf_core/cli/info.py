@@ -11,20 +11,18 @@ from typing import Any
 from otf_core.cli.output import answer
 from otf_core.errors import ConfigError, InputError
 
-Data = Mapping[str, Any]
+
+def _of_tables(data: Mapping[str, Any]) -> str:
+    from otf_core.prediction.calibration_document import tables_from_dict
+
+    document = tables_from_dict(data, 'file')
+    said = [f'{document.machine.name}, chain {document.machine.chain}']
+    said += document.verdicts.words[:2] if document.verdicts else ()
+    said += document.headline.sentences[:1] if document.headline else ()
+    return '; '.join([*said, f'not seen: {", ".join(document.not_identifiable) or "none"}'])
 
 
-def _of_tables(data: Data) -> str:
-    words = f'{data["machine"]["name"]}, chain {data["machine"]["chain"]}'
-    verdicts = data.get('verdicts') or {}
-    lines = [words, *(verdict['sentence'] for verdict in verdicts.values())]
-    if size := data.get('volumetric_error'):
-        lines.append(f'mean error {1e6 * size["mean"]:.1f} um, largest {1e6 * size["max"]:.1f} um')
-    unseen = [name for name, table in data['motions'].items() if not table['identifiable']]
-    return '; '.join([*lines, f'not seen: {", ".join(unseen) or "none"}'])
-
-
-def _of_plan(data: Data) -> str:
+def _of_plan(data: Mapping[str, Any]) -> str:
     parts = ', '.join(
         f'{p["target"]} ({len(p["positions"])} corner points)' for p in data['parts']
     )
@@ -33,34 +31,21 @@ def _of_plan(data: Data) -> str:
     return f'{words}; not shown: {", ".join(hidden) or "none"}'
 
 
-def _of_noise(data: Data) -> str:
-    angles = ' and '.join(f'{1e6 * v:.3f}' for v in data['u_angle'])
-    return f'{1e6 * data["u_range"]:.3f} um along the beam, {angles} urad across (k = 1)'
-
-
-def _of_comparison(data: Data) -> str:
-    size = data['volume']['mae_difference']
-    return f'{data["a"]} and {data["b"]} differ by {1e6 * size:.2f} um on average'
-
-
-def _of_simulation(data: Data) -> str:
-    effects = ', '.join(entry['effect'] for entry in data['effects']) or 'none'
-    return f'seed {data["seed"]}, effects: {effects}'
-
-
-KINDS: dict[str, tuple[str, Callable[[Data], str]]] = {
+KINDS: dict[str, tuple[str, Callable[[Mapping[str, Any]], str]]] = {
     'otf-error-tables/1': ('error tables', _of_tables),
     'otf-error-tables/2': ('error tables', _of_tables),
-    'otf-gap/1': ('diagnosis', lambda data: f'{data["verdict"]}: {data.get("sentence", "")}'),
+    'otf-gap/1': ('diagnosis', lambda d: f'{d["verdict"]}: {d.get("sentence", "")}'),
     'otf-plan/2': ('plan', _of_plan),
-    'otf-noise/1': ('noise', _of_noise),
-    'otf-comparison/1': ('comparison', _of_comparison),
-    'otf-comparison/2': ('comparison', _of_comparison),
-    'otf-simulation/1': ('truth of a simulation', _of_simulation),
-    'otf-fleet/1': ('fleet', lambda data: f'{data["done"]} runs done, {data["failed"]} failed'),
-    'otf-history/1': ('history', lambda data: f'machines {", ".join(data["machines"])}'),
-    'otf-manifest/1': ('folder of results', lambda data: f'otf {data["verb"]}: '
-                       f'{", ".join(data["sha256"])}'),
+    'otf-noise/1': ('noise', lambda d: f'{1e6 * d["u_range"]:.3f} um along the beam, '
+                    + ' and '.join(f'{1e6 * v:.3f}' for v in d['u_angle']) + ' urad across'),
+    'otf-comparison/2': ('comparison', lambda d: f'{d["a"]} and {d["b"]} differ by '
+                         f'{1e6 * d["volume"]["mae_difference"]:.2f} um on average'),
+    'otf-simulation/1': ('truth of a simulation', lambda d: f'seed {d["seed"]}, effects: '
+                         f'{", ".join(e["effect"] for e in d["effects"]) or "none"}'),
+    'otf-fleet/1': ('fleet', lambda d: f'{d["done"]} runs done, {d["failed"]} failed'),
+    'otf-history/1': ('history', lambda d: f'machines {", ".join(d["machines"])}'),
+    'otf-manifest/1': ('folder of results', lambda d: f'otf {d["verb"]}: '
+                       f'{", ".join(d["sha256"])}'),
 }  # fmt: skip
 """Name and headline of a result, by its schema."""
 OTHER = ('result', lambda data: f'holds {", ".join(data)}')
@@ -79,7 +64,7 @@ def _document(path: Path) -> dict[str, Any]:
     name, headline = KINDS.get(schema, OTHER)
     try:
         found = {'kind': name, 'schema': schema, 'headline': headline(data)}
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, ConfigError) as error:
         detail = f'{type(error).__name__}: {error}'
         raise InputError(f"{path}: is not a complete '{schema}' ({detail})") from None
     if path.is_dir():

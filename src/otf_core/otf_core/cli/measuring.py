@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import output_folder, parameters, reading_options, refuse_rotary
+from otf_core.cli.options import output_folder, parameters, reading_options
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note, progress_of
 from otf_core.config import AUTO, CalibrationConfig, DiagnosisConfig, WritingConfig
 from otf_core.errors import ConfigError, InputError, OtfError
@@ -61,89 +61,53 @@ def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
+    from otf_core.api import functions as api
+    from otf_core.reports.calibration import write_calibration
+
     config = parameters(CalibrationConfig, arguments)
     writing = parameters(WritingConfig, arguments)
     effects = arguments.effects
-    own = (effects,) if effects and effects != AUTO else ()
     out = output_folder(
-        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
+        arguments, *_inputs(arguments), *([effects] if effects not in (None, AUTO) else [])
     )
     with progress_of('reading', DIAGNOSE if effects else CALIBRATE) as progress:
-        recordings = read_recordings(arguments)
-        if effects:
-            from otf_core.diagnosis.diagnose import calibrate_with_effects
-            from otf_core.sim.twin import twin_recording
-
-            refuse_rotary(recordings[0].machine, 'calibrate --effects')
-            result = calibrate_with_effects(
-                recordings, effects, twin_recording, config, progress, arguments.method
-            )
-        else:
-            from otf_core.calibration.calibrate import calibrate_recordings
-
-            result = calibrate_recordings(
-                recordings, config, progress, arguments.method,
-                same_station=arguments.same_station,
-            )  # fmt: skip
-        from otf_core.reports.calibration import (
-            calibration_sections,
-            facts_of,
-            write_calibration,
-        )
-        from otf_core.reports.calibration_sections.first_screen import calibration_summary
-        from otf_core.reports.page import sections_to_dict
-
+        result = api.calibrate(
+            read_recordings(arguments), method=arguments.method, effects=effects,
+            same_station=arguments.same_station, config=config, progress=progress,
+        )  # fmt: skip
         progress('writing', 0.0)
-        facts = facts_of(result)
         with out.filled('calibrate') as folder:
-            files = write_calibration(
-                result,
-                folder,
-                residuals_csv=writing.residuals_csv,
-                report=writing.report,
-                facts=facts,
-                missing=out.missing,
-            )
+            files = write_calibration(result, folder, residuals_csv=writing.residuals_csv,
+                                      report=writing.report, missing=out.missing)  # fmt: skip
     if out.missing:
         note(f'otf: warning: {out.missing_words}')
-    report = sections_to_dict(calibration_sections(facts)) if arguments.json else {}
-    answer_from(arguments, calibration_summary(facts), files, TABLES, report=report)
-    return result.verdicts.exit_code
+    answer_from(arguments, api.summary(result), files, TABLES)
+    return result.document.exit_code
+
+
+def _inputs(arguments: argparse.Namespace) -> list[str]:
+    """Files and folders that a verb on recordings reads."""
+    return [*arguments.bag, *arguments.machine, *(arguments.path or ())]
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
-    config = parameters(CalibrationConfig, arguments)
-    from otf_core.diagnosis.diagnose import diagnose
-    from otf_core.effects import EVERY
-    from otf_core.effects.effects_yaml import read_own_causes
+    from otf_core.api import functions as api
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import gap_sections, write_diagnosis
-    from otf_core.reports.page import sections_to_dict, sections_to_text
-    from otf_core.sim.twin import twin_recording
+    from otf_core.reports.diagnosis import write_diagnosis
 
+    config = parameters(CalibrationConfig, arguments)
     search = parameters(DiagnosisConfig, arguments)
-    unknown = sorted(set(search.exclude) - set(EVERY))
-    if unknown:
-        raise ConfigError(
-            f'{arguments.config}: exclude: {unknown[0]} is not an effect; known: '
-            f'{", ".join(EVERY)}'
-        )
-    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
+    out = output_folder(arguments, *_inputs(arguments))
     with progress_of('reading', DIAGNOSE) as progress:
-        recordings = read_recordings(arguments)
-        causes = search.own_causes
-        own = read_own_causes(causes, recordings[0].machine) if causes else ()
-        diagnosis = diagnose(
-            recordings, twin_recording, search.exclude, config, progress, own=own,
-            same_station=arguments.same_station,
+        diagnosis = api.diagnose(
+            read_recordings(arguments), exclude=search.exclude, own_causes=search.own_causes,
+            same_station=arguments.same_station, config=config, progress=progress,
         )  # fmt: skip
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)
-    sections = gap_sections(diagnosis)
-    report = sections_to_dict(sections)
-    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
+    answer_from(arguments, api.summary(diagnosis), files, 'gap.json')
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
@@ -152,6 +116,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
     from otf_core.bags.bag import points_of
+    from otf_core.files.strict_yaml import read_json
     from otf_core.inputs.recordings import open_reading
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
@@ -171,7 +136,8 @@ def run_noise(arguments: argparse.Namespace) -> int:
         )
         with out.filled('noise') as folder:
             files = write_noise(report, folder, provenance('noise', runs=[origin]))
-    answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
+    words = format_noise(read_json(out.path / 'noise.json'))
+    answer_from(arguments, words + '\n', files, 'noise.json')
     return 0
 
 
@@ -188,10 +154,10 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
     from otf_core.files.output_folder import OutputFile
     from otf_core.files.writing import ends_head, write_csv
-    from otf_core.model.tables import load_tables
+    from otf_core.prediction.calibration_document import load_tables
     from otf_core.prediction.predict import predict
 
-    tail = 'dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    tail = 'dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     out = OutputFile(
         arguments.out,
         lambda path: ends_head(path, tail),
@@ -205,7 +171,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
         note(f'otf predict: {read_as}')
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
     prediction = predict(content, points, offset, arguments.points)
-    columns = np.hstack([points, prediction.error, prediction.u])
+    columns = np.hstack([points, prediction.error, prediction.u, prediction.u_run])
     header = f'{",".join(names).lower()},{tail}'
     with out.filled() as partial:
         write_csv(partial, header, columns, prediction.inside)
@@ -223,6 +189,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
     from otf_core.comparison.compare import compare, load_source
+    from otf_core.files.strict_yaml import read_json
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
@@ -244,7 +211,8 @@ def run_compare(arguments: argparse.Namespace) -> int:
     result = compare(a, b, points)
     with progress_of('drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
-    answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
+    words = format_comparison(read_json(out.path / 'comparison.json'))
+    answer_from(arguments, words + '\n', files, 'comparison.json')
     return 0
 
 

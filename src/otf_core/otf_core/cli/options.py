@@ -50,16 +50,6 @@ AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
 """Adds a verb and returns its parser."""
 
 
-def refuse_rotary(machine: Any, verb: str) -> None:
-    """Refuse a machine with rotary axes where a command is for linear axes alone."""
-    if machine.rotary_names:
-        raise ConfigError(
-            f'{verb}: not available for machines with rotary axes ({machine.name}, chain '
-            f'{machine.chain}); available are calibrate, check, compare, diagnose, export, '
-            f'fleet calibrate, history, plan, predict, info, noise and simulate'
-        )
-
-
 def add_out(parser: argparse.ArgumentParser, text: str) -> None:
     """Add --out and --overwrite."""
     parser.add_argument('--out', required=True, help=text)

@@ -24,11 +24,9 @@ if TYPE_CHECKING:
 
 QUALITY_GATE_FAILED = 4
 LIMIT_NOT_PROVEN = 5
-
-"""Millionths of m and rad in ASCII."""
 LONGEST_MESSAGE = 1000
-BULKY = 'covariance'
-"""Key of a result that stays in its file."""
+BULKY = ('covariance', 'covariance_run', 'covariance_change')
+"""Keys of a result that stay in its file."""
 
 
 class OutputFull(OtfError):
@@ -148,7 +146,7 @@ def answer_from(
         from otf_core.files.strict_yaml import read_json
 
         data = dict(read_json(Path(arguments.out) / main))
-        data.pop(BULKY, None)
+        data = {k: v for k, v in data.items() if k not in BULKY}
         data |= {**more, 'out': arguments.out, 'files': _places(files, arguments.out)}
     answer(arguments, words + report_files(files, arguments.out), data)
 

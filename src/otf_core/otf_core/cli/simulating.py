@@ -108,9 +108,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     planning = parameters(PlannerConfig, arguments)
     from otf_core.effects.effects_yaml import read_effects
     from otf_core.model.machine import load_machine
-    from otf_core.model.tables import load_tables
     from otf_core.planning.forecast import Setup
     from otf_core.planning.part_choice import planned
+    from otf_core.prediction.calibration_document import load_tables
     from otf_core.sim.bag_files import SimulatedBag
     from otf_core.sim.cell import simulate
 
@@ -153,6 +153,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Path for a machine, forecast of what it can see, NC program."""
     config = parameters(PlannerConfig, arguments)
     judged = parameters(ForecastConfig, arguments)
+    from otf_core.files.strict_yaml import read_json
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.noise_model import read_noise
@@ -186,7 +187,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
             files = write_report(report, folder, dialect, about)
     if dialect is None:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
-    answer_from(arguments, plan_summary(report).rstrip(), files, 'plan.json')
+    words = plan_summary(read_json(out.path / 'plan.json')).rstrip()
+    answer_from(arguments, words, files, 'plan.json')
     return 0
 
 
@@ -231,7 +233,7 @@ def _workers(arguments: argparse.Namespace) -> Workers:
 
 def run_fleet_verb(arguments: argparse.Namespace) -> int:
     """Calibrate or diagnose many recordings."""
-    from otf_core.fleet.fleet import fleet_to_dict, listed_jobs, read_list, run_fleet, take_folder
+    from otf_core.fleet.fleet import listed_jobs, read_list, run_fleet, take_folder
     from otf_core.reports.fleet_report import format_fleet, write_fleet
 
     def told(text: str) -> None:
@@ -242,11 +244,8 @@ def run_fleet_verb(arguments: argparse.Namespace) -> int:
     folder = take_folder(Path(arguments.out), verb)
     jobs = listed_jobs(verb, runs, folder, arguments.config)
     outcomes = run_fleet(jobs, folder, workers, told)
-    files, warnings = write_fleet(verb, folder, outcomes)
-    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + report_files(
-        files, arguments.out
-    )
-    answer(arguments, words, fleet_to_dict(verb, outcomes) | {'warnings': warnings})
+    files, doc = write_fleet(verb, folder, outcomes)
+    answer(arguments, format_fleet(doc) + report_files(files, arguments.out), doc)
     exits = {o.exit for o in outcomes.values()} - {0}
     if not exits:
         return 0

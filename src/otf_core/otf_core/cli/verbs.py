@@ -15,6 +15,7 @@ VERBS = {
     'predict': 'Predict volumetric errors at points from error tables: the mean of forward and '
     'backward travel.',
     'compare': 'Compare error tables or direct measurements, motion by motion.',
+    'report': 'Write the page of a result file, as the verb that wrote the file does.',
     'export': 'Write error tables in the format of a control or another program.',
     'import': 'Determine error tables from a lattice of volumetric errors in CSV.',
     'fleet': 'Process many recordings, here or on other hosts; a bad bag affects no other.',
@@ -51,6 +52,7 @@ EXAMPLES = {
         'otf compare before/error_tables.json after/error_tables.json --out change',
         'otf compare tables/error_tables.json direct.csv --machine machine.yaml --out direct',
     ),
+    'report': ('otf report tables/error_tables.json --out page',),
     'export': ('otf export tables --format linuxcnc --out mill.ini',),
     'import': ('otf import lattice.csv --machine machine.yaml --out tables',),
     'fleet': (

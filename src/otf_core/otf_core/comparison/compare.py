@@ -27,7 +27,8 @@ from otf_core.model.evaluation import rigid_columns
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predict import Predictor
 from otf_core.prediction.volumetric import table_places, table_rows, table_values
@@ -56,25 +57,31 @@ class Source:
         Of scalars (squareness and location errors) and the nodes of all motions.
     hidden : frozenset of str
         Errors that the source does not determine.
+    change : ndarray, shape (m, m)
+        The part of the covariance that does not repeat: what a change is judged by.
     """
 
     name: str
     tables: ErrorTables
     covariance: Array
     hidden: frozenset[str]
+    change: Array
 
 
-def source_of_tables(name: str, content: TablesFile) -> Source:
+def source_of_tables(name: str, content: CalibrationDocument) -> Source:
     """Source of error tables, values independent where they hold no covariance."""
     known = Predictor.of(content)
-    return Source(name, known.tables, known.covariance, frozenset(known.not_seen))
+    packed, run = content.covariance_change, known.covariance_run
+    own = packed.unpack(len(run)) if packed is not None else None
+    change = run if own is None else own
+    return Source(name, known.tables, known.covariance, frozenset(known.not_seen), change)
 
 
 def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
     """Source of a direct measurement: means over runs and directions, u from their scatter."""
     tables, covariance = tables_of_measurement(measurement, machine)
     hidden = {*machine.scalars, *(m for m, t in tables.motions.items() if not t.identifiable)}
-    return Source(name, tables, covariance, frozenset(hidden))
+    return Source(name, tables, covariance, frozenset(hidden), covariance)
 
 
 def load_source(path: str | Path, machine: Machine | None) -> Source:

@@ -44,7 +44,7 @@ from otf_core.files.text_table import (
 from otf_core.model.chain import Sight
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 
 LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
@@ -184,8 +184,8 @@ def tables_of_measurement(
         blocks.append(block)
     if measurement.target_offset is not None:
         machine = replace(machine, target_offset=measurement.target_offset)
-    squareness = {k: Squareness() for k in machine.squareness}
-    location = {k: LocationError(identifiable=False) for k in machine.location}
+    squareness = {k: ScalarError() for k in machine.squareness}
+    location = {k: ScalarError(identifiable=False) for k in machine.location}
     return ErrorTables(machine, tables, squareness, location), block_diag(*blocks)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class RemovableEffect:
     known: Array
     widths: Mapping[str, float]
     start: Mapping[str, float]
-    how: str
+    how: Literal['found', 'file']
 
     @property
     def size(self) -> int:
@@ -122,7 +123,9 @@ class RemovableEffect:
         )
 
 
-def removable_effect(applied: Sequence[AppliedEffect], how: str) -> RemovableEffect:
+def removable_effect(
+    applied: Sequence[AppliedEffect], how: Literal['found', 'file']
+) -> RemovableEffect:
     """Set up an effect to be taken off.
 
     Parameters

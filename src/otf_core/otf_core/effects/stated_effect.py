@@ -3,32 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Literal
 
 from otf_core.arrays import Array
+from otf_core.prediction.calibration_document import StatedEffect
 
-FOUND, FILE = 'found', 'file'
-
-
-@dataclass(frozen=True)
-class StatedEffect:
-    """One effect that was taken off.
-
-    Attributes
-    ----------
-    parameters, u : mapping of str to float
-        Standard uncertainties (k = 1) of those that were estimated.
-    how : str
-        'found' by a diagnosis, or named in a 'file'.
-    """
-
-    effect: str
-    parameters: Mapping[str, float]
-    u: Mapping[str, float]
-    units: Mapping[str, str]
-    how: str
+FOUND: Literal['found'] = 'found'
+FILE: Literal['file'] = 'file'
 
 
 @dataclass(frozen=True)
@@ -43,8 +25,3 @@ class RemovedEffects:
 
     stated: tuple[StatedEffect, ...]
     of_unknowns: Array
-
-
-def effects_to_list(stated: Sequence[StatedEffect]) -> list[dict[str, Any]]:
-    """Effects as plain data, as they stand in error_tables.json."""
-    return [asdict(one) for one in stated]

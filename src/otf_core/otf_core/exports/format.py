@@ -17,8 +17,9 @@ from otf_core.model.evaluation import covered_grid, driven_positions, without_ri
 from otf_core.model.expanded import figure
 from otf_core.model.machine import Machine
 from otf_core.model.motions import AXES
-from otf_core.model.tables import ErrorTables, TablesFile
+from otf_core.model.tables import ErrorTables
 from otf_core.prediction.absorbed import offset_bound
+from otf_core.prediction.calibration_document import CalibrationDocument, Headline
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predict import Predictor
 from otf_core.prediction.volumetric import VOLUME_PLACES
@@ -55,7 +56,7 @@ class Request:
         Points per axis, where a format resamples the tables.
     """
 
-    content: TablesFile
+    content: CalibrationDocument
     name: str
     sign: str | None = None
     points: int | None = None
@@ -84,7 +85,7 @@ class Request:
         Safe in a comment: what cannot be printed, such as a line break, is a blank.
         """
         machine = self.content.tables.machine
-        run = self.content.extra.get('run_id', 'unknown')
+        run = self.content.run_id or 'unknown'
         lines = [
             f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
             f'measured at the target offset {offset_words(machine)}',
@@ -335,7 +336,7 @@ class RemainingError:
 
 
 def remaining_error(
-    tables: ErrorTables, held: Field, headline: Mapping[str, Any] | None = None
+    tables: ErrorTables, held: Field, headline: Headline | None = None
 ) -> RemainingError:
     """Forecast what compensation by a file leaves.
 
@@ -343,8 +344,8 @@ def remaining_error(
     ----------
     held : callable
         Error that the control takes off, m.
-    headline : mapping, optional
-        Entry of error_tables.json; decides how many digits are stated.
+    headline : Headline, optional
+        Of the calibration; decides how many digits are stated.
     """
     machine = tables.machine
     q, few = driven_positions(tables, VOLUME_PLACES), len(machine.axis_names) <= 3
@@ -358,6 +359,6 @@ def remaining_error(
     error = displacement(tables, q)
     before, after = lengths(error, q), lengths(error - held(q), q)
     between = lengths(displacement(tables, finer) - held(finer), finer)
-    wide = headline['expected_after_compensation']['U']['mean'] if headline else 0.0
+    wide = headline.expanded['mean'] if headline else 0.0
     sizes = (before.mean(), before.max(), after.mean(), after.max(), between.max(), wide)
     return RemainingError(len(q), *map(float, sizes))

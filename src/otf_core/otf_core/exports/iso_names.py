@@ -107,7 +107,7 @@ def _configuration(machine: Machine, name: str, records: int) -> str:
 def _etalon(fmt: Format, request: Request) -> ExportedFiles:
     """Make the text."""
     tables = request.content.tables
-    machine, gauge = tables.machine, request.content.extra.get('gauge')
+    machine, gauge = tables.machine, request.content.gauge
     comments = [*request.header(fmt), *frame_words(machine), GRID_WORDS]
     if machine.squareness:
         named = ', '.join(f'[{n}]' for n in machine.squareness)

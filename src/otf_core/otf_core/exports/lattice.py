@@ -29,7 +29,7 @@ from otf_core.model.chain import displacement, has_constant_lever
 from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.predict import predict
 from otf_core.prediction.volumetric import table_places, table_rows
 
@@ -263,7 +263,7 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
         for at in [lattice.axes[machine.column(m.axis)]]
         for turns in [not has_constant_lever(machine, m, low, high)]
     }
-    tables = ErrorTables(machine, empty, {n: Squareness() for n in machine.squareness})
+    tables = ErrorTables(machine, empty, {n: ScalarError() for n in machine.squareness})
     matrix, places = table_rows(tables, q).reshape(3 * len(q), -1), table_places(tables)
     scale = np.full(matrix.shape[1], 1.0 / reach)
     for motion, table in empty.items():
@@ -274,7 +274,7 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     basis = vectors[:, seen]
     solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
     motions = {m: replace(t, value=solved[places[m]]) for m, t in empty.items()}
-    square = {n: Squareness(float(solved[places[n]][0])) for n in machine.squareness}
+    square = {n: ScalarError(float(solved[places[n]][0])) for n in machine.squareness}
     sizes = (_rms(wanted), _rms(wanted - matrix @ solved))
     return ImportedTables(ErrorTables(machine, motions, square), *sizes)
 

@@ -26,7 +26,7 @@ from otf_core.exports.format import LINES, ExportedFiles, Format, Request
 from otf_core.model.chain import displacement, rotations
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, location_names
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 
 TRT = {'A': ('xyzac-trt-kins', 'y'), 'B': ('xyzbc-trt-kins', 'x')}
 """Kinematics of LinuxCNC by tilting axis, and the offset it has beside z."""
@@ -47,7 +47,7 @@ def _make(fmt: Format, request: Request) -> ExportedFiles:
     only = replace(
         tables,
         motions=dict.fromkeys(machine.motions, none),
-        squareness={k: Squareness() for k in tables.squareness},
+        squareness={k: ScalarError() for k in tables.squareness},
     )
     return ExportedFiles(
         {request.name: ('\n'.join(lines) + '\n').encode()},

@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.errors import ConfigError
 from otf_core.model.chain import Sight, displacement
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import ErrorMotion
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness, TablesFile
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
+from otf_core.prediction.calibration_document import CalibrationDocument
 from otf_core.prediction.driven_volume import table_ranges
 
 Pair = tuple[str, str]
@@ -196,7 +196,7 @@ def term_remarks(machine: Machine, pairs: Collection[Pair]) -> tuple[str, ...]:
     )
 
 
-def half_reversal(content: TablesFile, axis: str, position: Array) -> Array:
+def half_reversal(content: CalibrationDocument, axis: str, position: Array) -> Array:
     """Half of the positioning in forward less that in backward travel, shape (k,), m or rad.
 
     From ``reversal`` of a file: error of a motion in forward travel less that in backward travel,
@@ -215,25 +215,16 @@ def half_reversal(content: TablesFile, axis: str, position: Array) -> Array:
     only = ErrorTables(
         tables.machine,
         motions,
-        {k: Squareness() for k in tables.squareness},
-        {k: LocationError() for k in tables.location},
+        {k: ScalarError() for k in tables.squareness},
+        {k: ScalarError() for k in tables.location},
     )
     return 0.5 * error_along(only, axis, axis, middle_line(tables, axis, position))
 
 
-def _reversal_motions(content: TablesFile) -> dict[str, MotionTable]:
+def _reversal_motions(content: CalibrationDocument) -> dict[str, MotionTable]:
     """Reversal values by motion, forward minus backward; empty if the file holds none."""
-    reversal = content.extra.get('reversal')
-    motions = reversal.get('motions') if isinstance(reversal, Mapping) else None
-    tables: dict[str, MotionTable] = {}
-    for name, entry in motions.items() if isinstance(motions, Mapping) else ():
-        try:
-            position, value = (np.asarray(entry[k], dtype=float) for k in ('position', 'value'))
-        except (KeyError, TypeError, ValueError):
-            raise ConfigError(f'reversal: {name}: expected position and value, lists') from None
-        ascending = position.ndim == 1 and bool(np.all(np.diff(position) > 0))
-        known = name in content.tables.machine.motions
-        if not known or not ascending or position.shape != value.shape:
-            raise ConfigError(f'reversal: {name}: no table of an error motion')
-        tables[ErrorMotion.of(name)] = MotionTable(position, value, 0.0 * value)
-    return tables
+    own = content.reversal.motions if content.reversal else {}
+    return {
+        ErrorMotion.of(name): MotionTable(one.position, one.value, 0.0 * one.value)
+        for name, one in own.items()
+    }

@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.history.store import Series, Store, StoredEvent, series_of
+from otf_core.history.store import Series, Store, StoredEvent, mean_u, series_of
 from otf_core.model.expanded import COVERAGE_FACTOR
 
 # Has something changed between two runs: chi-square of a difference, motion by motion.
@@ -108,14 +108,7 @@ def volume_change(series: Series, a: int, b: int) -> Change:
     difference = series.values[b] - series.values[a]
     covariance = series.covariances[a] + series.covariances[b]
     size = float(series.lengths(difference).mean())
-    return Change(size, field_u(series, covariance), change_of(difference, covariance).p)
-
-
-def field_u(series: Series, covariance: Array) -> float:
-    """Mean standard uncertainty of the error vectors on the grid, m."""
-    rows = series.common.field_rows
-    variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
-    return float(np.mean(np.sqrt(np.maximum(variance, 0.0))))
+    return Change(size, mean_u(series.common, covariance), change_of(difference, covariance).p)
 
 
 # How fast a machine drifts, and until when its tables hold.
@@ -368,8 +361,9 @@ class History:
         The same over the volume.
     error : ndarray, shape (r,), m
         Mean length of the errors over the volume by every run, best rigid motion removed.
-    u_error : ndarray, shape (r,), m
-        Mean standard uncertainty of these errors.
+    u_error, u_run : ndarray, shape (r,), m
+        Mean standard uncertainty of these errors: with all that is stated, and of noise and
+        misfit of a run and what does not repeat.
     events : tuple of StoredEvent
         From the first run on.
     reference : int
@@ -388,6 +382,7 @@ class History:
     volume: tuple[Change, ...]
     error: Array
     u_error: Array
+    u_run: Array
     steps: tuple[Step, ...]
     events: tuple[StoredEvent, ...]
     reference: int
@@ -428,8 +423,8 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
     Parameters
     ----------
     limit : float, optional
-        m; mean volumetric drift that is allowed; if not given, twice the mean standard
-        uncertainty of the latest tables.
+        m; mean volumetric drift that is allowed; if not given, twice the mean ``u_run`` of the
+        latest tables.
     """
     own = store.of(machine)
     series = series_of(own.runs)
@@ -443,8 +438,8 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
     drift = drift_of(series.since(reference))
     last = None if drift is None else drift_of(series.since(count - 2)) or drift
     error = np.array([series.lengths(v).mean() for v in series.values])
-    u_error = np.array([field_u(series, c) for c in series.covariances])
-    allowed = 2.0 * float(u_error[-1]) if limit is None else limit
+    u_run = np.array([mean_u(series.common, c) for c in series.covariances])
+    allowed = 2.0 * float(u_run[-1]) if limit is None else limit
     events = tuple(e for e in own.events if e.at > series.runs[0].at)
     open_ = any(e.at > series.runs[-1].at for e in events)
     return History(
@@ -453,7 +448,8 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
         tuple(changes(series, 0, k) for k in range(count)),
         tuple(volume_change(series, 0, k) for k in range(count)),
         error,
-        u_error,
+        series.u,
+        u_run,
         steps,
         events,
         reference,

@@ -19,7 +19,11 @@ from otf_core.comparison.compare import Common, common_ground, source_of_tables
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.tables import TablesFile, load_tables, tables_from_dict
+from otf_core.prediction.calibration_document import (
+    CalibrationDocument,
+    load_tables,
+    tables_from_dict,
+)
 from otf_core.prediction.volumetric import table_values
 
 # A folder of calibrations and events: one plain JSON file each, named by its hash.
@@ -54,7 +58,7 @@ class StoredRun:
     path: Path
 
     @cached_property
-    def content(self) -> TablesFile:
+    def content(self) -> CalibrationDocument:
         """Tables with their covariances: some megabytes."""
         return _tables_of(_read_entry(self.path), self.path)
 
@@ -105,11 +109,9 @@ def read_moment(text: str, where: str) -> datetime:
     return moment.replace(tzinfo=moment.tzinfo or timezone.utc).astimezone(timezone.utc)
 
 
-def measurement_time(content: TablesFile) -> str | None:
+def measurement_time(content: CalibrationDocument) -> str | None:
     """When a calibration was measured by its own account, else when it was written."""
-    block = content.extra.get('provenance')
-    if not isinstance(block, dict):
-        return None
+    block = content.provenance
     measured = block.get('measured')
     last = measured.get('last') if isinstance(measured, dict) else None
     date = last or block.get('written')
@@ -193,7 +195,7 @@ def read_store(folder: str | Path) -> Store:
     return Store(_in_time(runs), tuple(sorted(events, key=lambda e: (e.at, e.words))))
 
 
-def _tables_of(entry: Mapping[str, Any], path: Path) -> TablesFile:
+def _tables_of(entry: Mapping[str, Any], path: Path) -> CalibrationDocument:
     return tables_from_dict(entry['tables'], str(path))
 
 
@@ -232,12 +234,16 @@ class Series:
         In the order of time.
     values : ndarray, shape (r, m), m or rad
     covariances : ndarray, shape (r, m, m)
+        Of noise and misfit of a run and what does not repeat: what changes are judged by.
+    u : ndarray, shape (r,), m
+        Mean standard uncertainty of the error vectors on the grid, with all that is stated.
     """
 
     runs: tuple[StoredRun, ...]
     common: Common
     values: Array
     covariances: Array
+    u: Array
 
     @property
     def days(self) -> Array:
@@ -271,7 +277,11 @@ class Series:
     def since(self, first: int) -> Series:
         """The runs from one on."""
         return Series(
-            self.runs[first:], self.common, self.values[first:], self.covariances[first:]
+            self.runs[first:],
+            self.common,
+            self.values[first:],
+            self.covariances[first:],
+            self.u[first:],
         )
 
 
@@ -292,4 +302,13 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
     matrices = [common.matrix(source) for source in sources]
     both = list(zip(matrices, sources, strict=True))
     values = np.array([h @ table_values(s.tables) for h, s in both])
-    return Series(tuple(runs), common, values, np.array([h @ s.covariance @ h.T for h, s in both]))
+    changes = np.array([h @ s.change @ h.T for h, s in both])
+    u = np.array([mean_u(common, h @ s.covariance @ h.T) for h, s in both])
+    return Series(tuple(runs), common, values, changes, u)
+
+
+def mean_u(common: Common, covariance: Array) -> float:
+    """Mean standard uncertainty of the error vectors on the grid, m."""
+    rows = common.field_rows
+    variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
+    return float(np.mean(np.sqrt(np.maximum(variance, 0.0))))

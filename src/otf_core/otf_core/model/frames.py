@@ -7,28 +7,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.documents import Document, stated
 
 XYZ = ('X', 'Y', 'Z')
 """Directions of a frame, as the components of its vectors are called."""
 
 
 @dataclass(frozen=True)
-class RigidTransform:
-    """A proper rotation followed by a translation: y = rotation @ x + translation.
+class RigidTransform(Document):
+    """A proper rotation followed by a translation: y = rotation @ x + translation."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-    translation : ndarray, shape (3,), m
-    """
-
-    rotation: Array
-    translation: Array
+    rotation: Array = stated('proper rotation', shape=(3, 3))
+    translation: Array = stated('translation', 'm', shape=(3,))
 
     def apply(self, points: Array) -> Array:
         """Transform points of shape (n, 3), m."""
@@ -40,10 +34,6 @@ class RigidTransform:
     def rotate(self, vectors: Array) -> Array:
         """Rotate free vectors of shape (n, 3)."""
         return np.asarray(vectors @ self.rotation.T)
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """Return it as plain data."""
-        return {'rotation': self.rotation.tolist(), 'translation': self.translation.tolist()}
 
     def moved_by(self, translation: Array, rotation_vector: Array) -> RigidTransform:
         """Apply a further small motion: rotation about the target frame's origin, then shift.

@@ -379,6 +379,11 @@ class Machine:
         """Upper ends of the axis ranges, shape (k,), m and rad."""
         return np.array([self.axes[a].max for a in self.axis_names])
 
+    @classmethod
+    def from_dict(cls, data: Any, where: str = 'machine') -> Machine:
+        """Build a machine from plain data, see ``machine_from_dict``."""
+        return machine_from_dict(data, where)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the description as plain data, in the layout of machine.yaml.
 

@@ -34,7 +34,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.noise.noise_model import Misfit, NoiseModel, noise_and_misfit
 from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
@@ -487,8 +487,8 @@ def located_tables(
     return ErrorTables(
         machine,
         motions,
-        {n: Squareness() for n in machine.squareness},
-        {n: LocationError(location[n]) for n in machine.location},
+        {n: ScalarError() for n in machine.squareness},
+        {n: ScalarError(location[n]) for n in machine.location},
     )
 
 

@@ -26,7 +26,6 @@ from otf_core.budget.budget import (
     systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
-from otf_core.calibration.calibration_result import ExpectedRemainder
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError
@@ -46,6 +45,7 @@ from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.pieces import OF_EACH, SPEED_WINDOW, Pieces
 from otf_core.pieces.runs import Observed
 from otf_core.planning.line_of_sight import default_tracker_place
+from otf_core.prediction.calibration_document import Remainder, systematic_fields
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import length_sizes
 from otf_core.solving.joint import (
@@ -509,8 +509,8 @@ class PlannedSystematic:
     noise, with_declared, with_typical : float
         m, k = 1: of the noise alone; with the declared contributions; with typical values for
         the missing keys too.
-    expected : ExpectedRemainder
-        Expanded, with all of them: what a calibration would state first.
+    expected : Remainder
+        With all of them: what a calibration would state first.
     """
 
     declared: tuple[str, ...]
@@ -518,7 +518,7 @@ class PlannedSystematic:
     noise: float
     with_declared: float
     with_typical: float
-    expected: ExpectedRemainder
+    expected: Remainder
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of plan.json."""
@@ -559,15 +559,15 @@ def planned_systematic(forecast: Forecast) -> PlannedSystematic:
     noise = np.linalg.norm(forecast.grid_u_free, axis=1)
     stated = lengths(own) if declared else noise
     whole = lengths(own + added(missing, typical_runs(runs, keys))) if missing else stated
-    expected = ExpectedRemainder(
-        expanded=length_sizes(COVERAGE_FACTOR * whole),
-        observed=length_sizes(COVERAGE_FACTOR * noise),
+    assumed = tuple(s.source for s in missing)
+    expected = Remainder(
+        u=length_sizes(whole),
+        u_run=length_sizes(noise),
         k=COVERAGE_FACTOR,
-        assumed=tuple(s.source for s in missing),
-        nothing_declared=len(keys) == len(DECLARABLE),
+        **systematic_fields(assumed, len(keys) == len(DECLARABLE)),
     )
     return PlannedSystematic(
-        tuple(s.source for s in declared), expected.assumed, forecast.mean_grid_u,
+        tuple(s.source for s in declared), assumed, forecast.mean_grid_u,
         float(stated.mean()), float(whole.mean()), expected,
     )  # fmt: skip
 

@@ -12,12 +12,12 @@ and translations that are seen, in their gauge, and a rigid motion of the whole 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.documents import Document, stated
 from otf_core.model.chain import Sight, nominal_position
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.machine import Machine
@@ -35,19 +35,18 @@ def offset_words(offset: Array) -> str:
 
 
 @dataclass(frozen=True)
-class OffsetBound:
-    """Values that contain rotations which the data do not show.
+class OffsetBound(Document):
+    """Values that contain rotations which the data do not show."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,), m
-        Target offset at which they hold.
-    contains : mapping of motion or squareness error to tuple of str
-        The rotations that a value contains; values that hold at any target offset are left out.
-    """
+    offset: Array = stated('target offset at which they hold', 'm', shape=(3,))
+    contains: Mapping[str, tuple[str, ...]] = stated(
+        'rotations that a motion or squareness error contains', factory=dict
+    )
+    sentence: str = stated('all of them in one sentence; may be empty', default='')
 
-    offset: Array
-    contains: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    def __post_init__(self) -> None:
+        """Say them in one sentence."""
+        object.__setattr__(self, 'sentence', self._sentence())
 
     def words(self, name: str) -> str:
         """What stands beside a value; empty for one that holds at any target offset."""
@@ -56,25 +55,15 @@ class OffsetBound:
             return ''
         return f'at target offset {offset_words(self.offset)}, contains {", ".join(rotations)}'
 
-    @property
-    def sentence(self) -> str:
-        """All of them in one sentence; empty if there are none."""
+    def _sentence(self) -> str:
         if not self.contains:
             return ''
         unseen = dict.fromkeys(r for rotations in self.contains.values() for r in rotations)
         return (
-            f'valid only at the target offset {offset_words(self.offset)}: '
-            f'{", ".join(self.contains)}; they contain {", ".join(unseen)} times the lever arm of '
-            f'the target, which these data do not show'
+            f'measured with one target offset, {offset_words(self.offset)}: '
+            f'{", ".join(self.contains)} include {", ".join(unseen)} times the lever arm; measure '
+            f'a second offset to separate them'
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Entry ``target_offset_bound`` of error_tables.json, SI."""
-        return {
-            'unit': 'm',
-            'offset': self.offset.tolist(),
-            'contains': {name: list(rotations) for name, rotations in self.contains.items()},
-        }
 
 
 def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:

@@ -9,15 +9,13 @@ that much larger. Beside it counts, axis by axis, the range of the tables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.errors import ConfigError
+from otf_core.documents import Document, stated
 from otf_core.model.machine import Machine
 from otf_core.model.motions import AXES
 from otf_core.model.tables import ErrorTables
@@ -29,32 +27,25 @@ EDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class DrivenVolume:
-    """Convex hull of what was driven.
+class DrivenVolume(Document):
+    """Convex hull of what was driven."""
 
-    Attributes
-    ----------
-    corners : ndarray, shape (n, 3), m
-    margin : float
-        m; points this close to the hull count as inside.
-    planes : ndarray, shape (k, 4), 1 and m
-        Outward unit normal and offset of what bounds the hull; two for a direction in which it is
-        flat.
-    """
+    corners: Array = stated('corners of the hull', 'm', shape=('n', 3))
+    margin: float = stated('points this close count as inside', 'm', least=0.0, default=0.0)
+    planes: Array = stated(
+        'outward unit normal and offset of what bounds the hull; two for a direction in which it '
+        'is flat', '1 and m', shape=('k', 4), default=None,
+    )  # fmt: skip
 
-    corners: Array
-    margin: float
-    planes: Array
+    def __post_init__(self) -> None:
+        """Make the planes where a file holds none."""
+        if self.planes is None:
+            object.__setattr__(self, 'planes', _hull(self.corners)[1])
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Tell for points (n, 3), m, whether they lie in the hull, the margin included."""
         out = np.max(q @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
         return np.asarray(out <= self.margin)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the volume as plain data, as in error_tables.json."""
-        rows = {'corners': self.corners.tolist(), 'planes': self.planes.tolist()}
-        return {**rows, 'margin': self.margin}
 
 
 def _frame(points: Array) -> tuple[Array, Array, int]:
@@ -94,42 +85,6 @@ def driven_volume(points: Array, margin: float) -> DrivenVolume:
     """Volume of points (n, 3), m: only the corners of their hull are kept."""
     corners = points[_hull(points)[0]]
     return DrivenVolume(corners, margin, _hull(corners)[1])
-
-
-def driven_from_dict(data: Any, where: str) -> DrivenVolume | None:
-    """Read ``driven`` of an error_tables.json; None if the file holds none.
-
-    Raises
-    ------
-    ConfigError
-        If it is there and is no such volume.
-    """
-    if data is None:
-        return None
-    wrong = ConfigError(
-        f'{where}: driven: expected corners (lists of x, y, z in m) and margin; planes, if any, '
-        f'as lists of four numbers'
-    )
-    if not isinstance(data, Mapping):
-        raise wrong
-    try:
-        corners = np.asarray(data['corners'], dtype=float)
-        planes = None if 'planes' not in data else np.asarray(data['planes'], dtype=float)
-        margin = float(data.get('margin', 0.0))
-    except (KeyError, TypeError, ValueError):
-        raise wrong from None
-    if not (_is_rows(corners, 3) and np.isfinite(margin) and margin >= 0):
-        raise wrong
-    if planes is None:
-        planes = _hull(corners)[1]
-    if not _is_rows(planes, 4):
-        raise wrong
-    return DrivenVolume(corners, margin, planes)
-
-
-def _is_rows(values: Array, width: int) -> bool:
-    """Return whether these are rows of finite numbers."""
-    return values.ndim == 2 and values.shape[1] == width and bool(np.all(np.isfinite(values)))
 
 
 def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:

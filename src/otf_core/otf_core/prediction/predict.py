@@ -14,26 +14,21 @@ may be, and u includes that.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Flags
 from otf_core.errors import ConfigError
 from otf_core.model.chain import Sight, displacement
 from otf_core.model.machine import Machine
-from otf_core.model.motions import is_motion
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables
-from otf_core.prediction.covariance import unpack_covariance
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
+from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
 from otf_core.prediction.driven_volume import (
     EDGE,
     DrivenVolume,
-    driven_from_dict,
     inside,
     table_ranges,
 )
@@ -56,15 +51,19 @@ class PredictedErrors:
 
     Attributes
     ----------
-    error, u : ndarray, shape (n, 3), m
-        Actual minus nominal, and its standard uncertainty (k = 1); u is not a number outside.
+    error : ndarray, shape (n, 3), m
+        Actual minus nominal.
+    u, u_run : ndarray, shape (n, 3), m
+        Its standard uncertainty (k = 1) with everything that is stated, and by noise and misfit
+        of the run alone; not a number outside.
     inside : ndarray of bool, shape (n,)
         Whether a position lies in the driven volume.
     """
 
     error: Array
     u: Array
-    inside: NDArray[np.bool_]
+    u_run: Array
+    inside: Flags
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,8 @@ class Predictor:
         With the target offset that is predicted for.
     measured : ErrorTables
         With the one that was measured with.
-    covariance : ndarray, shape (m, m)
-        Of squareness and nodes, see ``uncertainty.prediction_rows``.
+    covariance, covariance_run : ndarray, shape (m, m)
+        Of squareness and nodes, see ``uncertainty.prediction_rows``: for u, and for u_run.
     correlated : bool
         False if the file holds no covariance: nodes are taken as independent.
     prior : mapping of motion to float
@@ -94,6 +93,7 @@ class Predictor:
     tables: ErrorTables
     measured: ErrorTables
     covariance: Array
+    covariance_run: Array
     correlated: bool
     prior: Mapping[str, float]
     driven: DrivenVolume | None
@@ -102,7 +102,9 @@ class Predictor:
     lacking: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, source: str | Path | TablesFile, target_offset: Array | None = None) -> Predictor:
+    def of(
+        cls, source: str | Path | CalibrationDocument, target_offset: Array | None = None
+    ) -> Predictor:
         """Read tables.
 
         Parameters
@@ -115,23 +117,24 @@ class Predictor:
         ConfigError
             If the tables cannot be read, or the offset is none.
         """
-        content = source if isinstance(source, TablesFile) else load_tables(source)
-        name = 'tables' if isinstance(source, TablesFile) else str(source)
-        measured, extra = content.tables, content.extra
+        content = source if isinstance(source, CalibrationDocument) else load_tables(source)
+        measured = content.tables
         machine = replace(measured.machine, target_offset=_offset(measured, target_offset))
         described = measured.machine
         size = len(described.scalars)
         size += sum(len(measured.motions[m].position) for m in described.motions)
-        covariance = unpack_covariance(extra.get('covariance'), size)
+        packed = content.covariance, content.covariance_run or content.covariance
+        covariance, run = (None if c is None else c.unpack(size) for c in packed)
         return cls(
             tables=replace(measured, machine=machine),
             measured=measured,
-            covariance=_independent(measured) if covariance is None else covariance,
+            covariance=_independent(measured, run=False) if covariance is None else covariance,
+            covariance_run=_independent(measured, run=True) if run is None else run,
             correlated=covariance is not None,
-            prior=prior_from_dict(extra.get('prior'), name),
-            driven=driven_from_dict(extra.get('driven'), name),
-            not_seen=_not_seen(measured, extra),
-            holds=_contained(measured, extra),
+            prior={name: own.sd for name, own in content.prior.items()},
+            driven=content.driven,
+            not_seen=_not_seen(content),
+            holds=_contained(content),
             lacking=_lacking(content, covariance is None),
         )
 
@@ -147,12 +150,20 @@ class Predictor:
         """Evaluate at programmed axis positions (n, k), m and rad."""
         machine = self.tables.machine
         nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in machine.motions}
-        variance = prediction_uncertainty(machine, nodes, self.covariance, q) ** 2
-        for name, influence in self.unseen(q).items():
-            variance += (self.prior.get(name, 0.0) * influence) ** 2
+        unseen = sum(
+            (self.prior.get(name, 0.0) * influence) ** 2
+            for name, influence in self.unseen(q).items()
+        )
         within = inside(self.measured, self.driven, q)
-        u = np.where(within[:, None], np.sqrt(variance), np.nan)
-        return PredictedErrors(displacement(self.tables, q), u, within)
+        u, u_run = (
+            np.where(
+                within[:, None],
+                np.sqrt(prediction_uncertainty(machine, nodes, covariance, q) ** 2 + unseen),
+                np.nan,
+            )
+            for covariance in (self.covariance, self.covariance_run)
+        )
+        return PredictedErrors(displacement(self.tables, q), u, u_run, within)
 
     def corrected(self, wanted: Array) -> Array:
         """Positions to command so that the target comes to the wanted ones, by the linear axes.
@@ -178,46 +189,41 @@ class Predictor:
         return command
 
 
-def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
+def _lacking(content: CalibrationDocument, from_nodes: bool) -> tuple[str, ...]:
     """What a file does not say, ``u`` only where it is taken ``from_nodes``."""
-    notes = []
-    if content.without_value:
-        notes.append(
-            f'the tables do not contain {", ".join(content.without_value)}: taken as zero'
-        )
-    if content.without_u and from_nodes:
-        names = ', '.join(content.without_u)
-        notes.append(f'the tables hold no u of {names}: taken as exact, so u is too small')
-    return tuple(notes)
+    if not (content.without_u and from_nodes):
+        return content.remarks
+    names = ', '.join(content.without_u)
+    return (
+        *content.remarks,
+        f'the tables hold no u of {names}: taken as exact, so u is too small',
+    )
 
 
-def _independent(tables: ErrorTables) -> Array:
-    own = [np.array([tables.squareness[k].u]) for k in tables.machine.squareness]
-    own += [np.array([tables.location[k].u]) for k in tables.machine.location]
-    own += [tables.motions[k].u for k in tables.machine.motions]
-    return np.diag(np.concatenate(own) ** 2)
+def _independent(tables: ErrorTables, run: bool) -> Array:
+    """Covariance of nodes that are taken as independent, of u or of u_run."""
+    machine, scalars = tables.machine, {**tables.squareness, **tables.location}
+
+    def size(own: MotionTable | ScalarError) -> Array:
+        return np.atleast_1d(own.u_run if run and own.u_run is not None else own.u)
+
+    u = [size(scalars[n]) for n in machine.scalars]
+    return np.diag(np.concatenate([*u, *(size(tables.motions[m]) for m in machine.motions)]) ** 2)
 
 
-def _contained(tables: ErrorTables, extra: Mapping[str, Any]) -> str:
-    budget = extra.get('budget')
-    if not isinstance(budget, Mapping) or not isinstance(budget.get('not_stated'), list):
+def _contained(content: CalibrationDocument) -> str:
+    """What u holds, in words."""
+    if content.headline is None:
         return 'the contributions in the tables, which their file does not state'
-    missing = ', '.join(map(str, budget['not_stated']))
-    if not missing:
-        return 'noise, misfit and the declared systematic contributions'
-    if tables.machine.uncertainty is None:
-        return 'noise and misfit only, no systematic contribution'
-    return f'noise, misfit and what was declared, but not: {missing}'
+    return f'noise, misfit; {content.headline.label}'
 
 
-def _not_seen(tables: ErrorTables, extra: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of motions and squareness errors that the data did not see."""
-    listed = extra.get('not_identifiable')
-    machine = tables.machine
-    squareness = [n for n in machine.squareness if isinstance(listed, list) and n in listed]
-    location = [n for n in machine.location if not tables.location[n].identifiable]
-    motions = (m for m in machine.motions if not tables.motions[m].identifiable)
-    return (*squareness, *location, *motions)
+def _not_seen(content: CalibrationDocument) -> tuple[str, ...]:
+    """Names of motions, squareness and location errors that the data did not see."""
+    scalars = {**content.squareness, **content.location}
+    hidden = {n for n, own in scalars.items() if not own.identifiable}
+    names = [n for n in scalars if n in hidden or n in content.not_identifiable]
+    return (*names, *(m for m, own in content.motions.items() if not own.identifiable))
 
 
 def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
@@ -231,44 +237,6 @@ def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
             f'target_offset: {offset.tolist()} m is not a plausible tool length; unit is m'
         )
     return offset
-
-
-def prior_from_dict(data: Any, where: str) -> dict[str, float]:
-    """Read the block ``prior`` of an error_tables.json.
-
-    Parameters
-    ----------
-    data : object
-        None if the file holds none. Keys that are no motion and other parts are left alone: extra
-        fields are welcome.
-    where : str
-        For messages.
-
-    Returns
-    -------
-    mapping of motion to float
-        Standard deviations, m or rad; empty if there is none.
-
-    Raises
-    ------
-    ConfigError
-        Names the motion whose ``sd`` is not a number from zero on.
-    """
-    if data is None:
-        return {}
-    if not isinstance(data, Mapping):
-        raise ConfigError(f'{where}: prior: expected motions with sd')
-    sizes = {}
-    for name in (m for m in data if is_motion(m)):
-        entry = data[name]
-        value = entry.get('sd', 0.0) if isinstance(entry, Mapping) else entry
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not isinstance(entry, Mapping) or not number or not math.isfinite(value) or value < 0:
-            raise ConfigError(
-                f'{where}: prior: {name}: sd: expected a number from 0 on, got {value!r}'
-            )
-        sizes[str(name)] = float(value)
-    return sizes
 
 
 @dataclass(frozen=True)
@@ -359,13 +327,13 @@ def check_points(tables: ErrorTables, points: Array, where: str) -> list[str]:
     return notes
 
 
-def _beside(machine: Machine, points: Array) -> NDArray[np.bool_]:
+def _beside(machine: Machine, points: Array) -> Flags:
     """Which points (n,) the machine cannot reach: not zero along what it has no axis for."""
     absent = [k for k, a in enumerate(machine.point_names) if a not in machine.axis_names]
     return np.asarray(np.any(np.abs(points[:, absent]) > EDGE, axis=1))
 
 
-def _outside_note(within: NDArray[np.bool_]) -> list[str]:
+def _outside_note(within: Flags) -> list[str]:
     count = int(np.sum(~within))
     if not count:
         return []
@@ -393,7 +361,7 @@ def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, float]) -> lis
 
 
 def predict(
-    source: str | Path | TablesFile,
+    source: str | Path | CalibrationDocument,
     points: Array,
     target_offset: Array | None = None,
     where: str = 'points',
@@ -402,7 +370,7 @@ def predict(
 
     Parameters
     ----------
-    source : str, Path or TablesFile
+    source : str, Path or CalibrationDocument
         A file or what it holds, in any gauge; its covariance, if any, is used, and likewise its
         prior.
     points : ndarray, shape (n, m), m and rad
@@ -428,11 +396,13 @@ def predict(
     q = machine.axis_positions(points)
     prediction = predictor.at(q)
     within = prediction.inside & ~_beside(machine, points)
+    u, u_run = (np.where(within[:, None], own, np.nan) for own in (prediction.u, prediction.u_run))
     notes += _outside_note(within)
     notes += _unseen_note(predictor.unseen(q), predictor.prior)
     return Prediction(
         prediction.error,
-        np.where(within[:, None], prediction.u, np.nan),
+        u,
+        u_run,
         within,
         predictor.correlated,
         predictor.holds,

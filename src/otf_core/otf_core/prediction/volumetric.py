@@ -53,23 +53,6 @@ def volume_rows(tables: ErrorTables) -> Array:
     return free_rows(rows.reshape(-1, rows.shape[2]), nominal_position(tables.machine, q))
 
 
-def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
-    """Size of the error vectors that tables predict, m.
-
-    Returns
-    -------
-    dict
-        ``mean``, ``p95`` and ``max`` over ``points`` positions in the volume of the tables, its
-        best rigid motion removed.
-    """
-    error = (volume_rows(tables) @ table_values(tables)).reshape(-1, 3)
-    return {
-        'points': len(error),
-        **length_sizes(np.linalg.norm(error, axis=1)),
-        'rigid_motion': 'taken out',
-    }
-
-
 def length_sizes(length: Array) -> dict[str, float]:
     """Mean, 95 % quantile and largest of lengths (n,)."""
     return {

@@ -13,82 +13,19 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from otf_core.arrays import Array
-from otf_core.budget.typical import typical_to_dict
-from otf_core.calibration.calibration_result import (
-    COLUMNS,
-    CalibrationResult,
-    RunResult,
-    gauge_of,
-    table_cells,
-)
+from otf_core.calibration.calibration_result import COLUMNS, CalibrationResult, table_cells
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
-from otf_core.effects.stated_effect import effects_to_list
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import (
     ensure_folder,
     write_if_possible,
     write_text,
 )
-from otf_core.model.machine import SPINDLE
-from otf_core.model.motions import unit_of
-from otf_core.model.provenance import STANDARD, provenance
-from otf_core.model.tables import tables_to_dict
-from otf_core.noise.noise_model import noise_to_fields
-from otf_core.prediction.covariance import pack_covariance
-from otf_core.prediction.driven_volume import driven_volume, linear_positions
-from otf_core.prediction.volumetric import volumetric_error
-from otf_core.reports.calibration_facts import (
-    CalibrationFacts,
-    budget_lines,
-    budget_to_dict,
-    expanded_uncertainties,
-)
-from otf_core.reports.calibration_sections.error_motions import (
-    location_section,
-    motions_section,
-    nodes_section,
-    reversal_section,
-    reversal_to_dict,
-    squareness_section,
-    targets_section,
-)
-from otf_core.reports.calibration_sections.first_screen import (
-    heading,
-    limits_section,
-    overview_section,
-)
-from otf_core.reports.calibration_sections.measurement import (
-    conditions_section,
-    conventions_section,
-    data_quality_section,
-    drift_section,
-    effects_section,
-    fit_section,
-    path_section,
-    provenance_section,
-)
-from otf_core.reports.calibration_sections.uncertainty_budget import (
-    budget_section,
-    correlations_section,
-)
-from otf_core.reports.calibration_sections.volumetric_error import (
-    coverage_section,
-    diagonals_section,
-    turns_section,
-    volume_section,
-)
-from otf_core.reports.certificate import certificate_html
-from otf_core.reports.page import (
-    Section,
-    page_html,
-)
+from otf_core.prediction.calibration_document import CalibrationDocument
+from otf_core.reports.calibration_page import calibration_page, certificate_page
 from otf_core.reports.residual_files import (
     RESIDUALS_FILE,
     RESIDUALS_TEXT,
@@ -98,137 +35,13 @@ from otf_core.reports.residual_files import (
 )
 from otf_core.threads import limit_to_one_thread
 
-SECTIONS: tuple[Callable[[CalibrationFacts], Section | None], ...] = (
-    overview_section,
-    limits_section,
-    motions_section,
-    squareness_section,
-    location_section,
-    targets_section,
-    effects_section,
-    volume_section,
-    turns_section,
-    diagonals_section,
-    reversal_section,
-    budget_section,
-    conditions_section,
-    conventions_section,
-    path_section,
-    coverage_section,
-    correlations_section,
-    data_quality_section,
-    drift_section,
-    fit_section,
-    nodes_section,
-    provenance_section,
-)
-"""Functions of ``calibration_sections`` in the order of the report."""
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
 
 
-def calibration_sections(facts: CalibrationFacts) -> list[Section]:
-    """All sections of one calibration; pictures are drawn when a page asks for them."""
-    sections = (section(facts) for section in SECTIONS)
-    return [section for section in sections if section is not None]
-
-
-def calibration_html(facts: CalibrationFacts) -> str:
-    """Return the report as one page."""
-    return page_html(heading(facts), calibration_sections(facts))
-
-
-def result_to_dict(
-    result: CalibrationResult, verb: str = 'calibrate', facts: CalibrationFacts | None = None
-) -> dict[str, Any]:
-    """Return a calibration as plain data in the layout of error_tables.json.
-
-    ``facts`` are worked out if not given.
-    """
-    facts = facts or facts_of(result, verb)
-    data, lines, tables = tables_to_dict(result.tables), list(facts.lines), result.tables
-    entries = {**data['motions'], **data['squareness'], **data['location']}
-    for name, wide in expanded_uncertainties(tables, lines).items():
-        entries[name] |= wide
-    for name, need in result.advice.items():
-        entries[name]['needs'] = need
-    lags = {one.axis: {'unit': 's', 'value': one.value, 'u': one.u} for one in result.lags}
-    return data | {
-        'targets': {
-            name: {'link': own.link, 'place': own.place.tolist(), 'u': own.u.tolist()}
-            for name, own in result.targets.items()
-        },
-        'alignment': result.T_machine_tracker.to_dict(),
-        'tracker_link': tables.machine.tracker.link,
-        'fit': asdict(result.fit),
-        'reversal': {**reversal_to_dict(result.reversal, tables), 'lags': lags},
-        'runs': [_run_to_dict(run) for run in result.runs],
-        'run_id': result.run_id,
-        'gauge': gauge_of(tables.machine),
-        'spacing': _spacing_to_dict(result),
-        'prior': {name: {'sd': size} for name, size in result.prior.items()},
-        'covariance': pack_covariance(result.covariance, tables.machine),
-        **budget_to_dict(tables, result.budget, lines),
-        'driven': driven_volume(
-            _linear_positions(result), result.config.corner_exclusion + result.config.piece_length
-        ).to_dict(),
-        'typical_systematic': typical_to_dict(result.typical),
-        'not_identifiable': list(result.not_identifiable),
-        'effects': effects_to_list(result.effects),
-        'effects_sentence': result.effects_sentence,
-        'warnings': list(result.warnings),
-        'failed_gates': list(result.failed_gates),
-        'verdicts': result.verdicts.to_dict(),
-        'headline': result.headline.to_dict(),
-        'target_offset_bound': result.offset_bound.to_dict(),
-        'config': asdict(result.config),
-        'volumetric_error': volumetric_error(tables),
-        'provenance': dict(facts.provenance),
-    }
-
-
-def _linear_positions(result: CalibrationResult) -> Array:
-    """Positions (n, 3) of the linear axes at the pieces; of reflectors in the spindle if any."""
-    targets = result.tables.machine.targets
-    spindle = np.concatenate(
-        [np.array([targets[p.target].link == SPINDLE for p in run.parts])[run.part]
-         for run in result.runs]
-    )  # fmt: skip
-    q = np.concatenate([run.q for run in result.runs])
-    return linear_positions(result.tables.machine, q[spindle] if spindle.any() else q)
-
-
-def _run_to_dict(run: RunResult) -> dict[str, Any]:
-    return {
-        'name': run.name,
-        'target_offset': run.target_offset.tolist(),
-        'parts': [asdict(part) for part in run.parts],
-        'alignment': run.T_machine_tracker.to_dict(),
-        'coverage': run.coverage,
-        'samples': run.samples,
-        'pieces': len(run.pieces),
-        'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
-        'noise': noise_to_fields(run.noise),
-        'misfit': asdict(run.misfit),
-    }
-
-
-def _spacing_to_dict(result: CalibrationResult) -> dict[str, Any]:
-    """Spacing of the nodes, and what straight lines between them cost: wished for and taken."""
-    costs = [
-        {
-            'fraction': fraction,
-            'grid': cost.grid,
-            'motions': {n: {'unit': unit_of(n), 'rms': v} for n, v in cost.motions.items()},
-        }
-        for fraction, cost in sorted(result.table_costs.items())
-    ]
-    return {'table_pitch_over': result.fraction, 'cost': costs}
-
-
-def _rows_csv(result: CalibrationResult) -> str:
+def _rows_csv(document: CalibrationDocument) -> str:
     """All nodes and scalars as text, a row each; a cell is empty where there is nothing."""
 
     def cell(value: object) -> str:
@@ -238,7 +51,7 @@ def _rows_csv(result: CalibrationResult) -> str:
             return ''
         return str(value).lower() if isinstance(value, bool) else f'{value}'
 
-    rows = [','.join(map(cell, row)) for row in table_cells(result)]
+    rows = [','.join(map(cell, row)) for row in table_cells(document)]
     return '\n'.join([','.join(('motion', *COLUMNS[1:])), *rows]) + '\n'
 
 
@@ -246,13 +59,11 @@ def _rows_csv(result: CalibrationResult) -> str:
 def write_calibration(
     result: CalibrationResult,
     folder: str | Path,
-    verb: str = 'calibrate',
     *,
     residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = True,
-    facts: CalibrationFacts | None = None,
     missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write all files of a calibration, the most important first.
@@ -261,8 +72,6 @@ def write_calibration(
     ----------
     folder : str or Path
         Made if missing; files of the same names are replaced.
-    verb : str
-        Command that the files come from.
     residuals : bool
         Write residuals.npz.
     residuals_csv : bool
@@ -271,8 +80,6 @@ def write_calibration(
         Write report.html.
     certificate : bool
         Write certificate.html if machine.yaml has a section ``certificate``.
-    facts : CalibrationFacts, optional
-        Worked out if not given.
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json
         never is.
@@ -283,17 +90,19 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    facts = facts or facts_of(result, verb)
-    data = result_to_dict(result, verb, facts)
-    write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
+    text = json.dumps(result.to_dict(), indent=1, allow_nan=False)
+    write_text(folder / TABLES_FILE, text + '\n')
+    data = json.loads(text)
     wanted: dict[str, Callable[[], object]] = {
-        'error_tables.csv': lambda: write_text(folder / 'error_tables.csv', _rows_csv(result)),
+        'error_tables.csv': lambda: write_text(
+            folder / 'error_tables.csv', _rows_csv(result.document)
+        ),
     }
     if report:
-        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_html(facts))
+        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, calibration_page(data))
     if certificate and result.tables.machine.stated.certificate:
         wanted[CERTIFICATE_FILE] = lambda: write_text(
-            folder / CERTIFICATE_FILE, certificate_html(facts)
+            folder / CERTIFICATE_FILE, certificate_page(data)
         )
     if residuals:
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
@@ -320,18 +129,6 @@ def write_calibration(
     return files
 
 
-def facts_of(result: CalibrationResult, verb: str = 'calibrate') -> CalibrationFacts:
-    """What a report is made of."""
-    about = provenance(
-        verb,
-        method=result.method,
-        runs=result.origin,
-        coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
-    )
-    lines = budget_lines(result.tables, result.budget_with_typical, result.not_identifiable)
-    return CalibrationFacts(result, tuple(lines), about)
-
-
 def _write_effects(result: CalibrationResult, folder: Path) -> list[Path]:
     """Write what was taken off: of the first run, and of others where it differs."""
     files, first = list[Path](), result.applied[0] if result.applied else ()
@@ -354,6 +151,6 @@ def write_later(result: CalibrationResult, folder: Path, name: str) -> None:
         pairs.append((result.uncorrected, folder / PLAIN_FOLDER))
     for one, place in pairs:
         if name == REPORT_FILE:
-            write_text(place / REPORT_FILE, calibration_html(facts_of(one)))
+            write_text(place / REPORT_FILE, calibration_page(read_json(place / TABLES_FILE)))
         else:
             write_residuals(residual_arrays(one.runs), place)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf compare`` writes: page, comparison.json, text.
+"""What ``otf compare`` writes and says: comparison.json, and page and text from it.
 
 Figures are one for each motion (paper Figures 6 to 8) and one of the volume (Figure 9).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,42 +16,27 @@ from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder
 from otf_core.model.evaluation import mean_length
+from otf_core.model.expanded import micro_unit
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
-from otf_core.reports.drawing.panel import (
-    LEVELS,
-    Bar,
-    Panel,
-    Scale,
-    bars,
-    heat_classes,
-    heat_key,
-    heat_step,
-    scale_around,
-)
-from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
-from otf_core.reports.drawing.style import text
-from otf_core.reports.page import (
-    Heading,
-    Picture,
-    Section,
+from otf_core.reports.calibration_errors import arrow_items
+from otf_core.reports.charts import Bar, Panel, Scale, bars, heat_key, heat_step, scale_around
+from otf_core.reports.rendering import (
     State,
-    Table,
+    columns_to_text,
     micro,
-    micro_unit,
-    page_html,
     place,
-    table_to_text,
+    render,
     write_result,
 )
+from otf_core.reports.scene import box, magnification, scene
 
 HISTOGRAM_BINS = 31
 ARROW_SHARE = 0.12
 """Length of the longest arrow, share of the longest edge."""
 MOST_ARROWS = 343
 """About; of more points only some are drawn."""
-BANDS = f'Bands: U (k = {COVERAGE_FACTOR:g}), pointwise.'
 AGREEING_SHARE = 0.95
 """Share of normalised errors up to 1 from which two sources agree: that of their coverage."""
 ROW_WORDS = (
@@ -64,185 +49,12 @@ CONVENTION = (
     'zero at both ends of the common range; squareness contains what this removes from them'
 )
 LINES = 'location errors contain the least-squares line of the motions of rotary axes'
-
-
-def _convention(result: Comparison) -> str:
-    return f'{CONVENTION}; {LINES}' if result.common.machine.location else CONVENTION
-
-
-def _along(result: Comparison, name: str) -> tuple[Array, str]:
-    """Positions of a motion as they are shown, and their unit."""
-    turns = result.common.machine.axes[name[-1]].rotary
-    scale, unit = (np.degrees(1.0), 'deg') if turns else (1e3, 'mm')
-    return scale * result.errors[name].position, unit
-
-
-def motion_panel(result: Comparison, name: str, *, difference: bool = False) -> str:
-    """One motion of both sides, or their difference, with U as bands."""
-    pair, k = result.errors[name], 1e6 * COVERAGE_FACTOR
-    sides = [(1e6 * pair.a, k * pair.u_a, 'after'), (1e6 * pair.b, k * pair.u_b, 'before')]
-    if difference:
-        wide = k * np.hypot(pair.u_a, pair.u_b)
-        sides = [(0.0 * wide, wide, 'noise'), (1e6 * pair.difference, 0.0 * wide, 'ink')]
-    reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
-    (x, unit), label = _along(result, name), f'{name}, b - a' if difference else name
-    micro_name = micro_unit(unit_of(name)).replace('u', '\N{MICRO SIGN}', 1)
-    scale = scale_around(np.concatenate(reach), f'{label} ({micro_name})')
-    panel = Panel(Scale(float(x[0]), float(x[-1]), f'{name[-1]} ({unit})'), scale)
-    marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides if kind != 'ink']
-    marks += [panel.line(x, v, kind) for v, _, kind in sides if kind != 'noise']
-    if difference:
-        marks += [panel.level(0.0, 'soft'), panel.dots(x, 1e6 * pair.difference, 'ink')]
-    return panel.draw(marks, f'{label} of both', label)
-
-
-def difference_histogram(values: Array, reach: float, axis: str) -> str:
-    """Differences (n,), um, along an axis, on a scale up to ``reach``."""
-    edges = np.linspace(-1.02 * reach, 1.02 * reach, HISTOGRAM_BINS + 1)
-    share = 100.0 * np.histogram(values, edges)[0] / len(values)
-    panel = Panel(
-        Scale(-1.02 * reach, 1.02 * reach, f'b - a along {axis} (µm)'),
-        scale_around(share, 'share of points (%)', zero=True),
-    )
-    heading = f'along {axis}: standard deviation {values.std():.2f} µm'
-    marks = [panel.columns(edges, share, 'noise')]
-    return panel.draw(marks, f'difference along {axis}', heading)
-
-
-def _vectors(result: Comparison) -> tuple[str, str]:
-    """Differences in the volume, coloured by length in classes, and the key of the colours."""
-    step = max(1, len(result.volume.position) // MOST_ARROWS)
-    points, field = result.volume.position[::step], result.volume.difference[::step]
-    low, high = points.min(axis=0), points.max(axis=0)
-    length = np.linalg.norm(field, axis=1)
-    shown = magnification(float(length.max()), ARROW_SHARE * float((high - low).max()))
-    size = heat_step(1e6 * length)
-    classes = heat_classes(1e6 * length, size)
-    items: list[Item] = box(low, high)
-    for level in range(LEVELS):
-        own = classes == level
-        if own.any():
-            ends = np.stack([points[own], points[own] + shown.factor * field[own]], axis=1)
-            items.append(Strokes(f'heat thin h{level}', ends, arrows=True))
-    drawn = scene(items, low, high, 'error vectors in the volume', turns=False, shown=shown)
-    return drawn, heat_key(size, 1e6 * float(length.max()), 'µm')
-
-
-def _known(normalised: Array) -> Array:
-    return np.asarray(normalised[np.isfinite(normalised)])
-
-
-def comparison_html(result: Comparison, date: str) -> str:
-    """Return the page; ``date`` says when this was written."""
-    words = f'{_convention(result)}.'
-    words = words[:1].upper() + words[1:]
-    sections = [
-        _overview_section(result),
-        Section('errors', 'Error by error', (f'{ROW_WORDS}.',), tables=(_table(result),)),
-        Section('motions', 'Error motions of both', (words,),
-                draw=lambda: _motion_pictures(result)),
-        Section('volume', 'Differences in the volume', draw=lambda: _volume_pictures(result)),
-    ]  # fmt: skip
-    return page_html(_comparison_heading(result, date), sections)
-
-
-def _comparison_heading(result: Comparison, date: str) -> Heading:
-    a, b = result.names
-    normalised = _known(np.concatenate([p.normalised for p in result.errors.values()]))
-    sizes = _sizes(result)
-    what = 'mean length of the difference; rigid motion removed'
-    tiles = [
-        (f'a: {a}', f'{micro(sizes["mae_a"])} um', 'mean error in the volume'),
-        (f'b: {b}', f'{micro(sizes["mae_b"])} um', 'mean error in the volume'),
-        ('b - a', f'{micro(sizes["mae_difference"])} um', what),
-    ]
-    badge = State('no uncertainty stated', 'open')
-    sentence = f'They differ by {micro(sizes["mae_difference"])} um on average in the volume.'
-    if normalised.size:
-        share = agreement(normalised)
-        good = share >= AGREEING_SHARE
-        badge = State('agree within U', 'good') if good else State('differ beyond U', 'bad')
-        sentence += (
-            f' {100 * share:.0f} % of the values agree within their expanded uncertainties '
-            f'(E_n up to 1), the largest E_n is {normalised.max():.2f}.'
-        )
-        tiles.append(('E_n up to 1', f'{100 * share:.0f} %', f'of {normalised.size} values'))
-    title, machine = f'Comparison of {a} and {b}', result.common.machine.name
-    return Heading(title, sentence, (badge,), tuple(tiles), f'{machine}, {title}, {date}')
-
-
-def _overview_section(result: Comparison) -> Section:
-    def draw() -> Sequence[Picture]:
-        arrows, key = _vectors(result)
-        rows = [_agreement_bar(n, _known(p.normalised)) for n, p in result.errors.items()]
-        what = 'Left: difference b minus a of the error vectors.'
-        if not any(row.parts for row in rows):
-            return [Picture((arrows,), what, key=key)]
-        caption = f'{what} Right: largest E_n of each error; stroke: 1, the limit of agreement.'
-        return [Picture((arrows, bars(rows, 'largest E_n', width=480.0)), caption, 2, key=key)]
-
-    words = tuple(f'{line[:1].upper()}{line[1:]}.' for line in remarks_on(result))
-    return Section('overview', '', words, draw=draw)
-
-
-def _agreement_bar(name: str, known: Array) -> Bar:
-    if not known.size:
-        return Bar(name, (), 'no uncertainty')
-    worst = float(known.max())
-    kind = 'good' if worst <= 1.0 else 'bad'
-    return Bar(name, ((worst, kind),), f'{worst:.2f}', 1.0)
-
-
 HEAD = ('Error', 'Unit', 'Largest |b - a|', 'at', 'a', 'b', 'U of a', 'U of b', 'Largest E_n',
         'E_n up to 1')  # fmt: skip
 
 
-def _table(result: Comparison) -> Table:
-    """A row of each error."""
-    rows: list[tuple[str | State, ...]] = []
-    for name, pair in result.errors.items():
-        known, difference = _known(pair.normalised), np.abs(pair.difference)
-        worst, at = int(difference.argmax()), ''
-        if pair.position.size:
-            x, unit = _along(result, name)
-            at = f'{x[worst]:.{2 if unit == "deg" else 1}f} {unit}'
-        sizes = (float(np.ptp(v) if pair.position.size else v[0]) for v in (pair.a, pair.b))
-        wide = (COVERAGE_FACTOR * float(u.max()) for u in (pair.u_a, pair.u_b))
-        state = State('no uncertainty')
-        if known.size:
-            share = agreement(known)
-            state = State(f'{100 * share:.0f} %', 'good' if share >= AGREEING_SHARE else 'bad')
-        rows.append((
-            name, micro_unit(unit_of(name)), micro(float(difference[worst])), at,
-            *map(micro, sizes), *(micro(u) if u > 0 else '-' for u in wide),
-            f'{known.max():.2f}' if known.size else '-', state,
-        ))  # fmt: skip
-    return Table(HEAD, tuple(rows), numbers=tuple(range(2, 9)), stacked=True)
-
-
-def _motion_pictures(result: Comparison) -> Sequence[Picture]:
-    (a, b), motions = result.names, result.common.motions
-    key = ''.join(
-        f'<span class="{kind}-key"><span class="key"></span>{text(label)}</span> '
-        for kind, label in (('after', f'a: {a}'), ('before', f'b: {b}'))
-    )
-    legend = f'<p class="soft keys">{key}</p>'
-    return [
-        Picture(tuple(motion_panel(result, m) for m in motions), BANDS, 3, key=legend),
-        Picture(tuple(motion_panel(result, m, difference=True) for m in motions),
-                'Line: b minus a; grey: U of the difference.', 3, 'Differences'),
-    ]  # fmt: skip
-
-
-def _volume_pictures(result: Comparison) -> Sequence[Picture]:
-    difference = 1e6 * result.volume.difference
-    reach = float(np.abs(difference).max()) or 1.0
-    panels = tuple(difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3))
-    drawn, key = _vectors(result)
-    return [
-        Picture(panels, 'Share of points by the difference along X, Y and Z.', 3),
-        Picture((drawn,), 'Vectors of the difference, colour by length.', key=key),
-    ]
+def _convention(result: Comparison) -> str:
+    return f'{CONVENTION}; {LINES}' if result.common.machine.location else CONVENTION
 
 
 def _number(value: float) -> float | None:
@@ -275,19 +87,23 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             **{k: v.tolist() for k, v in columns.items()},
             'normalised_error': normalised,
             'largest_difference': float(np.abs(pair.difference).max()),
-            'largest_normalised_error': max(_known(pair.normalised).tolist(), default=None),
+            'largest_normalised_error': max(
+                [v for v in normalised if v is not None], default=None
+            ),
             'within': _number(agreement(pair.normalised)),
         }
     data: dict[str, Any] = {
         'schema': SCHEMA,
         'a': result.names[0],
         'b': result.names[1],
+        'machine': common.machine.name,
         'convention': _convention(result),
         'counted_as_translations': list(common.folded),
         'without_uncertainty': list(result.without_u),
         'translations_apart_by': list(common.apart),
         'not_compared': dict(common.not_compared),
         'target_offsets': [offset.tolist() for offset in result.offsets],
+        'remarks': remarks_on(result),
         'motions': motions,
         'squareness': {n: v for n, v in scalars.items() if n in machine.squareness},
         'location': {n: v for n, v in scalars.items() if n in machine.location},
@@ -299,33 +115,13 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             'standard_deviation': dict(zip(XYZ, difference.std(axis=0).tolist(), strict=True)),
             'within': _number(agreement(volume.normalised)),
             'coverage_factor': COVERAGE_FACTOR,
+            'position': np.round(volume.position, 6).tolist(),
+            'difference': np.round(volume.difference, 10).tolist(),
         },
     }
     if set(machine.squareness) <= set(scalars):
         data['volume_with_squareness'] = _sizes(result)
     return data
-
-
-def format_comparison(result: Comparison) -> str:
-    """Return the text for a terminal."""
-    a, b = result.names
-    volume, sizes = result.volume, _sizes(result)
-    share = agreement(volume.normalised)
-    within = '-' if np.isnan(share) else f'{100 * share:.0f} %'
-    lines = [
-        f'a: {a}',
-        f'b: {b}',
-        f'{_convention(result)}; {ROW_WORDS}.',
-        '',
-        *table_to_text(_table(result)),
-        *remarks_on(result),
-        '',
-        f'volume, {len(volume.position)} points, without rigid motion: mean error '
-        f'a {1e6 * sizes["mae_a"]:.2f} um, b {1e6 * sizes["mae_b"]:.2f} um, '
-        f'b - a {1e6 * sizes["mae_difference"]:.2f} um; E_n <= 1 for {within} of the components'
-        + (', since neither source states an uncertainty' if within == '-' else ''),
-    ]  # fmt: skip
-    return '\n'.join(lines)
 
 
 def remarks_on(result: Comparison) -> list[str]:
@@ -357,16 +153,153 @@ def remarks_on(result: Comparison) -> list[str]:
     return lines
 
 
+# The page and the text of a comparison.json.
+
+
+def _errors(doc: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Entries of all errors, motions first."""
+    return {**doc['motions'], **doc['squareness'], **doc['location']}
+
+
+def _known(entry: Mapping[str, Any]) -> list[float]:
+    """Normalised errors of an entry, those without an uncertainty left out."""
+    every = entry['normalised_error']
+    return [v for v in (every if isinstance(every, list) else [every]) if v is not None]
+
+
+def _along(entry: Mapping[str, Any]) -> tuple[Array, str]:
+    """Positions of a motion as they are shown, and their unit."""
+    turns = entry['position_unit'] == 'rad'
+    return np.array(entry['position']) * (np.degrees(1.0) if turns else 1e3), (
+        'deg' if turns else 'mm'
+    )
+
+
+def motion_chart(name: str, entry: Mapping[str, Any], *, difference: bool = False) -> str:
+    """One motion of both sides, or their difference, with U as bands."""
+    a, b = (1e6 * np.array(entry[k]) for k in 'ab')
+    u_a, u_b = (1e6 * COVERAGE_FACTOR * np.array(entry[f'u_{k}']) for k in 'ab')
+    sides = [(a, u_a, 'after'), (b, u_b, 'before')]
+    if difference:
+        sides = [(0.0 * a, np.hypot(u_a, u_b), 'noise'), (b - a, 0.0 * a, 'ink')]
+    reach = [end for value, wide, _ in sides for end in (value - wide, value + wide)]
+    (x, unit), label = _along(entry), f'{name}, b - a' if difference else name
+    micro_name = micro_unit(entry['unit']).replace('u', '\N{MICRO SIGN}', 1)
+    scale = scale_around(np.concatenate(reach), f'{label} ({micro_name})')
+    panel = Panel(Scale(float(x[0]), float(x[-1]), f'{name[-1]} ({unit})'), scale)
+    marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides if kind != 'ink']
+    marks += [panel.line(x, v, kind) for v, _, kind in sides if kind != 'noise']
+    if difference:
+        marks += [panel.level(0.0, 'soft'), panel.dots(x, b - a, 'ink')]
+    return panel.draw(marks, f'{label} of both', label)
+
+
+def histogram_charts(doc: Mapping[str, Any]) -> list[str]:
+    """Share of points by the difference along X, Y and Z."""
+    difference = 1e6 * np.array(doc['volume']['difference'])
+    reach = 1.02 * (float(np.abs(difference).max()) or 1.0)
+    edges, charts = np.linspace(-reach, reach, HISTOGRAM_BINS + 1), []
+    for values, axis in zip(difference.T, XYZ, strict=True):
+        share = 100.0 * np.histogram(values, edges)[0] / len(values)
+        panel = Panel(Scale(-reach, reach, f'b - a along {axis} (µm)'),
+                      scale_around(share, 'share of points (%)', zero=True))  # fmt: skip
+        heading = f'along {axis}: standard deviation {values.std():.2f} µm'
+        marks = [panel.columns(edges, share, 'noise')]
+        charts.append(panel.draw(marks, f'difference along {axis}', heading))
+    return charts
+
+
+def vector_chart(doc: Mapping[str, Any]) -> tuple[str, str]:
+    """Differences in the volume, coloured by length in classes, and the key of the colours."""
+    points, field = (np.array(doc['volume'][k]) for k in ('position', 'difference'))
+    step = max(1, len(points) // MOST_ARROWS)
+    points, field = points[::step], field[::step]
+    low, high = points.min(axis=0), points.max(axis=0)
+    length = np.linalg.norm(field, axis=1)
+    shown = magnification(float(length.max()), ARROW_SHARE * float((high - low).max()))
+    size = heat_step(1e6 * length)
+    items = [*box(low, high), *arrow_items(points, field, size, shown, 'heat thin')]
+    drawn = scene(items, low, high, 'error vectors in the volume', turns=False, shown=shown)
+    return drawn, heat_key(size, 1e6 * float(length.max()), 'µm')
+
+
+def agreement_chart(doc: Mapping[str, Any]) -> str:
+    """Largest E_n of each error; empty where no uncertainty is stated."""
+    worst = {name: max(_known(entry), default=None) for name, entry in _errors(doc).items()}
+    if not any(v is not None for v in worst.values()):
+        return ''
+    rows = [
+        Bar(name, (), 'no uncertainty')
+        if v is None
+        else Bar(name, ((v, 'good' if v <= 1.0 else 'bad'),), f'{v:.2f}', 1.0)
+        for name, v in worst.items()
+    ]
+    return bars(rows, 'largest E_n', width=480.0)
+
+
+def error_row(name: str, entry: Mapping[str, Any]) -> tuple[str | State, ...]:
+    """Row of an error under ``HEAD``."""
+    a, b, u_a, u_b = (np.atleast_1d(entry[k]) for k in ('a', 'b', 'u_a', 'u_b'))
+    known, difference, at = _known(entry), np.abs(b - a), ''
+    worst, motion = int(difference.argmax()), 'position' in entry
+    if motion:
+        x, unit = _along(entry)
+        at = f'{x[worst]:.{2 if unit == "deg" else 1}f} {unit}'
+    state = State('no uncertainty')
+    if known:
+        share = agreement(np.array(known))
+        state = State(f'{100 * share:.0f} %', 'good' if share >= AGREEING_SHARE else 'bad')
+    return (
+        name, micro_unit(entry['unit']), micro(float(difference[worst])), at,
+        *(micro(float(np.ptp(v) if motion else v[0])) for v in (a, b)),
+        *(micro(COVERAGE_FACTOR * float(u.max())) if u.max() > 0 else '-' for u in (u_a, u_b)),
+        f'{max(known):.2f}' if known else '-', state,
+    )  # fmt: skip
+
+
+def comparison_pages(doc: Mapping[str, Any]) -> dict[str, str]:
+    """Return the page of a comparison.json."""
+    known = np.array([v for entry in _errors(doc).values() for v in _known(entry)])
+    share, (arrows, key) = agreement(known) if known.size else None, vector_chart(doc)
+    badge = State('no uncertainty stated', 'open')
+    if share is not None:
+        good = share >= AGREEING_SHARE
+        badge = State('agree within U', 'good') if good else State('differ beyond U', 'bad')
+    page = render(
+        'comparison.html.j2', d=doc, badges=[badge], share=share, values=known,
+        arrows=arrows, key=key, agreement_chart=agreement_chart(doc), head=HEAD,
+        rows=[error_row(n, e) for n, e in _errors(doc).items()], row_words=ROW_WORDS,
+        motion_charts=[motion_chart(n, e) for n, e in doc['motions'].items()],
+        difference_charts=[motion_chart(n, e, difference=True) for n, e in doc['motions'].items()],
+        histograms=histogram_charts(doc),
+    )  # fmt: skip
+    return {'report.html': page}
+
+
+def format_comparison(doc: Mapping[str, Any]) -> str:
+    """Return the text for a terminal."""
+    volume = doc['volume']
+    within = '-' if volume['within'] is None else f'{100 * volume["within"]:.0f} %'
+    a, b, change = (f'{1e6 * volume[f"mae_{k}"]:.2f} um' for k in ('a', 'b', 'difference'))
+    lines = [
+        f'a: {doc["a"]}',
+        f'b: {doc["b"]}',
+        f'{doc["convention"]}; {ROW_WORDS}.',
+        '',
+        *columns_to_text(HEAD, [error_row(n, e) for n, e in _errors(doc).items()]),
+        *doc['remarks'],
+        '',
+        f'volume, {volume["points"]} points, without rigid motion: mean error a {a}, b {b}, '
+        f'b - a {change}; E_n <= 1 for {within} of the components'
+        + (', since neither source states an uncertainty' if within == '-' else ''),
+    ]
+    return '\n'.join(lines)
+
+
 def write_comparison(
     result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write report.html and comparison.json.
-
-    Parameters
-    ----------
-    about : mapping, optional
-        Block ``provenance`` of comparison.json.
-    """
+    """Write report.html and comparison.json, with ``about`` as its provenance."""
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
-    page = comparison_html(result, str(data['provenance']['written']))
+    page = comparison_pages(data)['report.html']
     return write_result(ensure_folder(folder), 'comparison', page, data)

@@ -1,77 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf diagnose`` writes: the report of its sections, gap.json, what causes do to tables."""
+"""What ``otf diagnose`` writes: gap.json with page and text from it, and corrected tables."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from otf_core.aside import share_out
+from otf_core.calibration.document import driven_run
 from otf_core.diagnosis.answer import measured_run
-from otf_core.diagnosis.result import Diagnosis
+from otf_core.diagnosis.cause_parameters import CauseSize
+from otf_core.diagnosis.corrected_calibration import in_reversal_tables
+from otf_core.diagnosis.place.views import gap_views
+from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.effects import EVERY, BelongsTo
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.expanded import COVERAGE_FACTOR, quantity
+from otf_core.model.machine import machine_from_dict
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.gap_sections.overview import (
-    causes_section,
-    conditions_section,
-    functions_section,
-    heading,
-    hidden_section,
-    next_section,
-    overview_section,
-    unexplained_section,
-    where_section,
+from otf_core.reports.calibration_measurement import run_tables, stated_tables
+from otf_core.reports.gap_charts import (
+    DRAWN_RUNS,
+    curve_chart,
+    gap_chart,
+    group_chart,
+    separating_charts,
+    spectrum_chart,
+    state_labels,
+    time_charts,
+    volume_charts,
 )
-from otf_core.reports.gap_sections.residual_views import (
-    beam_section,
-    frequency_section,
-    place_section,
-    time_section,
-    travel_section,
-)
-from otf_core.reports.page import Section, page_html, sections_to_text
+from otf_core.reports.rendering import State, join_names, render
 from otf_core.threads import limit_to_one_thread
 
-SECTIONS: tuple[Callable[[Diagnosis], Section], ...] = (
-    overview_section,
-    causes_section,
-    functions_section,
-    where_section,
-    unexplained_section,
-    hidden_section,
-    next_section,
-    time_section,
-    place_section,
-    travel_section,
-    beam_section,
-    frequency_section,
-    conditions_section,
-)
-"""Functions of ``gap_sections`` in the order of the report."""
 SCHEMA = 'otf-gap/1'
 REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
 """Name of the report; beside error_tables.json there is one of the calibration already."""
-
-
-def gap_sections(diagnosis: Diagnosis) -> list[Section]:
-    """All sections of one diagnosis; pictures are drawn when a page asks for them."""
-    sections = [section(diagnosis) for section in SECTIONS]
-    return [s for s in sections if s.title or s.words or s.tables or s.text]
-
-
-def report_html(diagnosis: Diagnosis) -> str:
-    """Return the report as one page."""
-    return page_html(heading(diagnosis), gap_sections(diagnosis))
-
-
-def format_diagnosis(diagnosis: Diagnosis) -> str:
-    """Return the text for a terminal."""
-    return sections_to_text(gap_sections(diagnosis))
+CONFIDENCE_WORDS = (
+    (0.99, 'practically certain'),
+    (0.95, 'very likely'),
+    (0.8, 'likely'),
+    (0.5, 'more likely than not'),
+    (0.0, 'doubtful'),
+)
+SHOWN_PARAMETERS, DRAWN_CURVES = 8, 6
+"""Of longer lists the most significant parameters are shown, and the largest curves."""
+VERDICTS = {
+    'none': State('no gap', 'good'),
+    'explained': State('explained', 'good'),
+    'partly_explained': State('partly explained', 'open'),
+    'unknown': State('cause unknown', 'bad'),
+}
 
 
 def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -96,6 +82,15 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'smallest_found_um': dict(diagnosis.smallest_found_um),
         'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
         'reversal': diagnosis.reversal.model,
+        'reversal_holds': [
+            w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))
+        ],
+        'machine': diagnosis.machine.to_dict(),
+        'conditions': dict(diagnosis.shown.conditions),
+        'calibration_runs': [driven_run(run) for run in diagnosis.calibration.plain.runs],
+        'views': gap_views(
+            diagnosis.shown.views, bool(diagnosis.causes), diagnosis.where.grouping or ''
+        ),
         'run_id': diagnosis.calibration.plain.run_id,
         'provenance': provenance(
             'diagnose',
@@ -104,6 +99,265 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
             coverage=f'{STANDARD}; intervals: 95 %',
         ),
     }
+
+
+def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
+    """What the reversal tables of the calibration hold of a cause; empty of any other."""
+    known = EVERY.get(cause.effect)
+    if known is None or known.belongs_to is not BelongsTo.REVERSAL:
+        return ''
+    held = in_reversal_tables(diagnosis.reversal, cause.axes)
+    name = effect_name(cause.effect)
+    return f'The reversal tables of the calibration contain {name} as well{held}.' if held else ''
+
+
+def effect_name(effect: str) -> str:
+    """Name of an effect in words."""
+    return effect.replace('_', ' ')
+
+
+def effect_cause(effect: str) -> str:
+    """What causes an effect; empty for a name that is not in the catalogue."""
+    known = EVERY.get(effect)
+    return known.cause if known else ''
+
+
+def effect_meaning(effect: str) -> tuple[str, str]:
+    """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
+    known = EVERY.get(effect)
+    return (known.equation, known.coefficients) if known else ('', '')
+
+
+def confidence_words(confidence: float) -> str:
+    """Confidence in words and as a number."""
+    word = next(word for least, word in CONFIDENCE_WORDS if confidence >= least)
+    number = '>\u00a099.9\u00a0%' if confidence > 0.999 else f'{100 * confidence:.3g}\u00a0%'
+    return f'{word} ({number})'
+
+
+def shown_parameters(cause: Mapping[str, Any]) -> tuple[list[str], int, int]:
+    """Estimated parameters worth showing; how many more are significant, and how many are not.
+
+    Significant is what is larger than its expanded uncertainty.
+    """
+
+    def strength(name: str) -> float:
+        u = cause['u'][name]
+        return abs(cause['parameters'][name]) / u if u > 0 else math.inf
+
+    estimated = [n for n in cause['parameters'] if n in cause['u']]
+    significant = [n for n in estimated if strength(n) > COVERAGE_FACTOR]
+    strongest = set(sorted(significant, key=strength, reverse=True)[:SHOWN_PARAMETERS])
+    shown = [n for n in significant if n in strongest]
+    return shown, len(significant) - len(shown), len(estimated) - len(significant)
+
+
+def left_out_words(more: int, weak: int) -> list[str]:
+    """What is not listed of the parameters of a cause."""
+    words = [f'{more} more significant ones in gap.json'] if more else []
+    if weak:
+        verb = 'is' if weak == 1 else 'are'
+        words.append(f'{weak} further {verb} not significant (|value| < U), in gap.json')
+    return words
+
+
+def shape_words(cause: Mapping[str, Any]) -> str:
+    """Parameters that were chosen, not estimated; empty if there are none."""
+    chosen = [
+        f'{name} {quantity(value, None, cause["units"].get(name, ""))}'
+        for name, value in cause['parameters'].items()
+        if name not in cause['u']
+    ]
+    return f'chosen: {", ".join(chosen)}' if chosen else ''
+
+
+def _needed_for(effect: str) -> str:
+    known = EVERY.get(effect)
+    return known.needs if known else ''
+
+
+def next_measurements(doc: Mapping[str, Any]) -> list[str]:
+    """What to measure next, plain text, most useful first."""
+    wishes: list[tuple[str, str]] = []
+    for cause in doc['causes']:
+        rivals = cause['indistinguishable_from']
+        if rivals:
+            others = ' or '.join(r.replace('_', ' ') for r in rivals)
+            reason = f'to distinguish {effect_name(cause["effect"])} from {others}'
+            wishes += [
+                (n, reason)
+                for n in dict.fromkeys(map(_needed_for, (cause['effect'], *rivals)))
+                if n
+            ]
+    if doc['verdict'] in ('unknown', 'partly_explained'):
+        wishes.append(
+            (
+                'the same path once more, also backwards and at a second feed, and from a second '
+                'tracker place',
+                'to see whether the unexplained part depends on time, travel or tracker',
+            )
+        )
+    hidden = {effect_name(one['effect']): one['needs'] for one in doc['not_visible']}
+    wishes += [(need, name) for name, need in hidden.items()]
+    return _merged_wishes(wishes, set(hidden))
+
+
+def _merged_wishes(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
+    """One line for wishes that begin alike: what is wanted, details, what for."""
+    grouped: dict[str, tuple[list[str], list[str]]] = {}
+    for wish, reason in wishes:
+        head, *rest = re.split(r'[,;:] ', wish, maxsplit=1)
+        details, reasons = grouped.setdefault(head, ([], []))
+        details += [r for r in rest if r not in details]
+        reasons.append(reason)
+    lines = []
+    for head, (details, reasons) in grouped.items():
+        own = [r for r in reasons if r not in hidden]
+        unseen = [r for r in reasons if r in hidden]
+        if unseen:
+            own.append('to see ' + join_names(unseen))
+        detail = f' ({"; ".join(details)})' if details else ''
+        lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
+    return lines
+
+
+def describe_search(doc: Mapping[str, Any]) -> list[str]:
+    """What was looked for and how small an effect would have been seen; nothing of a cause."""
+    if doc['causes']:
+        return []
+    hidden = [one['effect'] for one in doc['not_visible']]
+    seen = {
+        effect: size for effect, size in doc['smallest_found_um'].items() if effect not in hidden
+    }
+    if not seen:
+        return []
+    order = sorted(seen, key=seen.__getitem__)
+    least, most = order[0], order[-1]
+    sizes = [f'{seen[name]:.2f} um ({effect_name(name)})' for name in (least, most)]
+    words = [
+        f'Considered: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
+        f'detected from a root mean square displacement of'
+        f' {sizes[0]} to {sizes[1]} on.'
+    ]
+    if hidden:
+        names = join_names(map(effect_name, hidden))
+        words.append(f'Not visible in these data, whatever their size: {names}.')
+    return words
+
+
+# The page and the text of a gap.json.
+
+
+def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Rank, name, axes, parameters with U, gap, confidence."""
+    about = effect_cause(cause['effect'])
+    rivals = ' or '.join(effect_name(r) for r in cause['indistinguishable_from'])
+    named = [effect_name(cause['effect']), *([about] if about else [])]
+    sure = [confidence_words(cause['confidence'])]
+    if cause['departs']:
+        named.append(f'Departs from the formula: {cause["departs"]}')
+    if rivals:
+        named.append(f'In these data indistinguishable from {rivals}')
+        sure.append('that it is one of these')
+    names, more, weak = shown_parameters(cause)
+    parameters = [
+        f'{n} {_quantity(cause, n)}'.replace('+/-', '±').replace(' ', '\u00a0') for n in names
+    ]
+    return (
+        str(rank), named, ', '.join(cause['axes']) or '–',
+        ['', *parameters, *left_out_words(more, weak), *filter(None, [shape_words(cause)])],
+        [f'{cause["before_um"]:.2f} → {cause["after_um"]:.2f}',
+         f'shrinks by {cause["shrink_percent"]:.0f} %'],
+        sure if rivals else sure[0],
+    )  # fmt: skip
+
+
+def _quantity(cause: Mapping[str, Any], name: str) -> str:
+    return quantity(cause['parameters'][name], cause['u'][name], cause['units'].get(name, ''))
+
+
+def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
+    """A cause for a terminal."""
+    axes = f' ({", ".join(cause["axes"])})' if cause['axes'] else ''
+    yield (
+        f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
+        f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %'
+    )
+    names, more, weak = shown_parameters(cause)
+    yield from (f'    {name} = {_quantity(cause, name)} (k = 2)' for name in names)
+    rest = (shape_words(cause), *left_out_words(more, weak))
+    yield from (f'    {said}' for said in rest if said)
+    if cause['departs']:
+        yield f'    departs from the formula: {cause["departs"]}'
+    if cause['indistinguishable_from']:
+        yield f'    indistinguishable from {", ".join(cause["indistinguishable_from"])}'
+
+
+def _size_tile(cause: Mapping[str, Any]) -> tuple[str, str, str]:
+    """What a cause is called, its largest size, and what kind of size it is."""
+    first, *others = (CauseSize(**size) for size in cause['sizes'])
+    more = [f'{s.of} {s.words}'.strip() for s in others]
+    remark = [first.remark, 'U, k = 2' if first.u is not None else '', *more]
+    name = f'{effect_name(cause["effect"])} {first.of}'.strip()
+    return name[:1].upper() + name[1:], first.words, '; '.join(filter(None, remark))
+
+
+def _content(doc: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        'd': doc,
+        'search': describe_search(doc),
+        'causes': [line for cause in doc['causes'] for line in cause_lines(cause)],
+    }
+
+
+def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
+    """Return the page of a gap.json."""
+    curves = [(effect_name(c['effect']), c['departs'], c['curves']) for c in doc['causes']
+              if c['curves']]  # fmt: skip
+    unnamed = doc['unnamed']
+    if unnamed is not None:
+        curves.append(('Cause without a name', '', unnamed['curves']))
+    views, provenance = doc['views'], doc['provenance']
+    measured = provenance.get('measured') or {}
+    when = [m[:19] for m in (measured.get('first'), measured.get('last')) if m]
+    groups = {
+        name: group_chart(doc, name, title)
+        for name, title in (
+            ('line_and_feed', 'residual by line and feed'),
+            ('sense', 'residual by sense'),
+            ('part', 'residual by part'),
+            ('distance', 'residual by length of the beam'),
+            ('angles', 'residual by azimuth and elevation of the beam'),
+        )
+        if name in views['groups']
+    }
+    page = render(
+        'diagnosis.html.j2',
+        badges=[VERDICTS[doc['verdict']]],
+        sized=[_size_tile(c) for c in doc['causes'][:2] if c['sizes']],
+        measured=' to '.join(f'{m}Z' for m in when),
+        where=separating_charts(doc), labels=state_labels(doc), gap_chart=gap_chart(doc),
+        rows=[cause_row(k, c) for k, c in enumerate(doc['causes'], start=1)],
+        meanings=[(effect_name(e), *effect_meaning(e)) for e in
+                  dict.fromkeys(c['effect'] for c in doc['causes']) if any(effect_meaning(e))],
+        curves=[(name, said, [curve_chart(c) for c in own[:DRAWN_CURVES]])
+                for name, said, own in curves],
+        hidden=[([effect_name(one['effect']), effect_cause(one['effect'])], one['needs'])
+                for one in doc['not_visible']],
+        measure=next_measurements(doc) or ['Nothing more is needed for this question.'],
+        time_charts=[(leg['run'], time_charts(doc, leg)) for leg in views['legs'][:DRAWN_RUNS]],
+        volume=volume_charts(doc), groups=groups,
+        spectra=[spectrum_chart(band) for band in views['bands']],
+        stated=stated_tables(machine_from_dict(doc['machine'])),
+        run_tables=run_tables({'runs': doc['calibration_runs']}),
+        **_content(doc),
+    )  # fmt: skip
+    return {REPORT_FILE: page}
+
+
+def format_diagnosis(doc: Mapping[str, Any]) -> str:
+    """Return the text for a terminal."""
+    return render('diagnosis.txt.j2', **_content(doc)).rstrip('\n')
 
 
 def effects_file(run: int) -> str:
@@ -148,13 +402,13 @@ def write_diagnosis(
             write_calibration(
                 replace(tables[name], uncorrected=None, applied=()),
                 folder / name,
-                'diagnose',
                 certificate=False,
             )
         else:
-            write_text(folder / name, report_html(diagnosis))
+            write_text(folder / name, gap_pages(content)[REPORT_FILE])
 
+    text = json.dumps(diagnosis_to_dict(diagnosis), indent=1)
+    content = json.loads(text)
     share_out(write, [report, *tables])
-    content = diagnosis_to_dict(diagnosis)
-    write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
+    write_text(folder / 'gap.json', text + '\n')
     return [*written, folder / report, folder / 'gap.json']

@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet side by side: text, fleet.json, fleet.html."""
+"""A fleet side by side: fleet.json, and page and text from it."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.machine_verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
 from otf_core.model.expanded import COVERAGE_FACTOR, figure, micro_unit, significant, with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.prediction.absorbed import offset_words
-from otf_core.reports.page import Heading, Section, State, Table, page_html
+from otf_core.prediction.calibration_document import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
+from otf_core.reports.rendering import State, render
 
 Row = list[str | State]
 STATES = {'pass': 'kept', 'fail': 'broken'}
@@ -29,51 +29,82 @@ TABLE_COLUMNS = (
     'expected after, largest U (um)', *(f'{name} (urad)' for name in SQUARENESS),
     'target offset', 'remark',
 )  # fmt: skip
+GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')
 JUDGED = {
     MEASUREMENT_FAILED: 'measurement not good',
     LIMIT_NOT_PROVEN: 'limits of the machine not proven to be met',
 }
 """What exit codes of runs say that are done."""
 UNKNOWN = 'not known'
-GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')
 
 
-def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
+def _calibration_headline(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What fleet.json repeats of an error_tables.json, SI; scalars None where not known."""
+    head, scalars = data['headline'], {}
+    for kind in ('squareness', 'location'):
+        for name, entry in data.get(kind, {}).items():
+            known = name not in data['not_identifiable']
+            own = {
+                'value': entry['value'],
+                'u': entry['u'],
+                'k': entry.get('k') or COVERAGE_FACTOR,
+            }
+            scalars[name] = own if known else None
+    return {
+        'machine': data['machine']['name'],
+        'target_offset': data['machine']['target_offset'],
+        'good': data['verdicts']['measurement']['good'],
+        'limits': data['verdicts']['machine']['state'],
+        **{key: head[key] for key in ('error', 'u', 'u_run', 'u_of_largest', 'k')},
+        'scalars': scalars,
+        'target_offset_bound': data['target_offset_bound'],
+    }
+
+
+def _gap_headline(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What fleet.json repeats of a gap.json."""
+    machines = data.get('provenance', {}).get('machines', [{}])
+    return {
+        'machine': str(machines[0].get('name', '')),
+        'verdict': data['verdict'],
+        'measured_um': data['gap']['measured_um'],
+        'simulated_um': data['gap']['simulated_um'],
+        'causes': [f'{c["effect"]} {" ".join(c.get("axes") or [])}'.strip()
+                   for c in data['causes']],
+    }  # fmt: skip
+
+
+def _calibrated(name: str, own: Mapping[str, Any], remark: str) -> Row:
     """Row of a run; location errors of rotary axes among the remarks."""
-    verdicts, machine = data['verdicts'], data['machine']
-    good, state = verdicts['measurement']['good'], verdicts['machine']['state']
-    first = data['headline']
-    wide = first['expected_after_compensation']['U']
-    words = {n: _scalar(data, n) for n in data.get('location', ())}
-    location = [f'{n} {w} {micro_unit(unit_of(n))}' for n, w in words.items() if w != UNKNOWN]
-    location += [f'{n} {w}' for n, w in words.items() if w == UNKNOWN]
-    remarks = [remark, f'location errors: {", ".join(location)}' if location else '']
+    error, k, state = own['error'], own['k'], own['limits']
+    wide = {size: k * u for size, u in own['u'].items()}
+    words = {n: _scalar(own, n) for n in own['scalars'] if n not in SQUARENESS}
+    known = [f'{n} {w} {micro_unit(unit_of(n))}' for n, w in words.items() if w != UNKNOWN]
+    known += [f'{n} {w}' for n, w in words.items() if w == UNKNOWN]
+    remarks = [remark, f'location errors: {", ".join(known)}' if known else '']
     return [
         name,
-        str(machine['name']),
-        State('good', 'good') if good else State('not good', 'bad'),
+        own['machine'],
+        State('good', 'good') if own['good'] else State('not good', 'bad'),
         State(STATES.get(state, state), MOODS.get(state, '')),
-        figure(1e6 * first['error']['mean'], 1e6 * wide['mean']),
-        with_expanded(1e6 * first['error']['max'], 1e6 * first['U_of_largest']),
+        figure(1e6 * error['mean'], 1e6 * wide['mean']),
+        with_expanded(1e6 * error['max'], 1e6 * k * own['u_of_largest']),
         significant(1e6 * wide['max']),
-        *(_scalar(data, k) for k in SQUARENESS),
-        offset_words(np.array(machine['target_offset'])),
+        *(_scalar(own, k) for k in SQUARENESS),
+        offset_words(np.array(own['target_offset'])),
         '; '.join(filter(None, remarks)),
     ]
 
 
-def _scalar(data: Mapping[str, Any], name: str) -> str:
+def _scalar(own: Mapping[str, Any], name: str) -> str:
     """Value and U of a scalar error; a star where it holds at one target offset only."""
-    kind = 'squareness' if name in SQUARENESS else 'location'
-    if name not in data[kind]:
+    if name not in own['scalars']:
         return '-'
-    if name in data['not_identifiable']:
+    entry = own['scalars'][name]
+    if entry is None:
         return UNKNOWN
-    entry, typical = data[kind][name], data.get('typical_systematic') or {}
-    u = typical.get(kind, {}).get(name, entry)['u']
-    star = '*' if name in data['target_offset_bound']['contains'] else ''
-    wide = entry.get('k', COVERAGE_FACTOR) * u
-    return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
+    star = '*' if name in own['target_offset_bound']['contains'] else ''
+    return f'{with_expanded(1e6 * entry["value"], 1e6 * entry["k"] * entry["u"])}{star}'
 
 
 def offset_remarks(bound: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -103,116 +134,75 @@ def offset_remarks(bound: Mapping[str, Mapping[str, Any]]) -> list[str]:
             f'one offset only.']  # fmt: skip
 
 
-def _diagnosed(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    gap = data['gap']
-    machines = data.get('provenance', {}).get('machines', [{}])
-    return [
-        name, str(machines[0].get('name', '')), str(data['verdict']),
-        f'{gap["measured_um"]:.2f}', f'{gap["simulated_um"]:.2f}',
-        ', '.join(cause_names(data)) or '-', remark,
-    ]  # fmt: skip
+def _diagnosed(name: str, own: Mapping[str, Any], remark: str) -> Row:
+    sizes = (f'{own[f"{kind}_um"]:.2f}' for kind in ('measured', 'simulated'))
+    return [name, own['machine'], own['verdict'], *sizes, ', '.join(own['causes']) or '-', remark]
 
 
-def cause_names(data: Mapping[str, Any]) -> list[str]:
-    """Causes of a gap.json with their axes."""
-    return [
-        f'{cause["effect"]} {" ".join(cause.get("axes") or [])}'.strip()
-        for cause in data['causes']
-    ]
-
-
-def fleet_rows(
-    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
-) -> tuple[tuple[str, ...], list[Row], list[str]]:
-    """Columns, a row per run that is done, and what many runs share.
-
-    Parameters
-    ----------
-    verb : str
-        'calibrate' or 'diagnose'.
-    outcomes : mapping of run to JobResult
-    """
-    rows: list[Row] = []
-    bound, counts = {}, Counter[str]()
-    for name, data in listed_results(verb, folder, outcomes):
-        if verb == 'calibrate':
-            rows.append(_calibrated(name, data, outcomes[name].message))
-            bound[name] = data['target_offset_bound']
-        else:
-            rows.append(_diagnosed(name, data, outcomes[name].message))
-            counts.update(set(cause_names(data)))
-    if verb == 'calibrate':
-        return TABLE_COLUMNS, rows, offset_remarks(bound)
+def fleet_rows(doc: Mapping[str, Any]) -> tuple[tuple[str, ...], list[Row], list[str]]:
+    """Columns, a row per run that is done, and what many runs share, of a fleet.json."""
+    results, runs = doc['results'], doc['runs']
+    if doc['verb'] == 'calibrate':
+        rows = [_calibrated(n, own, runs[n]['message']) for n, own in results.items()]
+        return TABLE_COLUMNS, rows, doc['warnings']
+    counts = Counter(cause for own in results.values() for cause in set(own['causes']))
     shared = [
-        f'{cause}: {count} of {len(rows)} runs'
+        f'{cause}: {count} of {len(results)} runs'
         for cause, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
         if count > 1
     ]
-    return GAP_COLUMNS, rows, shared
-
-
-def format_fleet(verb: str, outcomes: Mapping[str, JobResult]) -> str:
-    """Return the text for a terminal: counts, every run that failed, and verdicts not good."""
-    data = fleet_to_dict(verb, outcomes)
-    lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
-    lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
-    for code, verdict in JUDGED.items():
-        named = [n for n, o in outcomes.items() if o.done and o.exit == code]
-        if named:
-            lines.append(f'  {verdict}: {", ".join(named)}')
-    return '\n'.join(lines)
-
-
-def fleet_page(
-    verb: str,
-    outcomes: Mapping[str, JobResult],
-    columns: Sequence[str],
-    rows: Sequence[Row],
-    shared: Sequence[str],
-) -> str:
-    """Return the page of machines side by side: self-contained HTML of ``fleet_rows``."""
-    numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
-    failed = tuple((n, str(o.exit), o.message) for n, o in outcomes.items() if not o.done)
-    counts = [f'{len(rows)} of {len(outcomes)} runs done', f'{len(failed)} failed']
-    counts += [
-        f'{count} with {words}'
-        for code, words in JUDGED.items()
-        if (count := sum(o.done and o.exit == code for o in outcomes.values()))
-    ]
-    sections = [
-        Section('fleet', '', tuple(shared)),
-        Section(
-            'runs',
-            'Side by side',
-            tables=(Table(tuple(columns), tuple(map(tuple, rows)), numbers, stacked=True),),
-        ),
-    ]
-    if failed:
-        table = Table(('run', 'exit', 'message'), failed, (1,), stacked=True)
-        sections.insert(1, Section('failed', 'Failed', tables=(table,)))
-    heading = Heading(
-        f'Fleet: otf {verb}',
-        f'{", ".join(counts)}.',
-        (State('some failed', 'bad') if failed else State('all done', 'good'),),
+    return (
+        GAP_COLUMNS,
+        [_diagnosed(n, own, runs[n]['message']) for n, own in results.items()],
+        shared,
     )
-    return page_html(heading, sections)
+
+
+def fleet_document(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
+    """Return fleet.json: outcomes, and the headline of every run that is done."""
+    headline = _calibration_headline if verb == 'calibrate' else _gap_headline
+    results = {n: headline(data) for n, data in listed_results(verb, folder, outcomes)}
+    warnings = list[str]()
+    if verb == 'calibrate':
+        warnings = offset_remarks({n: own['target_offset_bound'] for n, own in results.items()})
+    return {**fleet_to_dict(verb, outcomes), 'results': results, 'warnings': warnings}
+
+
+def _judged(doc: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Runs that are done, by what their exit code says."""
+    named = {
+        words: [n for n, own in doc['runs'].items() if n in doc['results'] and own['exit'] == code]
+        for code, words in JUDGED.items()
+    }
+    return {words: names for words, names in named.items() if names}
+
+
+def format_fleet(doc: Mapping[str, Any]) -> str:
+    """Return the text for a terminal: counts, every run that failed, and verdicts not good."""
+    failed = {n: o for n, o in doc['runs'].items() if n not in doc['results']}
+    lines = [f'{doc["done"]} of {len(doc["runs"])} runs done, {doc["failed"]} failed']
+    lines += [f'  {n}: exit {o["exit"]}: {o["message"]}' for n, o in failed.items()]
+    lines += [f'  {words}: {", ".join(names)}' for words, names in _judged(doc).items()]
+    return '\n'.join([*lines, *doc['warnings']])
+
+
+def fleet_pages(doc: Mapping[str, Any]) -> dict[str, str]:
+    """Return the page of machines side by side."""
+    columns, rows, shared = fleet_rows(doc)
+    failed = [(n, o['exit'], o['message']) for n, o in doc['runs'].items()
+              if n not in doc['results']]  # fmt: skip
+    badge = State('some failed', 'bad') if failed else State('all done', 'good')
+    page = render('fleet.html.j2', d=doc, columns=columns, rows=rows, shared=shared,
+                  failed=failed, badges=[badge], judged=_judged(doc))  # fmt: skip
+    return {PAGE: page}
 
 
 def write_fleet(
     verb: str, folder: Path, outcomes: Mapping[str, JobResult]
-) -> tuple[list[Path], list[str]]:
-    """Write fleet.json and fleet.html into the folder of a fleet.
-
-    Returns
-    -------
-    files : list of Path
-    warnings : list of str
-        What is to be minded where calibrations with differing target offsets lie side by side.
-    """
-    columns, rows, shared = fleet_rows(verb, folder, outcomes)
-    write_text(folder / PAGE, fleet_page(verb, outcomes, columns, rows, shared))
-    warnings = shared if verb == 'calibrate' else []
-    data = fleet_to_dict(verb, outcomes) | {'warnings': warnings}
-    write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
+) -> tuple[list[Path], dict[str, Any]]:
+    """Write fleet.json and fleet.html into the folder of a fleet; return files and document."""
+    doc = fleet_document(verb, folder, outcomes)
+    write_text(folder / PAGE, fleet_pages(doc)[PAGE])
+    write_text(folder / FILE, json.dumps(doc, indent=1) + '\n')
     write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
-    return [folder / FILE, folder / PAGE], warnings
+    return [folder / FILE, folder / PAGE], doc

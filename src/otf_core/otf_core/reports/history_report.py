@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The history of a machine as data, text and page."""
+"""The history of machines: history.json with its sentences, and page and text from it."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -26,19 +25,9 @@ from otf_core.model.expanded import (
     micro_with_expanded,
 )
 from otf_core.model.motions import unit_of
-from otf_core.prediction.absorbed import OffsetBound
-from otf_core.reports.drawing.panel import Panel, dates, scale_around
-from otf_core.reports.page import (
-    Cell,
-    Heading,
-    Picture,
-    Section,
-    State,
-    Table,
-    micro,
-    page_html,
-    table_to_text,
-)
+from otf_core.prediction.calibration_document import Headline
+from otf_core.reports.charts import Panel, dates, scale_around
+from otf_core.reports.rendering import State, columns_to_text, micro, render
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
@@ -48,8 +37,8 @@ NAMED_MOTIONS = 6
 """Motions named in a line."""
 MONTH, YEAR = 30.0, 365.25
 """days; rates are stated per year where the runs span one, else per month."""
-BADGE = {MachineStatus.STEADY: 'good'}
-"""Classes of badges; all other states are open questions."""
+DAY = timedelta(days=1)
+STEP_HEAD = ('measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
 
 
 def _day(at: datetime) -> str:
@@ -79,6 +68,13 @@ def _change(change: Change) -> dict[str, Any]:
     return {**numbers, 'significant': change.significant}
 
 
+def _stated(history: History) -> dict[str, Any] | None:
+    first = _stated_uncertainty(history)
+    if first is None:
+        return None
+    return {'u': first.u['mean'], 'k': first.k, 'systematic': first.systematic}
+
+
 def history_to_dict(history: History) -> dict[str, Any]:
     """Return one machine as plain data, SI units."""
     runs = history.series.runs
@@ -87,6 +83,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
         'machine': history.machine,
         'state': history.standing.value,
         'sentence': state_words(history),
+        'assessment': _assessment(history),
         'runs': [
             {
                 'name': run.name,
@@ -104,6 +101,8 @@ def history_to_dict(history: History) -> dict[str, Any]:
                 'events': [e.words for e in step.events],
                 'volume': _change(step.volume),
                 'changed': step.changed,
+                'sentence': _step_words(step),
+                'significant': bool(step.significant),
             }
             for step in history.steps
         ],
@@ -113,6 +112,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
         ],
         'reference': runs[history.reference].name,
         'warnings': history.series.warnings,
+        'stated': _stated(history),
         'drift': None
         if drift is None
         else {
@@ -126,17 +126,31 @@ def history_to_dict(history: History) -> dict[str, Any]:
             'not_linear': drift.bent,
             'motions_per_day': {n: _change(c) for n, c in drift.motions.items()},
         },
-        'next_calibration': None
-        if due is None
-        else {
-            'limit': due.limit,
-            'at': None if due.days is None else _after(history, due.days),
-            'not_before': _after(history, due.earliest),
-            'not_after': None if due.latest is None else _after(history, due.latest),
-            'confidence': 0.95,
-            'withheld': due.withheld or None,
-        },
+        'next_calibration': due and _due_to_dict(history, due),
     }
+
+
+def _due_to_dict(history: History, due: DueDate) -> dict[str, Any]:
+    return {
+        'limit': due.limit,
+        'at': None if due.days is None else _after(history, due.days),
+        'not_before': _after(history, due.earliest),
+        'not_after': None if due.latest is None else _after(history, due.latest),
+        'confidence': 0.95,
+        'withheld': due.withheld or None,
+    }
+
+
+def _step_words(step: Step) -> str:
+    """What changed in a step, with sizes."""
+    if step.changed:
+        return _most([_sized(n, step.motions[n]) for n in step.changed])
+    return _unnamed(step)
+
+
+def store_to_dict(machines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return all machines as plain data: history.json."""
+    return {'schema': SCHEMA, 'machines': list(machines)}
 
 
 def _after(history: History, days: float) -> str | None:
@@ -150,11 +164,6 @@ def _date(history: History, days: float) -> str:
     """Day so many days after the last run, for a sentence."""
     moment = _after(history, days)
     return 'a day beyond 100 years' if moment is None else moment[:10]
-
-
-def store_to_dict(reports: Sequence[MachineReport]) -> dict[str, Any]:
-    """Return all machines as plain data: history.json."""
-    return {'schema': SCHEMA, 'machines': [report.data for report in reports]}
 
 
 def _sized(name: str, change: Change, times: float = 1.0) -> str:
@@ -292,252 +301,163 @@ def _due_words(history: History, due: DueDate) -> str:
     )
 
 
-def format_history(history: History) -> str:
-    """Return the text for a terminal."""
-    series = history.series
-    lines = [
-        f'{history.machine}: {len(series.runs)} runs, {_moment(series.runs[0].at)} to '
-        f'{_moment(series.runs[-1].at)}; reference {series.runs[history.reference].name}',
-        state_words(history),
-        *(f'WARNING {words}' for words in series.warnings),
-        *(table_to_text(_steps_table(history)) if history.steps else ()),
-        *_assessment(history),
-    ]
-    return '\n'.join(lines)
-
-
-def _chart(
-    history: History, name: str, size: Array, band: tuple[Array, Array], changes: Sequence[Change]
-) -> str:
-    """Something over the dates of the runs: events as lines, a line is not drawn across them."""
-    days, runs = history.series.days, history.series.runs
-    unit = 'um' if 'volum' in name or unit_of(name) == 'm' else 'urad'
-    panel = Panel(
-        dates(runs[0].at, max([runs[-1].at, *(e.at for e in history.events)])),
-        scale_around(
-            np.concatenate([size, *band]), unit.replace('u', '\N{MICRO SIGN}', 1), zero=True
-        ),
-    )
-    flagged = np.array([c.significant for c in changes])
-    ends = [0, *(s.after for s in history.steps if s.events), len(runs)]
-    marks = [
-        panel.upright((e.at - runs[0].at) / timedelta(days=1), str(k), 'open dash')
-        for k, e in enumerate(history.events, start=1)
-    ]
-    for a, b in pairwise(ends):
-        marks += [
-            panel.band(days[a:b], band[0][a:b], band[1][a:b], 'noise band')
-            if b - a > 1
-            else panel.ranges(days[a:b], band[0][a:b], band[1][a:b], 'noise'),
-            panel.line(days[a:b], size[a:b], 'after'),
-        ]
-    marks += [
-        panel.dots(days, size, 'after node'),
-        panel.boxes(days[history.reference], size[history.reference]),
-    ]
-    if flagged.any():
-        marks.append(panel.rings(days[flagged], size[flagged]))
-    return panel.draw(marks, f'{name} over the dates of the runs', name)
-
-
-def _change_chart(history: History, name: str, changes: Sequence[Change]) -> str:
-    """Control chart: change since the first run, and what is expected without one."""
-    size = np.array([1e6 * c.size for c in changes])
-    expected = np.array([2e6 * c.expected for c in changes])
-    return _chart(history, name, size, (0.0 * size, expected), changes)
-
-
-def _error_chart(history: History) -> str:
-    """Size of the errors themselves."""
-    size, spread = 1e6 * history.error, 1e6 * COVERAGE_FACTOR * history.u_error
-    return _chart(history, 'volumetric error', size, (size - spread, size + spread), ())
-
-
-def _marks_words(history: History) -> str:
-    """What the marks of the charts are."""
-    events = '; '.join(
-        f'{k}: {e.words}, {_day(e.at)}' for k, e in enumerate(history.events, start=1)
-    )
-    reference = history.series.runs[history.reference]
-    return f'Square: {_moment(reference.at)}, the run from which drift is assessed. ' + (
-        f'Dashed lines are events ({events}); no line leads across them. ' if events else ''
-    )
-
-
-def _pictures(history: History) -> list[Picture]:
-    """Control charts of the volume and of every motion."""
-    error = (
-        'Mean length of the error vectors in the volume by every run, best rigid motion '
-        'removed, with its uncertainty by what is declared (area, 95 %). '
-    )
-    change = (
-        'Change since the first run, root mean square over the axis (line), and twice the '
-        'value expected from the uncertainties of both runs without a change (area)'
-        '. Rings: significant ('
-        '0.27 % for all motions of a run together). A change that is undone returns to '
-        'zero; this says nothing about the size of the errors. '
-    )
-    marks = _marks_words(history)
-    volume = (
-        _error_chart(history),
-        _change_chart(history, 'change in the volume', history.volume),
-    )
-    motions = tuple(
-        _change_chart(history, n, [c[n] for c in history.chart]) for n in history.chart[0]
-    )
-    return [
-        Picture(volume, error + marks, columns=2, title='Volume: error, and change'),
-        Picture(motions, change + marks, columns=3, title='Change of every motion'),
-    ]
-
-
-def _steps_table(history: History) -> Table:
-    """A row of each run: what changed since the one before."""
-    head = ('measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
-    runs = history.series.runs
-    rows: list[tuple[Cell, ...]] = [
-        ((_moment(runs[0].at), f'run {runs[0].name}'), '', '', '', 'first run')
-    ]
-    for step in history.steps:
-        run, volume, words = runs[step.after], step.volume, _unnamed(step)
-        if step.changed:
-            words = _most([_sized(n, step.motions[n]) for n in step.changed])
-        rows.append((
-            (_moment(run.at), f'run {run.name}'), micro(volume.size), micro(volume.expected),
-            _events(step.events), State(words, 'open') if step.significant else words,
-        ))  # fmt: skip
-    return Table(head, tuple(rows), (1, 2))
-
-
-def _sections(history: History, *, alone: bool) -> list[Section]:
-    state = () if alone else (state_words(history),)  # the headline says it of one machine
-    words = (*state, *history.series.warnings, *_assessment(history))
-    pictures = _pictures(history)
-    anchor = ''.join(c if c.isalnum() else '-' for c in history.machine)
-    return [
-        Section(f'{anchor}-drift', history.machine, words),
-        Section(f'{anchor}-runs', 'From run to run', tables=(_steps_table(history),)),
-        Section(f'{anchor}-chart', 'Control charts', draw=lambda: pictures),
-    ]
-
-
-def _stated_uncertainty(history: History) -> tuple[float, str] | None:
-    """Mean expanded uncertainty that the latest tables state first, m, and of what kind it is."""
-    head = history.series.runs[-1].content.extra.get('headline')
-    if not isinstance(head, dict):
-        return None
-    expected = head['expected_after_compensation']
-    return float(expected['U']['mean']), str(expected['systematic'])
+def _stated_uncertainty(history: History) -> Headline | None:
+    """What the latest tables state first."""
+    return history.series.runs[-1].content.headline
 
 
 def _assessment(history: History) -> list[str]:
     """Drift, what the uncertainties leave out, and values that hold at one target offset only."""
     lines, stated = drift_words(history), _stated_uncertainty(history)
-    if stated is not None and stated[1] != 'declared':
+    if stated is not None and stated.systematic != 'declared':
+        apart = micro_significant(math.sqrt(2.0) * stated.expanded['mean'])
         lines.append(
             f'Changes are assessed by the contributions that the runs declare, and they do not '
             f'declare all systematic ones (tracker scale, air, temperature ...): of typical size '
             f'these alone make two runs differ by up to about '
-            f'{micro_significant(math.sqrt(2.0) * stated[0])} in the volume if tracker, place or '
-            f'weather differ'
+            f'{apart} in the volume if tracker, place or weather differ'
         )
-    bound = history.series.runs[-1].content.extra.get('target_offset_bound')
-    if isinstance(bound, dict) and bound['contains']:
-        lines.append(OffsetBound(np.array(bound['offset']), bound['contains']).sentence)
+    bound = history.series.runs[-1].content.target_offset_bound
+    if bound is not None and bound.contains:
+        lines.append(bound.sentence)
     return lines
 
 
-def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:
+# The page and the text of a history.json.
+
+
+def _times(doc: Mapping[str, Any], kind: str) -> list[datetime]:
+    return [datetime.fromisoformat(one['at']) for one in doc[kind]]
+
+
+def step_rows(doc: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+    """A row of each run under ``STEP_HEAD``: what changed since the one before."""
+    days = [_moment(at) for at in _times(doc, 'runs')]
+    happened = {e['words']: e['at'][:10] for e in doc['events']}
+    first, *others = doc['runs']
+    rows: list[tuple[Any, ...]] = [((days[0], f'run {first["name"]}'), '', '', '', 'first run')]
+    for run, day, step in zip(others, days[1:], doc['steps'], strict=True):
+        events = '; '.join(f'{words} ({happened[words]})' for words in step['events'])
+        said = step['sentence']
+        rows.append((
+            (day, f'run {run["name"]}'), micro(step['volume']['size']),
+            micro(step['volume']['expected']), events,
+            State(said, 'open') if step['significant'] else said,
+        ))  # fmt: skip
+    return rows
+
+
+def _chart(
+    doc: Mapping[str, Any],
+    name: str,
+    size: Array,
+    band: tuple[Array, Array],
+    flagged: Sequence[bool] = (),
+) -> str:
+    """Something over the dates of the runs: events as lines, a line is not drawn across them."""
+    runs, events = _times(doc, 'runs'), _times(doc, 'events')
+    days = np.array([(at - runs[0]) / DAY for at in runs])
+    unit = 'µm' if 'volum' in name or unit_of(name) == 'm' else 'µrad'
+    panel = Panel(dates(runs[0], max([runs[-1], *events])),
+                  scale_around(np.concatenate([size, *band]), unit, zero=True))  # fmt: skip
+    cuts = [k for k, step in enumerate(doc['steps'], start=1) if step['events']]
+    marks = [panel.upright((at - runs[0]) / DAY, str(k), 'open dash')
+             for k, at in enumerate(events, start=1)]  # fmt: skip
+    for a, b in pairwise([0, *cuts, len(runs)]):
+        low, high = band[0][a:b], band[1][a:b]
+        marks.append(panel.band(days[a:b], low, high, 'noise band') if b - a > 1
+                     else panel.ranges(days[a:b], low, high, 'noise'))  # fmt: skip
+        marks.append(panel.line(days[a:b], size[a:b], 'after'))
+    reference = [run['name'] for run in doc['runs']].index(doc['reference'])
+    marks += [panel.dots(days, size, 'after node'), panel.boxes(days[reference], size[reference])]
+    rings = np.array(flagged, dtype=bool)
+    if rings.any():
+        marks.append(panel.rings(days[rings], size[rings]))
+    return panel.draw(marks, f'{name} over the dates of the runs', name)
+
+
+def _change_chart(doc: Mapping[str, Any], name: str, changes: Sequence[Mapping[str, Any]]) -> str:
+    """Control chart: change since the first run, and what is expected without one."""
+    size, expected = (1e6 * np.array([c[key] for c in changes]) for key in ('size', 'expected'))
+    flagged = [c['significant'] for c in changes]
+    return _chart(doc, name, size, (0.0 * size, 2.0 * expected), flagged)
+
+
+def machine_charts(doc: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Control charts of the volume and of every motion of a machine."""
+    runs = doc['runs']
+    size, u = (1e6 * np.array([r[k] for r in runs])
+               for k in ('volumetric_error', 'u_volumetric_error'))  # fmt: skip
+    spread = COVERAGE_FACTOR * u
+    return {
+        'volume': [
+            _chart(doc, 'volumetric error', size, (size - spread, size + spread)),
+            _change_chart(doc, 'change in the volume', [r['since_first'] for r in runs]),
+        ],
+        'motions': [_change_chart(doc, n, [r['motions'][n] for r in runs])
+                    for n in runs[0]['motions']],
+    }  # fmt: skip
+
+
+def machine_tiles(doc: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Numbers of one machine: error, last change, next calibration."""
-    stated = _stated_uncertainty(history)
-    error, remark = float(history.error[-1]), 'mean in the volume'
-    shown = f'{1e6 * error:.1f} um'
-    if stated is not None:
-        wide, systematic = stated
-        shown = micro_figure(error, wide)
-        remark += f', U = {micro_significant(wide)} (systematic contributions {systematic})'
+    error, remark = doc['runs'][-1]['volumetric_error'], 'mean in the volume'
+    shown, own = f'{1e6 * error:.1f} um', doc['stated']
+    if own is not None:
+        shown = micro_figure(error, own['k'] * own['u'])
+        remark += (f', U = {micro_significant(own["k"] * own["u"])} (systematic contributions '
+                   f'{own["systematic"]})')  # fmt: skip
     tiles = [('volumetric error, latest run', shown, remark)]
-    if history.steps:
-        step = history.steps[-1].volume
-        expected = f'{1e6 * step.expected:.2f} um expected without change'
-        tiles.append(('last change in the volume', f'{1e6 * step.size:.2f} um', expected))
-    if history.due is not None:
-        limit = f'{1e6 * history.due.limit:.2f} um mean drift'
-        tiles.append(('calibrate again: not before', _date(history, history.due.earliest), limit))
-    return tuple(tiles)
+    if doc['steps']:
+        step = doc['steps'][-1]['volume']
+        expected = f'{1e6 * step["expected"]:.2f} um expected without change'
+        tiles.append(('last change in the volume', f'{1e6 * step["size"]:.2f} um', expected))
+    if due := doc['next_calibration']:
+        day = due['not_before'] or 'a day beyond 100 years'
+        day = day[:10] if due['not_before'] else day
+        limit = f'{1e6 * due["limit"]:.2f} um mean drift'
+        tiles.append(('calibrate again: not before', day, limit))
+    return tiles
 
 
-def _badge(state: MachineStatus) -> tuple[State]:
-    return (State(state.value, BADGE.get(state, 'open')),)
+def format_history(doc: Mapping[str, Any]) -> str:
+    """Return the text of one machine for a terminal."""
+    days = [_moment(at) for at in _times(doc, 'runs')]
+    rows = [(' '.join(row[0]), *row[1:]) for row in step_rows(doc)]
+    lines = [
+        f'{doc["machine"]}: {len(days)} runs, {days[0]} to {days[-1]}; reference '
+        f'{doc["reference"]}',
+        doc['sentence'],
+        *(f'WARNING {words}' for words in doc['warnings']),
+        *(columns_to_text(STEP_HEAD, rows) if doc['steps'] else ()),
+        *doc['assessment'],
+    ]
+    return '\n'.join(lines)
 
 
-@dataclass(frozen=True)
-class MachineReport:
-    """What is stated of one machine, without the tables and covariances that it rests on.
-
-    Attributes
-    ----------
-    words : str
-        For a terminal.
-    data : mapping
-        Plain data, SI units.
-    heading : Heading
-        Of the page, if there is no other machine on it.
-    sections : sequence of Section
-        Of the page, drawn; empty if no page is wanted.
-    """
-
-    machine: str
-    standing: MachineStatus
-    words: str
-    data: Mapping[str, Any]
-    heading: Heading
-    sections: Sequence[Section]
+def history_pages(doc: Mapping[str, Any]) -> dict[str, str]:
+    """Return the page of a history.json."""
+    machines = doc['machines']
+    order = [state.value for state in MachineStatus]
+    named = {s: [m['machine'] for m in machines if m['state'] == s] for s in order}
+    state = max((s for s in order if named[s]), key=order.index)
+    badge = State(state, 'good' if state == MachineStatus.STEADY.value else 'open')
+    counted = '; '.join(f'{s}: {", ".join(m)}' for s, m in named.items() if m) + '.'
+    shown = [
+        {'d': m, 'rows': step_rows(m), 'charts': machine_charts(m),
+         'anchor': ''.join(c if c.isalnum() else '-' for c in m['machine']),
+         'reference': next(_moment(datetime.fromisoformat(r['at'])) for r in m['runs']
+                           if r['name'] == m['reference'])}
+        for m in machines
+    ]  # fmt: skip
+    alone = len(machines) == 1
+    page = render('history.html.j2', machines=shown, head=STEP_HEAD, badges=[badge], alone=alone,
+                  counted=counted, tiles=machine_tiles(machines[0]) if alone else [])  # fmt: skip
+    return {PAGE: page}
 
 
-def report_machine(history: History, *, alone: bool = True, drawn: bool = True) -> MachineReport:
-    """Describe and draw one machine.
-
-    Parameters
-    ----------
-    alone : bool
-        Whether it is the only one of its page.
-    drawn : bool
-        Whether a page is wanted.
-    """
-    return MachineReport(
-        history.machine,
-        history.standing,
-        format_history(history),
-        history_to_dict(history),
-        Heading(
-            f'History of {history.machine}',
-            state_words(history),
-            _badge(history.standing),
-            _tiles(history),
-        ),
-        _sections(history, alone=alone) if drawn else (),
-    )
-
-
-def _heading(reports: Sequence[MachineReport]) -> Heading:
-    """The state of one machine in its words; of several how many are in which."""
-    if len(reports) == 1:
-        return reports[0].heading
-    named = {s: [r.machine for r in reports if r.standing is s] for s in MachineStatus}
-    state = max((s for s in MachineStatus if named[s]), key=list(MachineStatus).index)
-    sentence = '; '.join(f'{s.value}: {", ".join(m)}' for s, m in named.items() if m) + '.'
-    return Heading(f'History of {len(reports)} machines', sentence, _badge(state))
-
-
-def history_page(reports: Sequence[MachineReport]) -> str:
-    """Return the page: self-contained HTML."""
-    sections = [Section('top', ''), *(s for r in reports for s in r.sections)]
-    return page_html(_heading(reports), sections)
-
-
-def write_history(reports: Sequence[MachineReport], folder: Path) -> list[Path]:
+def write_history(doc: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write history.json and history.html; the folder exists."""
-    write_text(folder / FILE, json.dumps(store_to_dict(reports), indent=1) + '\n')
-    write_text(folder / PAGE, history_page(reports))
+    write_text(folder / FILE, json.dumps(doc, indent=1) + '\n')
+    write_text(folder / PAGE, history_pages(doc)[PAGE])
     return [folder / FILE, folder / PAGE]

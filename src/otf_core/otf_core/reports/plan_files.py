@@ -18,18 +18,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import tidy, write_csv, write_text
 from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.axis_path import along_legs, nominal_track, position_at
 from otf_core.model.chain import Sight
-from otf_core.model.expanded import micro_significant
-from otf_core.model.machine import BED, TABLE, Machine
+from otf_core.model.expanded import micro_unit
+from otf_core.model.machine import BED, TABLE, Machine, machine_from_dict
 from otf_core.model.motions import is_motion, unit_of
 from otf_core.model.plan import Part
 from otf_core.model.provenance import provenance
-from otf_core.noise.noise_model import noise_to_fields
+from otf_core.noise.noise_model import noise_from_fields, noise_to_fields
 from otf_core.planning.chains import verification_part
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.line_of_sight import (
@@ -42,169 +43,19 @@ from otf_core.planning.line_of_sight import (
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import programs_of
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.drawing.panel import (
-    LEVELS,
-    Bar,
-    bars,
-    heat_classes,
-    heat_key,
-    heat_step,
-)
-from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
-from otf_core.reports.page import (
-    Heading,
-    Picture,
-    Section,
-    State,
-    Table,
-    join_names,
-    page_html,
-    place,
-)
+from otf_core.reports.charts import LEVELS, Bar, bars, heat_classes, heat_key, heat_step
+from otf_core.reports.rendering import State, render
+from otf_core.reports.scene import Dots, Item, Strokes, box, scene, tracker_items
 
-MILLIONTHS = {'m': 'um', 'rad': 'urad'}
-"""Millionths of what errors are in."""
-UNFOLDED_PLACES = 8
-"""Places of the tracker that are not folded away."""
 DRAWN_STEP, DRAWN_TURN = 0.05, 0.05
 """m and rad between drawn points of a track."""
 
 
-def draw_path(report: PlanReport, *, turns: bool = False) -> str:
-    """Tracks of the reflectors, tracker and its beams to the corners of the volume."""
-    machine, place = report.setup.machine, report.setup.place
-    strokes = []
-    for part in report.plan.parts:
-        q = part.path.positions
-        track = Sight.of_target(machine, part.target).nominal(
-            position_at(q, along_legs(q, DRAWN_STEP, DRAWN_TURN)) if machine.rotary_names else q
-        )
-        strokes.append(np.stack([track[:-1], track[1:]], axis=1))
-    ends = np.concatenate(strokes)
-    low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
-    if not machine.rotary_names:
-        low, high = linear_ends(machine)
-    corners = np.array(list(product(*zip(low, high, strict=True))))
-    beams = np.stack([np.broadcast_to(place, corners.shape), corners], axis=1)
-    items: list[Item] = [
-        Strokes('z thin dash', beams),
-        Strokes('after thin', ends),
-        *box(low, high),
-        *tracker_items(place, low, high),
-    ]
-    both = np.vstack([low, high, place])
-    return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker', turns=turns)
-
-
-def draw_grid(report: PlanReport, step: float, *, turns: bool = False) -> str:
-    """Uncertainty of the error vector on the grid in classes of ``step``, um."""
-    outlook = report.forecast
-    points = Sight.of_tool(report.setup.machine).nominal(outlook.grid)
-    low, high = points.min(axis=0), points.max(axis=0)
-    classes = heat_classes(1e6 * np.linalg.norm(outlook.grid_u_free, axis=1), step)
-    items = box(low, high)
-    items += [
-        Dots(f'heat big h{level}', points[classes == level])
-        for level in range(LEVELS)
-        if np.any(classes == level)
-    ]
-    return scene(items, low, high, 'uncertainty in the volume', turns=turns)
-
-
-def draw_error_bars(report: PlanReport, unit: str) -> str:
-    """Bars of all errors of a unit."""
-    outlook, words = report.forecast, MILLIONTHS[unit]
-    rows = []
-    for name, u in outlook.u.items():
-        if unit_of(name) != unit:
-            continue
-        if name in outlook.not_identifiable:
-            rows.append(Bar(name, (), 'not shown by this path'))
-            continue
-        mean, most = float(u.mean()), float(u.max())
-        label = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
-        rows.append(Bar(name, ((1e6 * mean, 'after'),), label, 1e6 * most))
-    return bars(rows, f'uncertainty of errors in {words}', width=480.0)
-
-
-def plan_html(report: PlanReport, date: str) -> str:
-    """Return the page; ``date`` is when the plan was made."""
-    sections = [
-        _overview_section(report),
-        _path_section(report),
-        _tracker_section(report),
-        _effects_section(report),
-    ]
-    return page_html(_plan_heading(report, date), sections)
-
-
-def _plan_heading(report: PlanReport, date: str) -> Heading:
-    expected = report.systematic.expected
-    wide, largest = (micro_significant(expected.expanded[size]) for size in ('mean', 'max'))
-    noise, most = (micro_significant(expected.observed[size]) for size in ('mean', 'max'))
-    missing = [f.error for f in report.findings]
-    badge = (
-        State(f'{len(missing)} errors not shown', 'open')
-        if missing
-        else State('all errors shown', 'good')
-    )
-    tiles = (
-        ('Expected after compensation', wide,
-         f'mean U over the volume (k = {expected.k:.3g}), largest {largest}; {expected.label}'),
-        ('Noise of the tracker alone', noise, f'the same mean, largest {most}'),
-        ('Drive', f'{report.forecast.duration:.0f} s',
-         f'{_length(report):.1f} m, {_corners(report)} points'),
-    )  # fmt: skip
-    name, words = report.setup.machine.name, expected.expanded_words
-    sentence = f'{words[:1].upper()}{words[1:]}.'
-    return Heading(
-        f'Plan for {name}: {report.how}', sentence, (badge,), tiles, f'{name}, plan, {date}'
-    )
-
-
-def _corners(report: PlanReport) -> int:
-    return sum(len(part.path.positions) for part in report.plan.parts)
-
-
-def _length(report: PlanReport) -> float:
-    """Length of the tracks of the reflectors, m."""
-    paths = [part.path for part in report.plan.parts]
-    return sum(nominal_track(report.setup.machine, paths).part_lengths)
-
-
-def _overview_section(report: PlanReport) -> Section:
-    words = [f'Not shown: {f.words}; needs {f.needs}.' for f in report.findings]
-    words += [f'{a.words[:1].upper()}{a.words[1:]}.' for a in report.after]
-    words += [*_work_words(report), *_sight_words(report)]
-
-    def draw() -> Sequence[Picture]:
-        size = 1e6 * np.linalg.norm(report.forecast.grid_u_free, axis=1)
-        step = heat_step(size)
-        return [
-            Picture(
-                (draw_path(report, turns=True), draw_grid(report, step, turns=True)),
-                'Left: the tracks of the reflectors, the tracker and its beams to the corners of '
-                'the volume. Right: standard uncertainty of the error vector (k = 1) from tracker '
-                'noise alone, best rigid motion removed.',
-                columns=2,
-                key=heat_key(step, float(size.max()), 'µm'),
-            ),
-            Picture(
-                (draw_error_bars(report, 'm'), draw_error_bars(report, 'rad')),
-                'Standard uncertainty (k = 1) from tracker noise alone: bar and first number the '
-                'mean over the nodes of a table, stroke the largest.',
-                columns=2,
-                title=f'All {len(report.forecast.u)} errors',
-            ),
-        ]
-
-    return Section('overview', '', tuple(words), draw=draw, script=SCRIPT)
-
-
-def _ranges(report: PlanReport) -> list[tuple[str, float, float, str]]:
-    """What every axis drives: name, ends in mm or degrees, unit."""
-    q = np.concatenate([part.path.positions for part in report.plan.parts])
-    ends = zip(report.setup.machine.axes.items(), q.min(axis=0), q.max(axis=0), strict=True)
+def driven_ranges(
+    machine: Machine, positions: NDArray[np.float64]
+) -> list[tuple[str, float, float, str]]:
+    """What every axis drives: name, ends in mm or degrees, unit; positions (n, k), m and rad."""
+    ends = zip(machine.axes.items(), positions.min(axis=0), positions.max(axis=0), strict=True)
     return [
         (name, np.degrees(low), np.degrees(high), 'degrees')
         if axis.rotary
@@ -213,59 +64,10 @@ def _ranges(report: PlanReport) -> list[tuple[str, float, float, str]]:
     ]
 
 
-def _feeds(report: PlanReport) -> str:
-    feeds = np.concatenate([part.feed for part in report.plan.parts])
-    return ', '.join(map(str, np.unique(np.rint(60e3 * feeds)).astype(int)))
-
-
-def _path_section(report: PlanReport) -> Section:
-    setup, solution = report.setup, report.forecast.joint.solution
-    driven = [f'{a} {low:.1f} to {high:.1f} {unit}' for a, low, high, unit in _ranges(report)]
-    rows = (
-        ('how', report.how),
-        ('driven', ', '.join(driven)),
-        ('feeds', f'{_feeds(report)} mm/min'),
-        ('accelerations assumed', f'{1e3 * setup.config.acceleration:g} mm/s²'),
-        ('samples assumed', f'{setup.config.rate:g} a second'),
-        ('noise assumed', str(setup.noise)),
-        ('unknowns determined', f'{solution.rank} of {solution.unknowns}'),
-    )
-    parts = tuple((p.target, f'{setup.seconds(p) / 60:.1f}', p.words) for p in report.plan.parts)
-    tables = (
-        Table(('Target', 'Time (min)', 'What'), parts, (1,)),
-        Table(('', ''), rows),
-    )
-    return Section('path', 'Path and assumptions', tables=tables)
-
-
-def _tracker_section(report: PlanReport) -> Section:
-    words = (
-        f'Assumed here: {place(report.setup.place)}.',
-        *(f'{line[:1].upper()}{line[1:]}.' for line in report.advice),
-    )
-    rows = tuple(
-        (p.words, place(p.place), f'{1e6 * p.mean_grid_u:.3f}',
-         f'{p.shortest:.2f} to {p.longest:.2f}')
-        for p in report.places
-    )  # fmt: skip
-    head = ('Place', 'Position', 'Mean u in the volume, noise alone (um)', 'Beam (m)')
-    tables = [Table(head, rows[:UNFOLDED_PLACES], numbers=(2, 3), stacked=True)]
-    if rows[UNFOLDED_PLACES:]:
-        tables.append(
-            Table(head, rows[UNFOLDED_PLACES:], (2, 3), folded='Other places', stacked=True)
-        )
-    return Section('tracker', 'Position of the tracker', words, tables=tuple(tables))
-
-
-def _effects_section(report: PlanReport) -> Section:
-    rows = tuple(
-        (e['effect'].replace('_', ' '), e['words'].removeprefix(e['effect']).strip())
-        for e in report.effects
-    )
-    hidden = [e['effect'].replace('_', ' ') for e in report.effects if not e['visible']]
-    words = (f'Not shown by this path: {join_names(hidden)}.',) if hidden else ()
-    table = Table(('Effect', 'Smallest size that a diagnosis would find'), rows, stacked=True)
-    return Section('effects', 'Effects beyond the rigid body', words, tables=(table,))
+def _length(report: PlanReport) -> float:
+    """Length of the tracks of the reflectors, m."""
+    paths = [part.path for part in report.plan.parts]
+    return sum(nominal_track(report.setup.machine, paths).part_lengths)
 
 
 def _margin(report: PlanReport) -> float:
@@ -395,10 +197,14 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
             for name, own in report.sight.items()
         },
         'near': list(report.near),
+        'remarks': [*_work_words(report), *_sight_words(report)],
+        'advice': list(report.advice),
+        'sentences': [report.systematic.expected.expanded_words,
+                      report.systematic.expected.forecast_words],
         'tracker_places': [asdict(p) | {'place': p.place.tolist()} for p in report.places],
         'effects': {e['effect']: dict(e) for e in report.effects},
         'after': [a.to_dict() for a in report.after],
-    }
+    }  # fmt: skip
 
 
 def _forecast_to_dict(outlook: Forecast) -> dict[str, Any]:
@@ -428,44 +234,108 @@ def _forecast_to_dict(outlook: Forecast) -> dict[str, Any]:
     }
 
 
-def plan_summary(report: PlanReport) -> str:
-    """Return a dozen lines for a terminal; the page holds all numbers."""
-    outlook, expected = report.forecast, report.systematic.expected
-    lines = [
-        expected.expanded_words,
-        expected.forecast_words,
-        f'Plan: {report.how}',
-        f'{_corners(report)} points, {_length(report):.2f} m, {outlook.duration:.0f} s; feeds '
-        f'{_feeds(report)} mm/min; at least {1e3 * _margin(report):.1f} mm inside the axis ranges',
+# The page and the text of a plan.json.
+
+
+def path_chart(doc: Mapping[str, Any]) -> str:
+    """Tracks of the reflectors, tracker and its beams to the corners of the volume."""
+    machine, at = machine_from_dict(doc['machine']), np.array(doc['assumed']['tracker_place'])
+    strokes = []
+    for part in doc['parts']:
+        q = np.array(part['positions'])
+        track = Sight.of_target(machine, part['target']).nominal(
+            position_at(q, along_legs(q, DRAWN_STEP, DRAWN_TURN)) if machine.rotary_names else q
+        )
+        strokes.append(np.stack([track[:-1], track[1:]], axis=1))
+    ends = np.concatenate(strokes)
+    low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
+    if not machine.rotary_names:
+        low, high = linear_ends(machine)
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    beams = np.stack([np.broadcast_to(at, corners.shape), corners], axis=1)
+    items: list[Item] = [
+        Strokes('z thin dash', beams),
+        Strokes('after thin', ends),
+        *box(low, high),
+        *tracker_items(at, low, high),
     ]
-    if len(report.plan.parts) > 1:
-        width = max(len(part.target) for part in report.plan.parts)
-        for part in report.plan.parts:
-            minutes = report.setup.seconds(part) / 60
-            lines.append(f'  {part.target:{width}s} {minutes:5.1f} min  {part.words}')
-    lines += [*_work_words(report), *_sight_words(report)]
-    lines += [f'for the diagnosis: {a.words}' for a in report.after]
+    both = np.vstack([low, high, at])
+    return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker')
+
+
+def grid_chart(doc: Mapping[str, Any]) -> tuple[str, str]:
+    """Uncertainty of the error vector on the grid by colour, and the key of its colours."""
+    grid = doc['forecast']['grid']
+    points = Sight.of_tool(machine_from_dict(doc['machine'])).nominal(np.array(grid['point']))
+    size = 1e6 * np.linalg.norm(grid['u'], axis=1)
+    low, high, step = points.min(axis=0), points.max(axis=0), heat_step(size)
+    classes = heat_classes(size, step)
+    dots = [Dots(f'heat big h{level}', points[classes == level]) for level in range(LEVELS)
+            if np.any(classes == level)]  # fmt: skip
+    drawn = scene([*box(low, high), *dots], low, high, 'uncertainty in the volume')
+    return drawn, heat_key(step, float(size.max()), 'µm')
+
+
+def error_charts(doc: Mapping[str, Any]) -> list[str]:
+    """Bars of all errors: displacements, then angles."""
+    rows: dict[str, list[Bar]] = {'m': [], 'rad': []}
+    for name, own in doc['forecast']['errors'].items():
+        if not own['identifiable']:
+            rows[own['unit']].append(Bar(name, (), 'not shown by this path'))
+            continue
+        mean, most = 1e6 * float(np.mean(own['u'])), 1e6 * float(np.max(own['u']))
+        label = f'{mean:.2f}, largest {most:.2f} {micro_unit(own["unit"])}'
+        rows[own['unit']].append(Bar(name, ((mean, 'after'),), label, most))
+    return [bars(own, f'uncertainty of errors in {micro_unit(unit)}', width=480.0)
+            for unit, own in rows.items()]  # fmt: skip
+
+
+def _content(doc: Mapping[str, Any]) -> dict[str, Any]:
+    """What page and text both state."""
+    positions = np.concatenate([part['positions'] for part in doc['parts']])
+    feeds = np.unique(np.rint(60e3 * np.concatenate([part['feed'] for part in doc['parts']])))
     needs: dict[str, list[str]] = {}
-    for finding in report.findings:
-        needs.setdefault(finding.needs, []).append(finding.error)
-    lines += [f'does not show {", ".join(names)}; needs {what}' for what, names in needs.items()]
-    lines += [] if needs else [f'shows all {len(outlook.u)} errors']
-    lines += [f'tracker: {line}' for line in report.advice[:1]]
-    hidden = [e['effect'] for e in report.effects if not e['visible']]
-    seen = len(report.effects) - len(hidden)
-    rest = f'; not visible: {", ".join(hidden)}' if hidden else ''
-    lines.append(f'effects beyond the rigid body: {seen} of {len(report.effects)} visible{rest}')
-    return '\n'.join(lines) + '\n'
+    for finding in doc['not_shown']:
+        needs.setdefault(finding['needs'], []).append(finding['error'])
+    return {
+        'd': doc,
+        'corners': len(positions),
+        'feeds': ', '.join(map(str, feeds.astype(int))),
+        'driven': driven_ranges(machine_from_dict(doc['machine']), positions),
+        'needs': needs,
+        'hidden': [name for name, own in doc['effects'].items() if not own['visible']],
+        'wide': max((len(part['target']) for part in doc['parts']), default=0),
+    }
+
+
+def plan_pages(doc: Mapping[str, Any]) -> dict[str, str]:
+    """Return the page of a plan.json."""
+    missing, (grid, key) = doc['not_shown'], grid_chart(doc)
+    badge = State('all errors shown', 'good')
+    if missing:
+        badge = State(f'{len(missing)} errors not shown', 'open')
+    page = render('plan.html.j2', path_chart=path_chart(doc), grid_chart=grid, key=key,
+                  error_charts=error_charts(doc), badges=[badge],
+                  noise=str(noise_from_fields(doc['assumed']['noise'])),
+                  **_content(doc))  # fmt: skip
+    return {'report.html': page}
+
+
+def plan_summary(doc: Mapping[str, Any]) -> str:
+    """Return a dozen lines for a terminal; the page holds all numbers."""
+    return render('plan.txt.j2', **_content(doc))
 
 
 def program_header(report: PlanReport) -> list[str]:
     """Comments at the head of a program."""
+    machine, parts = report.setup.machine, [part.path.positions for part in report.plan.parts]
+    positions = np.concatenate(parts)
     spans = [f'{a} {low + 0.0:.3f} TO {high + 0.0:.3f} {unit.upper()}'
-             for a, low, high, unit in _ranges(report)]  # fmt: skip
+             for a, low, high, unit in driven_ranges(machine, positions)]  # fmt: skip
     return [
         'OTF PATH FOR A LASER TRACKER CALIBRATION',
-        f'MACHINE {report.setup.machine.name}',
-        f'{_corners(report)} POINTS, {_length(report):.2f} M, {report.forecast.duration:.0f} S',
+        f'MACHINE {machine.name}',
+        f'{len(positions)} POINTS, {_length(report):.2f} M, {report.forecast.duration:.0f} S',
         ', '.join(spans),
         'ERROR COMPENSATION OFF, OR AS IT IS TO BE VERIFIED',
         'DRY RUN WITHOUT WORKPIECE FIRST',
@@ -517,7 +387,7 @@ def write_report(
         files.append(folder / 'path.mcap')
         write_axis_paths(files[-1], [part.path for part in plan.parts])
     files += [folder / 'report.html', folder / 'plan.json']
-    write_text(files[-2], plan_html(report, str(block['written'])))
-    content = report_to_dict(report) | {'provenance': block}
-    write_text(files[-1], json.dumps(content) + '\n')
+    text = json.dumps(report_to_dict(report) | {'provenance': block})
+    write_text(files[-2], plan_pages(json.loads(text))['report.html'])
+    write_text(files[-1], text + '\n')
     return files

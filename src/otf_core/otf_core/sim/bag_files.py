@@ -33,7 +33,7 @@ from otf_core.files.output_folder import (
 )
 from otf_core.files.writing import write_text
 from otf_core.model.provenance import origin_of, provenance
-from otf_core.model.tables import tables_to_dict
+from otf_core.prediction.calibration_document import tables_to_dict
 from otf_core.sim.cell import SimulatedRun
 
 TABLES_FILE, SIMULATION_FILE = 'truth_tables.json', 'simulation.json'

@@ -28,7 +28,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.sections import SignalSpec
 from otf_core.model.signals import Courses, Signal
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.sim.drive import Drive, drives_of
 from otf_core.sim.effects import changed_noise, run_state, total_displacement
 from otf_core.sim.simulated_signals import simulated_signals
@@ -104,10 +104,8 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
         if machine.axes[name.axis].endless:
             value -= np.linspace(0.0, value[-1] - value[0], len(value))
         motions[name] = MotionTable(nodes, value, np.zeros_like(value))
-    squareness = {name: Squareness(float(rng.normal())) for name in machine.squareness}
-    location = {
-        n: LocationError(reach[unit_of(n)] * float(rng.normal())) for n in machine.location
-    }
+    squareness = {name: ScalarError(float(rng.normal())) for name in machine.squareness}
+    location = {n: ScalarError(reach[unit_of(n)] * float(rng.normal())) for n in machine.location}
     tables = ErrorTables(machine, motions, squareness, location)
     seen = Sight.of_tool(machine).at(lattice(machine))
     now = mean_length(without_rigid_motion(seen.displacement(tables), seen.position))

@@ -23,7 +23,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.motions import is_location
 from otf_core.model.path import leg_bounds
-from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.pieces.pieces import MIN_OUTLIER, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import AnyRun, Observed, errors_of
 from otf_core.solving.normal import NormalEquations, normal_equations
@@ -173,8 +173,8 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
     return ErrorTables(
         machine,
         motions,
-        {n: Squareness(*scalar(n)) for n in machine.squareness},
-        {n: LocationError(*scalar(n)) for n in machine.location},
+        {n: ScalarError(*scalar(n)) for n in machine.squareness},
+        {n: ScalarError(*scalar(n)) for n in machine.location},
     )
 
 

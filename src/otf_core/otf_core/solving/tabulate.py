@@ -34,13 +34,7 @@ from otf_core.model.evaluation import (
 from otf_core.model.machine import Machine
 from otf_core.model.motions import AXES, DIRECTIONS, ErrorMotion, location_names
 from otf_core.model.nodes import hat_matrix, table_nodes
-from otf_core.model.tables import (
-    ErrorTables,
-    LocationError,
-    MotionTable,
-    Squareness,
-    with_uncertainty,
-)
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
@@ -64,7 +58,7 @@ class Tabulation:
     Attributes
     ----------
     tables : ErrorTables
-        Their uncertainties are filled in by ``with_covariance``.
+        Without uncertainties, see ``tables.with_uncertainty``.
     rows : ndarray, shape (m, full)
         Squareness and location errors and nodes, in the order of a covariance, from the unknowns.
     fraction : int
@@ -103,12 +97,11 @@ class Tabulation:
             parts.append(np.full(len(tables.motions[motion].position), 1.5 * missed))
         return np.asarray(np.concatenate(parts) * (np.abs(self.rows).max(axis=1) > FIXED))
 
-    def with_covariance(self, whole: Array) -> Tabulation:
-        """The same with uncertainties for a covariance of all unknowns, (full, full)."""
+    def covariance_of(self, whole: Array) -> Array:
+        """Covariance (m, m) of the tables for one of all unknowns, (full, full)."""
         cover = self.rows @ whole @ self.rows.T + np.diag(self.straight)
         # what is written as zero may be what was estimated, within its uncertainty
-        cover += np.outer(self.left_out, self.left_out)
-        return replace(self, tables=with_uncertainty(self.tables, cover), covariance=cover)
+        return np.asarray(cover + np.outer(self.left_out, self.left_out))
 
 
 @dataclass(frozen=True)
@@ -354,8 +347,8 @@ def tabulate(machine: Machine, joint: JointSolution, grid_u: float, limit: float
     tables = ErrorTables(
         machine,
         motions,
-        {n: Squareness(scalars[n]) for n in machine.squareness},
-        {n: LocationError(scalars[n], 0.0, shown[n]) for n in machine.location},
+        {n: ScalarError(scalars[n]) for n in machine.squareness},
+        {n: ScalarError(scalars[n], 0.0, shown[n]) for n in machine.location},
     )
     return Tabulation(
         tables=tables,

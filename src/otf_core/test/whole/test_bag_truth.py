@@ -30,8 +30,8 @@ from otf_core.bags.bag import read_bag
 from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import load_machine
-from otf_core.model.tables import tables_to_dict
 from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.prediction.calibration_document import tables_to_dict
 
 BAGS = Path(__file__).parents[4] / 'bags'
 SLOW = {
@@ -102,7 +102,7 @@ def published(case):
     sizes = [3, *(len(tables.motions[m].value) for m in MOTIONS)]
     kept = np.repeat([True, *(m in seen for m in MOTIONS)], sizes)
     values = np.concatenate([values, *(tables.motions[m].value for m in seen)])
-    covariance = case.result.covariance - np.diag(case.result.budget.straight)
+    covariance = case.result.covariance_run - np.diag(case.result.budget.straight)
     return values, covariance[np.ix_(kept, kept)]
 
 

@@ -22,6 +22,7 @@ from otf_core.budget.budget import (
     welch_satterthwaite,
     whole_check,
 )
+from otf_core.budget.lines import budget_lines, correlations
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
@@ -32,13 +33,6 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
 from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_facts import (
-    budget_lines,
-    budget_to_dict,
-    correlations,
-    expanded_uncertainties,
-)
 from otf_core.sim.tracker import measure
 from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
 from otf_core.solving.sensitivity import components_across, piece_state, sensitivity
@@ -129,7 +123,7 @@ def test_sources_add_up_in_quadrature_to_u(declared):
 def test_declared_contributions_leave_the_estimates_alone_and_widen_u(declared, calibrated):
     for name, table in calibrated.tables.motions.items():
         np.testing.assert_array_equal(declared.tables.motions[name].value, table.value)
-        assert np.all(declared.tables.motions[name].u >= table.u * (1 - 1e-9))
+        assert np.all(declared.tables.motions[name].u >= table.u_run * (1 - 1e-9))
     assert declared.budget.not_stated == ()
     assert len(calibrated.budget.not_stated) == 6
     assert calibrated.budget.not_stated[:2] == ('tracker scale', 'air')
@@ -138,7 +132,7 @@ def test_declared_contributions_leave_the_estimates_alone_and_widen_u(declared, 
 def test_an_empty_declaration_leaves_the_tables_as_they_are(cell, calibrated):
     machine = with_declared(cell.machine, {})
     result = calibrate(cell.recording.measured(cell.truth), cell.path, machine)
-    one, other = (result_to_dict(r) for r in (result, calibrated))
+    one, other = (r.to_dict() for r in (result, calibrated))
     for key in ('motions', 'squareness', 'covariance', 'budget', 'fit'):
         assert json.dumps(one[key]) == json.dumps(other[key]), key
     assert 'uncertainty' not in other['machine']
@@ -376,21 +370,19 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
     assert budget.expansion(budget.variances()) == (pytest.approx(2.306, abs=1e-3), 8.0)
 
 
-def test_file_holds_expanded_uncertainty_budget_and_correlations(declared):
-    lines = budget_lines(declared.tables, declared.budget)
-    wide = expanded_uncertainties(declared.tables, lines)
-    found = result_to_dict(declared)
+def test_file_holds_budget_correlations_and_coverage_factors(declared):
+    found = declared.to_dict()
     exx = found['motions']['EXX']
-    np.testing.assert_allclose(exx['U'], exx['k'] * np.array(exx['u']))
-    assert exx['dof'] > 30
-    assert wide['ECZ'] == {'U': [0.0] * len(exx['U'][:5]), 'k': None, 'dof': None}
+    np.testing.assert_allclose(exx['u'], declared.expanded['EXX'] / exx['k'], atol=1e-15)
+    assert (exx['dof'] is None or exx['dof'] > 30) and found['motions']['ECZ']['k'] is None
+    assert not any(found['motions']['ECZ']['u'])
     assert 'air' in found['budget']['u_rms']['EXX']['sources']
     strong = found['correlations']['strongest']
     assert 0 < len(strong) <= 20
     assert all(0.5 <= abs(pair['r']) <= 1 + 1e-9 for pair in strong)
     pairs = correlations(declared.tables, declared.covariance)
     assert found['correlations']['more'] == max(0, len(pairs) - 20)
-    json.dumps(budget_to_dict(declared.tables, declared.budget, lines), allow_nan=False)
+    json.dumps(found, allow_nan=False)
 
 
 def test_declaration_is_read_echoed_and_checked(tmp_path):

@@ -17,7 +17,7 @@ from core_cells import CONTRACT_CHAINS, error_by_hand, some_machine
 import otf_core
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 QUICK = ({'levels': 2, 'passes': 1, 'rate': 200, 'corner_dwell': 0.05, 'end_dwell': 3},)
@@ -57,7 +57,7 @@ def test_commands_end_well(done):
 
 def test_prediction_leaves_less_than_two_per_cent_of_the_truth(done):
     header, rows = read_csv(done.folder / 'errors.csv')
-    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     np.testing.assert_array_equal(rows[:, :3], done.q)
     truth = np.array([error_by_hand(done.truth, point) for point in done.q])
     left = without_rigid_motion(rows[:, 3:6] - truth, done.q)

@@ -67,10 +67,8 @@ def test_the_object_of_a_calibration_is_its_file_and_comes_as_checked(asked, tmp
     expected = json.loads(capsys.readouterr().out)
     code, answer, words = asked('calibrate', ROOM / 'bag', *MACHINE)
     assert code == 0 and words.endswith(f'open {tmp_path / "out/report.html"}\n')
-    for key in ('expected_after_compensation', 'noise_and_misfit_alone'):
-        forecast, stated = (
-            found[key]['U'] for found in (expected['forecast'], answer['headline'])
-        )
+    for key in ('u', 'u_run'):
+        forecast, stated = (found[key] for found in (expected['forecast'], answer['headline']))
         assert 0.5 < forecast['mean'] / stated['mean'] < 2.0
     assert expected['coverage'] == pytest.approx(answer['fit']['coverage'], abs=0.01)
     written = json.loads((tmp_path / 'out/error_tables.json').read_text())

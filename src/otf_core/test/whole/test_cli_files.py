@@ -21,7 +21,7 @@ import otf_core
 from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import effects_from_data
 from otf_core.model.chain import exact_position
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 
 QUICK = ({'levels': 2, 'passes': 1, 'rate': 50, 'corner_dwell': 0.1, 'end_dwell': 1},)
 
@@ -227,8 +227,7 @@ def test_truth_says_all_that_was_simulated(bags, name):
 def test_truth_explains_the_samples_to_within_effect_and_noise(bags, name):
     file = load_tables(bags.folder / name)
     content = read_bag(bags.folder / 'run')
-    rotation = np.array(file.extra['alignment']['rotation'])
-    place = np.array(file.extra['alignment']['translation'])
+    rotation, place = file.alignment.rotation, file.alignment.translation
     ends = content.path.points[[0, -1]]
     true = exact_position(file.tables, ends)
     for samples, point in zip((slice(20), slice(-20, None)), true, strict=True):

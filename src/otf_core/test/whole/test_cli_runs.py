@@ -9,7 +9,7 @@ import yaml
 from cli_cells import run
 from core_cells import some_machine
 
-from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.prediction.calibration_document import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 OFFSETS = ([0.0, 0.0, -0.15], [0.08, 0.0, -0.15], [0.0, 0.08, -0.15])

@@ -277,14 +277,14 @@ def test_noise_that_wanders_is_no_step():
 
 def test_tables_as_uncertain_as_the_errors_fail():
     result = calibrate_recordings([recorded()], CONFIG)
-    volume = VolumetricError(result.tables, result.covariance)
+    volume = VolumetricError(result.tables, result.covariance_run)
     error = np.sqrt(np.mean(volume.length**2))
     u = np.sqrt(np.median(volume.u_size**2))
     assert u < 0.2 * error
-    assert check_worth(result.tables, result.covariance, 1e-6) == []
+    assert check_worth(result.tables, result.covariance_run, 1e-6) == []
     scale = (1.1 * error / u) ** 2
-    (gate,) = check_worth(result.tables, scale * result.covariance, 1e-6)
-    (word,) = check_worth(result.tables, scale * result.covariance, error)
+    (gate,) = check_worth(result.tables, scale * result.covariance_run, 1e-6)
+    (word,) = check_worth(result.tables, scale * result.covariance_run, error)
     assert (gate.severity, word.severity) == ('gate', 'warning')
 
 

@@ -21,9 +21,9 @@ from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
-from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
 from otf_core.planning.path_creation import plan_path
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.cell import simulate
 from otf_core.sim.twin import twin_recording

@@ -11,10 +11,9 @@ from nature import Cell, Extra, judge
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects
-from otf_core.model.tables import load_tables
-from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.predict import predict
-from otf_core.reports.calibration import calibration_html, facts_of
+from otf_core.reports.calibration_page import calibration_page
 from otf_core.sim.twin import twin_recording
 
 CELL = {
@@ -53,8 +52,7 @@ def folder(tmp_path_factory):
 def judged(file, cell):
     known = load_tables(file)
     count = 3 + sum(len(m.position) for m in known.tables.motions.values())
-    packed = json.loads(file.read_text())['covariance']
-    return judge(cell, known.tables, unpack_covariance(packed, count))
+    return judge(cell, known.tables, known.covariance_run.unpack(count))
 
 
 def test_growth_taken_off_leaves_tables_as_of_the_start_of_the_run(folder):
@@ -96,7 +94,7 @@ def test_growth_is_found_and_taken_off():
     done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
     assert [e.effect for e in done.effects] == ['thermal_axis_expansion']
     assert done.effects[0].how == 'found' and 'Removed: ' in done.effects_sentence
-    left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done)]
+    left = [judge(GROWING, r.tables, r.covariance_run).left_percent for r in (done.plain, done)]
     assert left[1] < 0.25 * left[0]
 
 
@@ -104,5 +102,5 @@ def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
     assert done.effects == () and done.applied == ()
     assert 'No gap' in done.effects_sentence and 'No effect was removed' in done.effects_sentence
-    assert 'No effect was removed' in calibration_html(facts_of(done))
+    assert 'No effect was removed' in calibration_page(done.to_dict())
     assert done.run_id == done.plain.run_id

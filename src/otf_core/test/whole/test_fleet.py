@@ -20,8 +20,8 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
 from otf_core.fleet.fleet import listed_jobs, read_list
-from otf_core.model.tables import load_tables
-from otf_core.reports.fleet_report import fleet_rows
+from otf_core.prediction.calibration_document import load_tables
+from otf_core.reports.fleet_report import fleet_document, fleet_rows
 
 STUB = """
 import json, os, pathlib, sys
@@ -34,8 +34,8 @@ out.mkdir(exist_ok=True)
 name = pathlib.Path(bag).name
 offset = [0.0, 0.0, -0.25 if 'longer' in name else -0.15]
 sizes = {'mean': 1e-5, 'max': 2e-5}
-data = {'headline': {'error': sizes, 'U_of_largest': 1e-6,
-                     'expected_after_compensation': {'U': sizes}},
+data = {'headline': {'error': sizes, 'u_of_largest': 1e-6, 'k': 2.0,
+                     'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': 'gate' not in name, 'sentence': 'NOT GOOD'},
                      'machine': {'state': 'fail' if 'limit' in name else 'not stated'}},
         'machine': {'name': 'm', 'target_offset': offset},
@@ -285,8 +285,8 @@ def test_a_fleet_needs_a_list_and_a_verb_for_it(tmp_path, capsys, words, said):
 def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     sizes = {'mean': 1e-5, 'max': 2e-5}
     data = {
-        'headline': {'error': sizes, 'U_of_largest': 1e-6,
-                     'expected_after_compensation': {'U': sizes}},
+        'headline': {'error': sizes, 'u_of_largest': 1e-6, 'k': 2.0,
+                     'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
         'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},
@@ -296,7 +296,7 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
     done = {'flat': fleet_module.JobResult(0, '', 'digest')}
-    columns, (row,), _ = fleet_rows('calibrate', tmp_path, done)
+    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done))
     shown = dict(zip(columns, row, strict=True))
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',

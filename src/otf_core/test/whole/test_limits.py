@@ -15,13 +15,14 @@ from nature import table_rows
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.calibration_result import headline_of
-from otf_core.calibration.machine_verdict import Verdicts, judge
+from otf_core.calibration.machine_verdict import judge, measurement_verdict
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.sections import Limits
 from otf_core.model.tables import MotionTable
+from otf_core.prediction.calibration_document import Verdicts
 from otf_core.prediction.volumetric import VolumetricError
 
 GIVEN = {
@@ -85,7 +86,7 @@ def verdict(calibrated, **limits):
 
 
 def state(calibrated, **limits):
-    (one,) = verdict(calibrated, **limits).judged
+    (one,) = verdict(calibrated, **limits).limits
     return one.state
 
 
@@ -151,7 +152,7 @@ def test_nothing_is_known_where_the_machine_was_not_driven(calibrated):
         tables=replace(tables, machine=replace(machine, axes={**machine.axes, 'X': longer})),
     )
     limits = {'volumetric_error': 1e-2, 'uncertainty': 1e-2, 'EXX': 1e-2, 'EYY': 1e-2}
-    states = [one.state for one in verdict(wide, **limits).judged]
+    states = [one.state for one in verdict(wide, **limits).limits]
     assert states == ['not known', 'not known', 'not known', 'pass']
     # what is stated first is that of the driven volume
     sizes = [
@@ -164,10 +165,10 @@ def test_nothing_is_known_where_the_machine_was_not_driven(calibrated):
 def test_what_the_data_do_not_show_does_not_pass(calibrated):
     hidden = next(n for n in calibrated.not_identifiable if n in MOTIONS)
     found = verdict(calibrated, **{hidden: 1e-3, 'volumetric_error': 1e-2})
-    assert [one.state for one in found.judged] == ['not known', 'pass']
-    assert not found.passed
-    assert 'the data do not show it' in found.open[0]
-    assert found.sentence == '1 of 2 limits not known'
+    assert [one.state for one in found.limits] == ['not known', 'pass']
+    assert found.state != 'pass'
+    assert 'the data do not show it' in found.limits[0].words
+    assert '1 of 2 limits not known' in found.sentence
 
 
 def test_nothing_is_proven_of_a_volume_of_which_an_axis_stood(calibrated):
@@ -181,14 +182,13 @@ def test_nothing_is_proven_of_a_volume_of_which_an_axis_stood(calibrated):
     limits = {'volumetric_error': 1e-2, 'uncertainty': 1e-2}
     stood = replace(stood, machine=replace(stood.machine, limits=Limits(limits)))
     found = judge(stood, calibrated.covariance, calibrated.budget, tuple(still))
-    assert [one.state for one in found.judged] == ['not known', 'not known']
+    assert [one.state for one in found.limits] == ['not known', 'not known']
 
 
 def test_without_limits_there_is_no_verdict(calibrated):
-    assert calibrated.machine_verdict is None
-    assert calibrated.verdicts.machine_words == 'machine: no limits stated in machine.yaml'
+    assert calibrated.verdicts.words[1] == 'machine: no limits stated in machine.yaml'
     assert calibrated.verdicts.exit_code == 0
-    assert verdict(calibrated, volumetric_error=1e-2).passed
+    assert verdict(calibrated, volumetric_error=1e-2).state == 'pass'
 
 
 def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, capsys):
@@ -214,19 +214,21 @@ def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, 
 
 def test_a_bad_measurement_is_no_verdict_on_the_machine(calibrated):
     machine = verdict(calibrated, volumetric_error=1e-2, EXX=1e-6)
-    both = Verdicts(('coverage: 62 % of the path driven, 80 % needed',), machine)
+    gate = 'coverage: 62 % of the path driven, 80 % needed'
+    both = Verdicts(measurement_verdict([gate]), machine)
     assert both.exit_code == 4
-    assert both.measurement_words == 'measurement: NOT GOOD, ' + both.failed_gates[0]
-    assert both.machine_words.startswith('machine: 1 of 2 limits broken')
-    assert Verdicts((), machine).exit_code == 5
-    assert Verdicts((), verdict(calibrated, volumetric_error=1e-2)).exit_code == 0
+    assert both.words[0] == f'measurement: NOT GOOD, {gate}'
+    assert both.words[1].startswith('machine: 1 of 2 limits broken')
+    assert Verdicts(measurement_verdict(()), machine).exit_code == 5
+    kept = verdict(calibrated, volumetric_error=1e-2)
+    assert Verdicts(measurement_verdict(()), kept).exit_code == 0
 
 
 def test_limits_are_judged_with_the_uncertainty_of_the_headline(cell, calibrated):
     limits = Limits({'uncertainty': 2 * calibrated.headline.observed['max']})
     machine = replace(cell.machine, limits=limits)
     found = calibrate(cell.recording.measured(cell.truth), cell.path, machine)
-    (one,) = found.machine_verdict.judged
+    (one,) = found.verdicts.machine.limits
     assert one.value == pytest.approx(found.headline.expanded['max'], rel=1e-9)
     assert one.state == 'fail', 'noise alone would keep it'
 

@@ -24,8 +24,6 @@ from otf_core.planning.forecast import (
     planned_systematic,
 )
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.calibration_facts import budget_lines
 from otf_core.reports.plan_files import plan_summary, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -157,46 +155,44 @@ def with_declared(cell, values):
 def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_them(
     cell, calibrated
 ):
-    typical, whole = calibrated.typical, with_declared(cell, typical_values())
+    whole = with_declared(cell, typical_values())
     for name, table in whole.tables.motions.items():
-        np.testing.assert_allclose(typical.motions[name], table.u, rtol=1e-6, atol=1e-15)
-    for name, (stated, with_them) in typical.scalars.items():
-        assert stated == pytest.approx(calibrated.tables.squareness[name].u)
-        assert with_them == pytest.approx(whole.tables.squareness[name].u)
-    lines = [budget_lines(r.tables, r.budget)[-1].u for r in (calibrated, whole)]
-    assert typical.grid == pytest.approx(lines)
-    assert typical.grid[1] > 4 * typical.grid[0]
+        found = calibrated.tables.motions[name]
+        np.testing.assert_allclose(found.u, table.u, rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(found.u_run, table.u_run, rtol=1e-6, atol=1e-15)
+    for name, own in calibrated.tables.squareness.items():
+        assert own.u == pytest.approx(whole.tables.squareness[name].u)
+    assert calibrated.headline.u['mean'] > 4 * calibrated.headline.u_run['mean']
     assert whole.typical is None
     assert not any('typical' in text for text in whole.warnings)
-    assert result_to_dict(whole)['typical_systematic'] is None
+    assert whole.to_dict()['typical_systematic'] is None
 
 
 def test_undeclared_contributions_are_a_warning(calibrated):
     first = calibrated.warnings[0]
     assert first.startswith('machine.yaml declares nothing for tracker scale, air, ')
     assert (
-        'U includes typical values for them (presets absolute-interferometer, workshop)' in first
+        'u includes typical values for them (presets absolute-interferometer, workshop)' in first
     )
-    found = result_to_dict(calibrated)
-    assert found['warnings'][0] == calibrated.warnings[0]
-    entry = found['typical_systematic']
-    assert set(entry['motions']) == set(found['motions'])
-    for name, motion in found['motions'].items():
-        assert np.all(np.array(entry['motions'][name]['u']) >= motion['u'])
-    assert entry['squareness']['C0Y']['u'] > found['squareness']['C0Y']['u']
-    assert entry['assumed'] == typical_values()
-    json.dumps(entry, allow_nan=False)
+    found = calibrated.to_dict()
+    assert found['warnings'][0] == found['typical_systematic']['sentence'] == first
+    for motion in found['motions'].values():
+        assert np.all(np.array(motion['u']) >= motion['u_run'])
+    c0y = found['squareness']['C0Y']
+    assert c0y['u'] > c0y['u_run']
+    assert found['typical_systematic']['assumed'] == typical_values()
+    assert found['systematic'] == 'typical'
 
 
 def test_the_headline_is_the_same_whether_typical_values_are_declared_or_assumed(cell, calibrated):
     whole = with_declared(cell, typical_values()).headline
     first = calibrated.headline
     assert (first.systematic, whole.systematic) == ('typical', 'declared')
-    assert len(first.assumed) == 6 and whole.assumed == ()
+    assert len(first.typical_for) == 6 and whole.typical_for == ()
     for own, other in ((first.expanded, whole.expanded), (first.observed, whole.observed)):
         assert own == pytest.approx(other, rel=0.2)
     assert first.error == pytest.approx(whole.error, rel=0.01)
-    assert first.of_largest == pytest.approx(whole.of_largest, rel=0.2)
+    assert first.u_of_largest == pytest.approx(whole.u_of_largest, rel=0.2)
     assert first.k == whole.k == 2.0
     assert all(first.observed[k] < 0.3 * first.expanded[k] for k in first.expanded)
     assert 'typical, not declared' in first.expanded_words
@@ -217,10 +213,10 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
     assert typical.missing == ('air', 'tracker angles')
     assert set(typical.assumed) == {'tracker_angle', 'air_pressure'}
     assert partly.warnings[0].startswith('machine.yaml declares nothing for air, tracker angles: ')
-    assert partly.headline.systematic == 'partly typical'
+    assert partly.headline.systematic == 'typical'
     for name in ('EXX', 'EYX', 'EAX'):
         u = whole.tables.motions[name].u
-        np.testing.assert_allclose(typical.motions[name], u, rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(partly.tables.motions[name].u, u, rtol=1e-6, atol=1e-15)
 
 
 def test_zero_declares_that_there_is_nothing(cell, calibrated):
@@ -228,7 +224,7 @@ def test_zero_declares_that_there_is_nothing(cell, calibrated):
     assert nothing.typical is None
     assert nothing.budget.not_stated == ()
     np.testing.assert_allclose(
-        nothing.tables.motions['EXX'].u, calibrated.tables.motions['EXX'].u, rtol=1e-9
+        nothing.tables.motions['EXX'].u, calibrated.tables.motions['EXX'].u_run, rtol=1e-9
     )
     machine = described(uncertainty=dict.fromkeys(DECLARABLE, 0.0))
     assert set(machine.uncertainty.values.values()) == {0.0}
@@ -243,7 +239,7 @@ def planned(machine, plan):
     found = forecast(plan, setup)
     systematic = planned_systematic(found)
     report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, ())
-    return systematic, plan_summary(report), report_to_dict(report)
+    return systematic, plan_summary(report_to_dict(report)), report_to_dict(report)
 
 
 def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):

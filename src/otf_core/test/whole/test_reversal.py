@@ -26,10 +26,10 @@ from otf_core.exports.terms import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import facts_of, write_calibration
-from otf_core.reports.calibration_sections.error_motions import reversal_section
+from otf_core.prediction.calibration_document import load_tables
+from otf_core.reports.calibration import write_calibration
+from otf_core.reports.calibration_page import calibration_page
 from otf_core.sim.cell import simulate
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import identifiable_blocks
@@ -239,7 +239,7 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
     write_calibration(chosen, tmp_path, report=False)
     content = load_tables(tmp_path / 'error_tables.json')
     stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
-    text = ' '.join(reversal_section(facts_of(chosen)).words)
+    text = calibration_page(chosen.to_dict())
     for axis in AXES:
         found = chosen.reversal.backlash[axis]
         assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6

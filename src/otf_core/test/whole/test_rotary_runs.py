@@ -58,7 +58,7 @@ def test_recorded_trunnion_comes_out_as_it_is():
         lean.position, *(getattr(true.motions['EBZ'], n) for n in ('position', 'value'))
     )
     off = lean.value - there + there[0]
-    assert np.sqrt(np.mean(off**2)) < 2.0 * np.sqrt(np.mean(lean.u**2))
+    assert np.sqrt(np.mean(off**2)) < 2.0 * np.sqrt(np.mean(lean.u_run**2))
     assert all('spindle axis' in result.advice[n] for n in result.not_identifiable)
     assert not result.failed_gates and result.fit.inflation < 1.2
     d = displacement(result.tables, q) - displacement(true, q)
@@ -125,7 +125,7 @@ def predict_u(result, q):
     """Standard uncertainty of the predicted errors."""
     m, tables = machine(), result.tables
     nodes = {k: tables.motions[k].position for k in m.motions}
-    return prediction_uncertainty(m, nodes, result.covariance, q)
+    return prediction_uncertainty(m, nodes, result.covariance_run, q)
 
 
 @cache
@@ -264,7 +264,7 @@ def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
     assert list(reversal.motions) == ['ECC']
     table = reversal.motions['ECC']
     true = -4e-5 + 4e-5 * np.cos(table.position) - 3e-5 * np.sin(table.position)
-    assert np.all(np.abs(table.value - true) < 3.0 * table.u) and table.u.max() < 6e-6
+    assert np.all(np.abs(table.value - true) < 3.0 * table.u_run) and table.u_run.max() < 6e-6
 
 
 def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
@@ -287,7 +287,7 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
         change = np.abs(table.value - without.tables.motions[motion].value)
         small = 5e-7 if motion.unit == 'm' else 2e-6
         # the roughness that is most likely may be another one: within its share of u
-        assert np.all(change < np.maximum(small, 3.0 * table.u)), motion
+        assert np.all(change < np.maximum(small, 3.0 * table.u_run)), motion
 
 
 def with_tracker_moved(part, size):

@@ -41,7 +41,7 @@ def ordinary_least_squares(cell, run):
 def test_smooth_errors_are_found_better_than_by_least_squares_and_as_well_as_stated(chain):
     cell = small(chain)
     result = calibrate_recordings([cell.recording(100.0)], CONFIG)
-    found = judge(cell, result.tables, result.covariance)
+    found = judge(cell, result.tables, result.covariance_run)
     assert found.before_um > 30.0
     assert found.left_percent < 1.2
     assert found.left_percent < 0.3 * ordinary_least_squares(cell, result.runs[0])
@@ -55,6 +55,6 @@ def test_more_samples_do_not_make_it_worse():
     left = []
     for rate in (20.0, 500.0):
         result = calibrate_recordings([cell.recording(rate)], CONFIG)
-        left.append(judge(cell, result.tables, result.covariance).left_um)
+        left.append(judge(cell, result.tables, result.covariance_run).left_um)
     # another draw of the noise: some 25 free components, so 14 % of the length either time
     assert left[1] <= 1.15 * left[0]

@@ -88,7 +88,7 @@ def test_predictions_lie_within_their_stated_uncertainty():
         result = calibrated(machine, run.samples, plan.path)
         nodes = {name: table.position for name, table in result.tables.motions.items()}
         q = lattice(machine, 5)
-        u = prediction_uncertainty(machine, nodes, result.covariance, q)
+        u = prediction_uncertainty(machine, nodes, result.covariance_run, q)
         left = left_over(result, run.truth)[2]
         ratios.append(np.abs(left)[u > 0] / u[u > 0])
     assert 0.90 < np.mean(np.concatenate(ratios) < 2.0) <= 1.0

@@ -9,7 +9,7 @@ import pytest
 from cli_cells import write_points
 
 from otf_core.cli import _parser
-from otf_core.model.tables import load_tables
+from otf_core.prediction.calibration_document import load_tables
 
 BAG = Path(__file__).resolve().parents[4] / 'bags/y-carries-the-table'
 NUMBERS = {'numpy', 'scipy', 'yaml'}

@@ -14,7 +14,8 @@ from otf_core.config import SimulationConfig, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.plan import Plan, check_inside
-from otf_core.model.tables import ErrorTables, load_tables
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import load_tables
 from otf_tracker_driver.backends.base import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
 

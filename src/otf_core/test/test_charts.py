@@ -7,7 +7,7 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from otf_core.reports.drawing.panel import (
+from otf_core.reports.charts import (
     LEVELS,
     Bar,
     Panel,
@@ -20,7 +20,9 @@ from otf_core.reports.drawing.panel import (
     heat_step,
     scale_around,
 )
-from otf_core.reports.drawing.scene import (
+from otf_core.reports.rendering import TEMPLATES, typeset
+from otf_core.reports.rendering import escaped as text
+from otf_core.reports.scene import (
     ELEVATION,
     HEIGHT,
     WIDTH,
@@ -31,7 +33,9 @@ from otf_core.reports.drawing.scene import (
     scene,
     tracker_items,
 )
-from otf_core.reports.drawing.style import MARKS, STYLE, text, typeset
+
+STYLE = (TEMPLATES / 'page.css').read_text(encoding='utf-8')
+MARKS = STYLE.partition('* { box-sizing')[0]
 
 
 def numbers(path):

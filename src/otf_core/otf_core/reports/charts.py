@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otf_core.arrays import Array
-from otf_core.reports.drawing.style import text as typeset
+from otf_core.reports.rendering import escaped
 
 # Scales of axes, of dates and of colour: round steps, marks, classes and their keys.
 
@@ -227,7 +227,7 @@ def arrow_path(ends: Array) -> str:
 
 def svg(width: float, height: float, marks: Iterable[str], title: str) -> str:
     """An ``svg`` element; ``title`` is read to those who cannot see it."""
-    label = typeset(title)
+    label = escaped(title)
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" style="max-width:{1.25 * width:g}px" '
         f'role="img" aria-label="{label}">'
@@ -239,7 +239,7 @@ def words(x: float, y: float, said: str, kind: str = '', *, turned: bool = False
     """Text at a place, px; ``kind`` holds classes such as 'end', 'middle', 'soft', 'strong'."""
     turn = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turned else ''
     css = f' class="{kind}"' if kind else ''
-    return f'<text x="{x:.1f}" y="{y:.1f}"{css}{turn}>{typeset(said)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}"{css}{turn}>{escaped(said)}</text>'
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/schema.md: the fields of every result file, from the dataclasses that read and write them.
+
+``python3 tools/schema_page.py`` writes it; a test compares.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / 'docs' / 'schema.md'
+INTRODUCTION = """<!-- made by python3 tools/schema_page.py -->
+# Fields of the result files
+
+Each result is one JSON object. SI units; `u` is a standard uncertainty (k = 1) with everything
+that is stated, `u_run` that of noise and misfit of the run alone. `[]` stands for the entries of
+a list, `NAME` for the names of a mapping. What is not known is `null`. Readers ignore further
+fields.
+"""
+
+
+def schema_page() -> str:
+    """The page in Markdown."""
+    folder = str(ROOT / 'src' / 'otf_core')
+    if folder not in sys.path:
+        sys.path.append(folder)
+    from otf_core.documents import schema_rows
+    from otf_core.files.message_text import with_micro_sign
+    from otf_core.prediction.calibration_document import CalibrationDocument
+
+    documents: dict[str, type] = {'error_tables.json': CalibrationDocument}
+    parts = [INTRODUCTION]
+    for file, document in documents.items():
+        first, *_ = (document.__doc__ or '').partition('\n')
+        rows = ['| field | type | unit | meaning |', '|---|---|---|---|']
+        rows += [f'| `{path}` | {kind} | {unit} | {meaning} |'
+                 for path, kind, unit, meaning in schema_rows(document)]  # fmt: skip
+        parts.append('\n'.join([f'## {file}', '', first, '', *rows, '']))
+    return with_micro_sign('\n'.join(parts))
+
+
+if __name__ == '__main__':
+    PAGE.write_text(schema_page(), encoding='utf-8')
