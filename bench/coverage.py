@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from spread import add_options, spread
 
+from otf_core.calibration.budget_blocks import budget_lines, expanded_uncertainties
 from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
@@ -39,7 +40,6 @@ from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.forecast import free_rows
 from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.reports.calibration_facts import budget_lines, expanded_uncertainties
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
 from otf_core.solving.unknowns import layout, linear
