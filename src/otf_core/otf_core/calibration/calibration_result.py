@@ -45,8 +45,7 @@ from otf_core.prediction.absorbed import OffsetBound, offset_bound
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
-from otf_core.solving.reversal import Reversal
-from otf_core.solving.reversal_choice import AxisLag
+from otf_core.solving.reversal import AxisLag, Reversal
 from otf_core.solving.tabulate import TableCost
 
 DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'

@@ -586,15 +586,11 @@ def why_reversal(evidence: Mapping[str, Any]) -> Iterator[str]:
         if decided := evidence.get('decided_by'):
             yield f'Decided by {decided}.'
         return
-    for model in (key.removeprefix('gain_') for key in evidence if key.startswith('gain_')):
-        yield (f'Model {model}: gain over the best simpler model on {evidence["lines"]} held-out '
-               f'lines {evidence[f"gain_{model}"]:.1f} +/- {evidence[f"scatter_{model}"]:.1f}; '
-               f'{evidence["needed"]:g} times the scatter is needed.')  # fmt: skip
-    if 'rival' in evidence:
-        yield (
-            f'But {evidence["rival"]} explains these legs better: an error that changes sign '
-            f'with the direction of travel and grows with the feed; see otf diagnose.'
-        )
+    yield (
+        f'Gain of all that was chosen, or of the best that was not, over no reversal on '
+        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
+        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
+    )
 
 
 def iso_row(content: Content, axis: str) -> tuple[str, ...]:
