@@ -12,10 +12,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from mcap.reader import make_reader
 
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path, encode_points
-from otf_core.bags.journal import CHUNK_PERIOD, Definitions, JournalFile, Rows, one_message
+from otf_core.bags.journal import CHUNK_PERIOD, Definitions, JournalFile, Rows
 from otf_core.bags.rosbag2_metadata import PATH, POINT
 
 RATE, DURATION, CUTS = 1000, 60, 200
@@ -40,14 +41,18 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         name = Path(folder) / 'a.mcap'
         file = JournalFile(name, Definitions({}).both[0])
-        ends, step = [], round(RATE * CHUNK_PERIOD)
+        step = round(RATE * CHUNK_PERIOD)
         for at in range(0, stamp_ns.size, step):
             rows = slice(at, at + step)
             data = encode_points(stamp_ns[rows], xyz[rows], POINT.frame)
-            first = [] if at else [one_message(PATH, path, 0)]
-            file.append([*first, Rows(POINT, data, int(1e9 * at / RATE))])
-            ends.append(file.chunk_end)
-        file.release()
+            first = [] if at else [Rows(PATH, path, len(path), 0)]
+            points = Rows(POINT, data.tobytes(), data.dtype.itemsize, int(1e9 * at / RATE))
+            file.add([*first, points])
+            file.write()
+        file.close()
+        with name.open('rb') as stream:
+            chunks = make_reader(stream).get_summary().chunk_indexes
+        ends = [c.chunk_start_offset + c.chunk_length for c in chunks]
         whole = name.read_bytes()
         right = 0
         for cut in rng.integers(ends[0], len(whole), CUTS).tolist():

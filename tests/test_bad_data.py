@@ -16,12 +16,13 @@ from otf_calibrator.collector import SILENT
 from otf_calibrator.job import recording_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
-from otf_core.bags.bag import read_bag, read_parts
+from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path
 from otf_core.bags.journal import Journal
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.inputs.recordings import read_content
 from otf_core.model.path import NominalPath
 
 ROOT = Path(__file__).parents[1]
@@ -224,7 +225,7 @@ def test_clock_set_back_begins_a_run_live_and_the_parts_stay_apart(side):
     parts = [read_bag(folder).samples for folder in folders]
     assert [len(p) for p in parts] == [half, COUNT - half]
     with pytest.raises(InputError, match='the clock was set back'):
-        read_parts(folders)
+        read_content(folders)
 
 
 def other_path():

@@ -234,7 +234,7 @@ def test_points_of_any_frame_length_decode(length, little):
     data = [
         point_cdr(t, p, frame, little) for t, p in zip(samples.stamp_ns, samples.xyz, strict=True)
     ]
-    assert point_dtype(frame, '<').itemsize == len(data[0])
+    assert point_dtype(frame).itemsize == len(data[0])
     assert len(data[0]) == 4 + 13 + length + (-(13 + length)) % 8 + 24
     gap = [b'\xff' * (i % 5) + d for i, d in enumerate(data)]
     size = np.array([len(d) for d in data])

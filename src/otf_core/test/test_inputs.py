@@ -3,7 +3,6 @@
 
 import json
 import os
-from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -42,84 +41,12 @@ def mm(*values):
     return [f'{1e3 * v:.4f}' for v in values]
 
 
-def comma(text):
-    return text.replace('.', ',')
+PLAIN = lines(lambda s, t, *p: ','.join([s, *map(repr, p)]), 'time_s,x_m,y_m,z_m\n')
 
 
-TEXTS = {
-    'plain': lines(lambda s, t, *p: ','.join([s, *map(repr, p)]), 'time_s,x_m,y_m,z_m\n'),
-    'upper case, columns moved': lines(
-        lambda s, t, x, y, z: f'{z};{y};{x};7;{s}', 'Z [m];Y [m];X [m];Quality;TIME [s]\n'
-    ),
-    'German': lines(
-        lambda s, t, *p: comma(';'.join([f'{t / 1e6:.6f}', *mm(*p)])) + ';gut;',
-        '# Bericht\n# Maschine 7\nZeit [ms];X [mm];Y [mm];Z [mm];Güte\n',
-    ),
-    'tabs, no names': lines(lambda s, t, *p: '\t'.join([s, *mm(*p)])),
-    'spaces, a comment in the middle': lines(
-        lambda s, t, *p: f'  {s}   {"  ".join(mm(*p))}' + ('\n# pause' if t == 20_000_000 else ''),
-        '# t x y z\n',
-    ),
-    'names in a comment, group and point, time of day': lines(
-        lambda s, t, *p: f'A p{t} {" ".join(mm(*p))} 0.1 23:59:59.{t + 5:09d}',
-        '// SpatialAnalyzer SA\n// AXES = CARTESIAN: X Y Z (mm)\n'
-        '// Group Point X Y Z [U-x] [Timestamp]\n',
-    ),
-    'seconds and nanoseconds of a recorded topic': lines(
-        lambda s, t, *p: f'{t},0,{s.split(".")[0]},{int(s.split(".")[1])},tracker,'
-        + ','.join(map(repr, p)),
-        '%time,field.header.seq,field.header.stamp.secs,field.header.stamp.nsecs,'
-        'field.header.frame_id,field.point.x,field.point.y,field.point.z\n',
-    ),
-    'dates': lines(
-        lambda s, t, *p: f'2026-11-22T10:11:12.{t + 5:09d}Z,' + ','.join(map(repr, p)),
-        'timestamp,x,y,z\n',
-    ),
-    'dates as tables write them, a name with a space': lines(
-        lambda s, t, *p: f'Point {t},2026-11-22 10:11:12.{t + 5:09d},' + ','.join(map(repr, p)),
-        'Name,time,x_m,y_m,z_m\n',
-    ),
-    'units in a line of their own': lines(
-        lambda s, t, *p: '\t'.join([f'{t / 1e6:.6f}', *mm(*p)]),
-        'Time\tX Coordinate\tY Coordinate\tZ Coordinate\n[ms]\t[mm]\t[mm]\t[mm]\n',
-    ),
-    'decimal commas between white space': lines(
-        lambda s, t, *p: comma(f'{t / 1e9:.9f}  ' + ' '.join(mm(*p))), 'Zeit X Y Z\n'
-    ),
-}  # fmt: skip
-
-
-def reading(tmp_path, text, encoding='utf-8', **options):
-    (tmp_path / 'run.csv').write_bytes(text.encode(encoding))
+def reading(tmp_path, text, **options):
+    (tmp_path / 'run.csv').write_text(text, encoding='utf-8')
     return TextReading(tmp_path / 'run.csv', **options)
-
-
-@pytest.mark.parametrize('text', TEXTS.values(), ids=TEXTS)
-def test_texts_hold_the_same_samples(tmp_path, text):
-    got = reading(tmp_path, text)
-    raw = got.received()
-    np.testing.assert_allclose(raw.xyz, XYZ, atol=6e-8)
-    np.testing.assert_array_equal(raw.stamp_ns - raw.stamp_ns[0], SINCE)
-    assert not got.remarks
-
-
-@pytest.mark.parametrize('encoding', ['utf-8-sig', 'cp1252', 'utf-16'])
-def test_encodings(tmp_path, encoding):
-    raw = reading(tmp_path, TEXTS['German'].replace('\n', '\r\n'), encoding).received()
-    np.testing.assert_allclose(raw.xyz, XYZ, atol=6e-8)
-
-
-def test_nanoseconds_since_1970_are_kept(tmp_path):
-    raw = reading(tmp_path, TEXTS['plain']).received()
-    np.testing.assert_array_equal(raw.stamp_ns, STAMPS)
-
-
-@pytest.mark.parametrize(('unit', 'digits'), [('s', 9), ('ms', 6), ('us', 3), ('ns', 0)])
-def test_a_unit_of_time_that_is_not_stated_follows_from_times_since_1970(tmp_path, unit, digits):
-    rows = [f'{Decimal(t).scaleb(-digits)},1,2,{k}' for k, t in enumerate(STAMPS.tolist())]
-    got = reading(tmp_path, '\n'.join(['t,x,y,z', *rows]))
-    assert f'time from t in {unit} (not stated' in got.said[0]
-    np.testing.assert_array_equal(got.received().stamp_ns, STAMPS)
 
 
 def test_columns_and_rate_on_request(tmp_path):
@@ -141,8 +68,8 @@ def test_columns_and_rate_on_request(tmp_path):
         with pytest.raises(ConfigError, match=words):
             reading(tmp_path, text, columns=columns, rate=1.0)
     with pytest.raises(ConfigError, match=r'--rate: .* holds times \(time_s\)'):
-        reading(tmp_path, TEXTS['plain'], rate=500.0)
-    raw = reading(tmp_path, TEXTS['plain'], columns='-,x,y,z', rate=500.0).received()
+        reading(tmp_path, PLAIN, rate=500.0)
+    raw = reading(tmp_path, PLAIN, columns='-,x,y,z', rate=500.0).received()
     np.testing.assert_array_equal(raw.stamp_ns, SINCE)
 
 
@@ -151,7 +78,7 @@ def test_columns_and_rate_on_request(tmp_path):
     [
         ('', 'holds no lines of at least 3 numbers'),
         ('Dear all,\nthe data follow.\n', 'the first line is .Dear all,'),
-        (TEXTS['plain'].replace(SECONDS[3], 'n/a'), ''),
+        (PLAIN.replace(SECONDS[3], 'n/a'), ''),
         (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the header names no x'),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
         (
@@ -163,12 +90,12 @@ def test_columns_and_rate_on_request(tmp_path):
             lines(lambda s, t, *p: f'{s},1,2,3', 't (mil),x,y,z\n'),
             r"t \(mil\): 'mil' is not a supported unit",
         ),
-        (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is not a number"),
+        (PLAIN + 'nan,1,2,3\n', "line 52: time_s: 'nan' is not a number"),
         ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
         (
-            TEXTS['plain'] + 'a,b\n' * 20,
+            PLAIN + 'a,b\n' * 20,
             r'20 of 70 lines are not samples: 20 lines: 2 columns instead of 4 \(first line 52\)',
         ),
     ],
@@ -196,7 +123,7 @@ def test_a_text_of_one_sample_or_without_times_is_refused_for_that(tmp_path, tim
 
 def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     file, corners = tmp_path / 'run.txt', tmp_path / 'path.csv'
-    file.write_text(TEXTS['plain'])
+    file.write_text(PLAIN)
     with pytest.raises(InputError, match='give the path beside it'):
         read_content([file])
     write_points(corners, CORNERS)
@@ -219,7 +146,7 @@ def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
     plan = {'schema': 'otf-plan/2', 'axes': list('XYZ'), 'parts': [part], 'assumed': assumed}
     (tmp_path / 'plan.json').write_text(json.dumps(plan))
     np.testing.assert_array_equal(read_path(tmp_path / 'plan.json')[0], CORNERS)
-    rows = '\n'.join(comma(';'.join(mm(*p))) for p in CORNERS.tolist())
+    rows = '\n'.join(';'.join(mm(*p)) for p in CORNERS.tolist())
     (tmp_path / 'path.csv').write_text(f'X [mm];Y [mm];Z [mm]\n{rows}\n')
     np.testing.assert_allclose(read_path(tmp_path / 'path.csv')[0], CORNERS, atol=1e-12)
 

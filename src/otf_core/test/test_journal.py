@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from otf_core.bags import journal as journal_module
 from otf_core.bags.bag import read_bag
+from otf_core.bags.cdr import encode_points
 from otf_core.bags.journal import (
     Definitions,
     Journal,
@@ -78,7 +79,7 @@ def test_run_under_way_is_a_whole_bag_for_every_reader(journal):
     assert topics.count('/tracker/point') == 400 and topics.count('/tracker/status') == 1
 
 
-@pytest.mark.parametrize('step', ['_map', '_starts_of_file', '_register', '_unpack'])
+@pytest.mark.parametrize('step', ['_records', '_register', '_unpack', '_blocks'])
 def test_reader_that_is_overtaken_gets_what_was_there(journal, monkeypatch, step):
     journal.message(PATH, path_cdr())
     put(journal, 0, 150)
@@ -86,17 +87,17 @@ def test_reader_that_is_overtaken_gets_what_was_there(journal, monkeypatch, step
     wait(lambda: readable(folder, 150))
     found = getattr(McapMessages, step)
 
-    def found_and_overtaken(self, *arguments):
-        first, size = found(self, *arguments), self._file.stat().st_size
+    def overtaken_and_found(self, *arguments):
         if not overtaken:
+            size = self._file.stat().st_size
             overtaken.append(step)
             put(journal, 150, 400)
             wait(lambda: self._file.stat().st_size > size)
-        return first
+        return found(self, *arguments)
 
     overtaken = []
     with monkeypatch.context() as patch:
-        patch.setattr(McapMessages, step, found_and_overtaken)
+        patch.setattr(McapMessages, step, overtaken_and_found)
         assert_holds(read_bag(folder), 150)
     wait(lambda: readable(folder, 400))
     assert_holds(read_bag(folder))
@@ -236,7 +237,7 @@ def test_what_the_disk_never_took_is_counted(journal, monkeypatch):
     def refuse(*_):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(JournalFile, 'append', refuse)
+    monkeypatch.setattr(JournalFile, 'write', refuse)
     for start in range(0, 400, 50):
         put(journal, start, start + 50)
     wait(lambda: 'not in the journal' in journal.trouble)
@@ -271,15 +272,16 @@ def test_foreign_frames_are_kept_as_they_came(journal):
 def test_file_torn_at_any_byte_has_all_complete_chunks(tmp_path):
     texts = Definitions(TEXTS).both[0]
     file = JournalFile(tmp_path / 'a.mcap', texts)
-    ends = []
     for start in range(0, 400, 40):
-        rows = slice(start, start + 40)
-        data = journal_module.encode_points(SAMPLES.stamp_ns[rows], SAMPLES.xyz[rows], 'tracker')
-        path = [] if start else [journal_module.one_message(PATH, path_cdr(), 1)]
-        file.append([*path, Rows(POINT, data, start)])
-        last = file._index[-1]
-        ends.append(last.chunk_start_offset + last.chunk_length)
-    file.release()
+        part = slice(start, start + 40)
+        rows = encode_points(SAMPLES.stamp_ns[part], SAMPLES.xyz[part], 'tracker')
+        path = [] if start else [Rows(PATH, path_cdr(), len(path_cdr()), 1)]
+        file.add([*path, Rows(POINT, rows.tobytes(), rows.dtype.itemsize, start)])
+        file.write()
+    file.close()
+    with (tmp_path / 'a.mcap').open('rb') as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    ends = [c.chunk_start_offset + c.chunk_length for c in chunks]
     whole = (tmp_path / 'a.mcap').read_bytes()
     for cut in np.random.default_rng(11).integers(ends[0], len(whole), 40):
         (tmp_path / 'a.mcap').write_bytes(whole[:cut])

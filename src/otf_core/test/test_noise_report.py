@@ -9,7 +9,7 @@ from core_cells import START_NS, some_machine
 from html_cells import Page, unloading
 
 from otf_core import cli
-from otf_core.bags.bag import write_recording
+from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import InputError
 from otf_core.model.expanded import with_expanded
 from otf_core.model.observation import Samples
@@ -283,7 +283,7 @@ def test_little_standstill_and_rounding_are_warned_of():
 def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
     samples = stops(3, 4.0)
     path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    write_recording(tmp_path / 'bag', samples, path, False)
+    write_bag(tmp_path / 'bag', BagContent(samples, path))
     assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
     data = json.loads((tmp_path / 'out' / 'noise.json').read_text())
     keys = ['u_range', 'u_angle', 'white_range', 'white_angle', 'correlation_time']
@@ -307,7 +307,7 @@ def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
 def test_command_refuses_a_bag_without_standstill(tmp_path, capsys):
     samples = stops(1, 0.5)
     path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    write_recording(tmp_path / 'bag', samples, path, False)
+    write_bag(tmp_path / 'bag', BagContent(samples, path))
     assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 3
     assert not (tmp_path / 'out').exists()
     assert 'record while the target stands still' in capsys.readouterr().err

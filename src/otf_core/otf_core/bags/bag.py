@@ -8,10 +8,11 @@ import os
 import shutil
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from heapq import merge
+from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import yaml
@@ -21,14 +22,14 @@ from otf_core.bags.bag_signals import signal_messages
 from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
 from otf_core.bags.rosbag2_metadata import (
     AXES,
-    CREATOR,
     PATH,
     POINT,
     Part,
     Topic,
     bag_metadata,
-    channel_metadata,
+    describe_topics,
     metadata_text,
+    start_mcap,
 )
 from otf_core.bags.sample_order import Screening, sort_by_time, usable_path
 from otf_core.errors import ConfigError, InputError
@@ -47,33 +48,6 @@ from otf_core.model.signals import Signal
 
 FILE_NAME = 'bag_0.mcap'
 """The same in every bag, so that equal content gives equal bytes."""
-
-
-def write_recording(
-    folder: Path,
-    samples: Samples,
-    path: NominalPath | None,
-    overwrite: bool,
-    signals: Mapping[SignalSpec, Signal] = MappingProxyType({}),
-    axis_paths: Sequence[AxisPath] = (),
-) -> None:
-    """Write points, path and signals; see ``bag.write_bag``."""
-    folder = Path(os.path.abspath(folder))
-    for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
-        if not -(2**31) <= stamp // SECOND_NS < 2**31:
-            raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')
-    try:
-        _check_target(folder, overwrite)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
-        new.mkdir()
-        try:
-            _write_files(new, samples, path, signals, axis_paths)
-            _replace(new, folder)
-        finally:
-            shutil.rmtree(new, ignore_errors=True)
-    except OSError as error:
-        raise unwritable(folder, error) from None
 
 
 def _check_target(folder: Path, overwrite: bool) -> None:
@@ -101,41 +75,28 @@ def _replace(new: Path, folder: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_files(
-    folder: Path,
-    samples: Samples,
-    path: NominalPath | None,
-    signals: Mapping[SignalSpec, Signal],
-    axis_paths: Sequence[AxisPath],
-) -> None:
-    from mcap.writer import CompressionType, Writer  # with rosbags: 0.2 s only writers pay
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_JAZZY)
+def _write_files(folder: Path, content: BagContent) -> None:
+    samples = content.samples
     # a log time is unsigned; stamps may have any epoch
     log_time = np.maximum(samples.stamp_ns, 0).tolist()
-    beside = signal_messages(signals, store)
-    driven = _driven(path, axis_paths, int(samples.stamp_ns[0]))
-    counts = Counter(topic for topic, _ in driven) + Counter({POINT: len(samples)})
-    counts += Counter(topic for _, topic, _ in beside)
-    hashes = {topic: store.hash_rihs01(topic.type) for topic in counts}
-    start, end = (
-        f([log_time[k], *(beside[k][0] for _ in beside[:1])]) for f, k in ((min, 0), (max, -1))
+    rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
+    points, width = rows.tobytes(), rows.dtype.itemsize
+    driven = _driven(content.path, content.axis_paths, int(samples.stamp_ns[0]))
+    messages = [(log_time[0], *m) for m in driven]
+    beside = [
+        (max(time, 0), topic, data) for time, topic, data in signal_messages(content.signals)
+    ]
+    each = ((t, POINT, points[i * width : (i + 1) * width]) for i, t in enumerate(log_time))
+    definitions, hashes = describe_topics(
+        dict.fromkeys([*(m[1] for m in messages), POINT, *(m[1] for m in beside)])
     )
-    part = Part(FILE_NAME, max(start, 0), end, counts)
-    metadata = bag_metadata([part], hashes)
+    times = [*log_time[:: len(log_time) - 1], *(m[0] for m in beside)]
+    counts = Counter({POINT: len(samples)}) + Counter(m[1] for m in [*messages, *beside])
+    metadata = bag_metadata([Part(FILE_NAME, min(times), max(times), counts)], hashes)
     with (folder / FILE_NAME).open('wb') as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        writer.start(profile='ros2', library=CREATOR)
-        channels = {}
-        for topic in counts:
-            text, _ = store.generate_msgdef(topic.type, ros_version=2)
-            schema = writer.register_schema(topic.type, 'ros2msg', text.encode())
-            about = channel_metadata(topic)
-            channels[topic] = writer.register_channel(topic.name, 'cdr', schema, about)
-        for topic, first in driven:
-            writer.add_message(channels[topic], log_time[0], first, log_time[0])
-        for time, topic, data in _in_order(samples, log_time, beside):
+        writer, channels = start_mcap(stream, definitions, data_crcs=True)
+        in_order = merge(beside, each, key=lambda message: message[0])
+        for time, topic, data in chain(messages, in_order):
             writer.add_message(channels[topic], time, data, time)
         inner = yaml.safe_dump(metadata, sort_keys=False)
         writer.add_metadata('rosbag2', {'serialized_metadata': inner})
@@ -145,18 +106,10 @@ def _write_files(
 
 def write_axis_paths(file: Path, axis_paths: Sequence[AxisPath]) -> None:
     """Write the parts of a path alone as an MCAP file, one message each; no stamps."""
-    from mcap.writer import CompressionType, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_JAZZY)
     with file.open('wb') as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        writer.start(profile='ros2', library=CREATOR)
-        text, _ = store.generate_msgdef(AXES.type, ros_version=2)
-        schema = writer.register_schema(AXES.type, 'ros2msg', text.encode())
-        channel = writer.register_channel(AXES.name, 'cdr', schema, channel_metadata(AXES))
-        for _, message in _driven(None, axis_paths, 0):
-            writer.add_message(channel, 0, message, 0)
+        writer, channels = start_mcap(stream, describe_topics([AXES])[0], data_crcs=True)
+        for topic, message in _driven(None, axis_paths, 0):
+            writer.add_message(channels[topic], 0, message, 0)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
@@ -168,22 +121,6 @@ def _driven(
     if path is not None:
         messages.insert(0, (PATH, encode_path(path.points, stamp_ns, PATH.frame)))
     return messages
-
-
-def _in_order(
-    samples: Samples, log_time: list[int], beside: list[tuple[int, Topic, bytes]]
-) -> Iterator[tuple[int, Topic, bytes]]:
-    """Points and signals as they come: log time in ns, topic, serialized message."""
-    rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
-    data, width = rows.tobytes(), rows.dtype.itemsize
-    next_beside = 0
-    for i, time in enumerate(log_time):
-        while next_beside < len(beside) and beside[next_beside][0] <= time:
-            stamp, topic, message = beside[next_beside]
-            yield max(stamp, 0), topic, message
-            next_beside += 1
-        yield time, POINT, data[i * width : (i + 1) * width]
-    yield from beside[next_beside:]
 
 
 # Bags: tracker points and nominal path from and to rosbag2 recordings, without ROS.
@@ -251,21 +188,7 @@ def read_bag(
         If the bag is damaged or does not hold usable points and one usable path; the message says
         what, where and what to do.
     """
-    return read_parts([source], recover=recover, point=point, path=path)
-
-
-def read_parts(
-    sources: Sequence[str | Path],
-    *,
-    recover: bool = False,
-    point: Topic = POINT,
-    path: Topic = PATH,
-) -> BagContent:
-    """Read bags that are parts of one run, in any order, as if they were one bag.
-
-    Every part has points; the path stands in one of them at least, the same in all that have it.
-    """
-    return content_of([BagReading(s, point, path, recover=recover) for s in sources], sources)
+    return content_of([BagReading(source, point, path, recover=recover)], [source])
 
 
 def read_points(source: str | Path, *, recover: bool = False, point: Topic = POINT) -> Samples:
@@ -348,7 +271,7 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     InputError
         If the content is not what ``read_bag`` would give back unchanged.
     """
-    samples = content.samples
+    folder, samples = Path(os.path.abspath(folder)), content.samples
     remarks: list[str] = []
     sort_by_time(f'{folder}: samples', samples.stamp_ns, samples.xyz, remarks)
     if not np.all(samples.stamp_ns[1:] > samples.stamp_ns[:-1]):
@@ -359,6 +282,18 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         usable_path(f'{folder}: path', content.path.points)
     elif not content.axis_paths:
         raise InputError(f'{folder}: a bag needs a path')
-    write_recording(
-        Path(folder), samples, content.path, overwrite, content.signals, content.axis_paths
-    )
+    for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
+        if not -(2**31) <= stamp // SECOND_NS < 2**31:
+            raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')
+    try:
+        _check_target(folder, overwrite)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
+        new.mkdir()
+        try:
+            _write_files(new, content)
+            _replace(new, folder)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+    except OSError as error:
+        raise unwritable(folder, error) from None

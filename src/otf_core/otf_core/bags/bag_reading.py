@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,50 +22,6 @@ from otf_core.files.text_table import SkippedLines
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import TOOL
 from otf_core.model.path import NominalPath
-
-# Numbers that come in many small parts and become one array, without a second copy of it all.
-
-T = TypeVar('T', np.int64, np.float64)
-
-BLOCK_ROWS = 1 << 18
-"""Rows; arrays of this size go back to the system one by one when they are let go, small ones
-stay with the process."""
-
-
-class Column(Generic[T]):
-    """Parts of one array.
-
-    Parameters
-    ----------
-    none : ndarray, shape (0,) or (0, k)
-        An empty part, which tells type and width.
-    """
-
-    def __init__(self, none: NDArray[T]) -> None:
-        self._none: NDArray[T] = none
-        self._blocks: list[NDArray[T]] = []
-        self._loose: list[NDArray[T]] = []
-        self._rows_loose = 0
-
-    def add(self, part: NDArray[T]) -> None:
-        """Take rows after those that are there."""
-        self._loose.append(part)
-        self._rows_loose += len(part)
-        if self._rows_loose >= BLOCK_ROWS:
-            self._blocks.append(np.concatenate(self._loose))
-            self._loose, self._rows_loose = [], 0
-
-    def joined(self) -> NDArray[T]:
-        """Return all rows; the column is empty then."""
-        parts = [*self._blocks, *self._loose]
-        self._blocks, self._loose, self._rows_loose = [], [], 0
-        at = sum(map(len, parts))
-        whole = np.empty((at, *self._none.shape[1:]), self._none.dtype)
-        while parts:
-            part = parts.pop()
-            whole[at - len(part) : at] = part
-            at -= len(part)
-        return whole
 
 
 @dataclass(frozen=True)
@@ -86,37 +42,15 @@ class ReceivedPoints:
     log_time: NDArray[np.int64]
 
 
-class Reading(Protocol):
-    """Points and paths of a recording as they were received, a bag or not."""
-
-    point: Topic
-    path: Topic | None
-    paths: list[NDArray[np.float64]]
-    axis_paths: list[AxisPath]
-    foreign: Counter[str]
-    remarks: list[str]
-    left_out: list[SkippedLines]
-    said: list[str]
-
-    def require(self, *wanted: Topic) -> None:
-        """Refuse a recording without these topics."""
-
-    def received(self) -> ReceivedPoints:
-        """Return the points in the order of reception; they need not be kept."""
-
-
-class BagReading:
-    """Raw points and paths of one bag, as far as it holds them.
-
-    Parameters
-    ----------
-    recover : bool
-        See ``read_bag``.
+class Reading(ABC):
+    """Points and paths of a recording as they were received, a bag or not.
 
     Attributes
     ----------
+    point, path : Topic
+        What they are called in messages; no path: none is wanted.
     topics : dict of topic to message type
-        All that are in the bag.
+        All that are in a bag.
     paths : list of ndarray, shape (n, 3), m
         Different ones.
     axis_paths : list of AxisPath
@@ -126,10 +60,32 @@ class BagReading:
     foreign : Counter of str
         Points left out for their frame, by frame_id.
     left_out : list of SkippedLines
-        Empty: what a bag leaves out stands in its remarks.
+        Lines of a text that are not samples, by reason.
     said : list of str
         How it was read, where that is not as usual.
     """
+
+    def __init__(self, source: str | Path, point: Topic, path: Topic | None) -> None:
+        self._where, self.point, self.path = str(source), point, path
+        self.topics: dict[str, str] = {}
+        self.paths: list[NDArray[np.float64]] = []
+        self.axis_paths: list[AxisPath] = []
+        self.remarks: list[str] = []
+        self.left_out: list[SkippedLines] = []
+        self.said: list[str] = []
+        self.foreign: Counter[str] = Counter()
+
+    @abstractmethod
+    def require(self, *wanted: Topic) -> None:
+        """Refuse a recording without these topics."""
+
+    @abstractmethod
+    def received(self) -> ReceivedPoints:
+        """Return the points in the order of reception."""
+
+
+class BagReading(Reading):
+    """Raw points and paths of one bag, as far as it holds them; ``recover``: see ``read_bag``."""
 
     def __init__(
         self,
@@ -139,26 +95,18 @@ class BagReading:
         *,
         recover: bool = False,
     ) -> None:
-        self._where, self.point, self.path = str(source), point, path
-        self._stamp_ns = Column(np.empty(0, np.int64))
-        self._xyz = Column(np.empty((0, 3)))
-        self._log_time = Column(np.empty(0, np.int64))
+        super().__init__(source, point, path)
+        none = np.empty(0, np.int64)
+        self._received = [(none, np.empty((0, 3)), none)]
         self._last_path: bytes | None = None
-        self._cleared = 0
-        self._points = 0
+        self._cleared = self._points = 0
         self._frame, self._form = point.frame, POINT_FORM
-        self.topics: dict[str, str] = {}
-        self.paths: list[NDArray[np.float64]] = []
-        self.axis_paths: list[AxisPath] = []
-        self.remarks: list[str] = []
-        self.left_out: list[SkippedLines] = []
-        self.said: list[str] = []
-        self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,), AXES.name: (AXES.type,)}
+        add = {AXES.name: self._add_axes, point.name: self._add_points}
         for block in locate(source).messages(types, self.topics, self.remarks, recover=recover):
             try:
-                self._add(block)
+                add.get(block.topic, self._add_paths)(block)
             except InputError as error:
                 raise InputError(f'{self._where}: {block.topic}: {error}') from None
         if self._cleared and path is not None:
@@ -196,16 +144,9 @@ class BagReading:
         names = self._suited(types)
         return names[0] if len(names) == 1 else None
 
-    def _add(self, block: MessageBlock) -> None:
-        if block.topic == self.point.name:
-            self._add_points(block)
-            return
+    def _add_paths(self, block: MessageBlock) -> None:
         assert self.path is not None
-        if block.topic == AXES.name:
-            self._add_axes(block)
-            return
-        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
-            data = bytes(block.buffer[start : start + size])
+        for _, data in block:
             if data == self._last_path:
                 continue
             self._last_path = data
@@ -216,33 +157,30 @@ class BagReading:
                 self._cleared += 1
 
     def _add_axes(self, block: MessageBlock) -> None:
-        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
-            frame, names, positions = decode_axes(bytes(block.buffer[start : start + size]))
+        for _, data in block:
+            frame, names, positions = decode_axes(data)
             if len(positions):
                 self.axis_paths.append(AxisPath(names, positions, frame or TOOL))
 
     def _add_points(self, block: MessageBlock) -> None:
         if not self._points and block.start.size:
-            first = slice(block.start[0], block.start[0] + block.size[0])
             kind = self.topics[self.point.name]
             if kind != self.point.type or not self.point.frame:
-                self._form, frame = form_of(kind, bytes(block.buffer[first]))
+                self._form, frame = form_of(kind, next(iter(block))[1])
                 self._frame = self.point.frame or frame
                 self.said.append(f'{self.point.name}: {kind} in frame {self._frame!r}')
         points = decode_points(
             block.buffer, block.start, block.size, self._frame, self._points, self._form
         )
-        self._stamp_ns.add(points.stamp_ns)
-        self._xyz.add(points.xyz)
         rows = slice(None) if points.kept is None else points.kept
-        self._log_time.add(block.log_time[rows])
+        self._received.append((points.stamp_ns, points.xyz, block.log_time[rows]))
         self.foreign.update(points.foreign)
         self._points += block.start.size
 
     def received(self) -> ReceivedPoints:
-        """Return the points in the order of reception; they are not kept."""
-        log_time = self._log_time.joined()
-        stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
+        """Return the points in the order of reception."""
+        columns = zip(*self._received, strict=True)
+        stamp_ns, xyz, log_time = (np.concatenate(column) for column in columns)
         if np.all(log_time[1:] >= log_time[:-1]):
             return ReceivedPoints(stamp_ns, xyz, log_time)
         order = np.argsort(log_time, kind='stable')

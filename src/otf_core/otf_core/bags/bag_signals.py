@@ -5,13 +5,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from otf_core.bags.bag_source import locate
-from otf_core.bags.cdr import SECOND_NS
+from otf_core.bags.cdr import (
+    SECOND_NS,
+    decode_message,
+    encode_header,
+    encode_message,
+    message_types,
+)
 from otf_core.bags.rosbag2_metadata import Topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.sections import SIGNAL_FIELDS, SIGNAL_PREFIX, SignalSpec
@@ -27,20 +34,17 @@ def topic_of(spec: SignalSpec) -> Topic:
     return Topic(spec.topic, spec.type, '', 100, 'volatile')
 
 
-def signal_messages(
-    signals: Mapping[SignalSpec, Signal], store: Any
-) -> list[tuple[int, Topic, bytes]]:
+def signal_messages(signals: Mapping[SignalSpec, Signal]) -> list[tuple[int, Topic, bytes]]:
     """Stamp in ns, topic and serialized message of every value, in the order of stamps."""
     messages = []
     for spec, signal in signals.items():
-        topic, kind = topic_of(spec), store.types[spec.type]
+        topic, kind = topic_of(spec), message_types().types[spec.type]
         fields = kind.__dataclass_fields__
         for stamp, value in zip(signal.stamp_ns.tolist(), signal.value.tolist(), strict=True):
             given: dict[str, Any] = {SIGNAL_FIELDS[spec.type]: _message_number(spec.type, value)}
             if 'header' in fields:
-                given |= {'header': _header(store, stamp), 'variance': 0.0}
-            data = bytes(store.serialize_cdr(kind(**given), spec.type))
-            messages.append((stamp, topic, data))
+                given |= {'header': encode_header(stamp, ''), 'variance': 0.0}
+            messages.append((stamp, topic, encode_message(kind(**given))))
     return sorted(messages, key=lambda entry: entry[0])
 
 
@@ -48,12 +52,6 @@ def _message_number(kind: str, value: float) -> Any:
     if kind == BOOL:
         return bool(value)
     return round(value) if kind == INT else float(value)
-
-
-def _header(store: Any, stamp: int) -> Any:
-    time = store.types['builtin_interfaces/msg/Time']
-    seconds, rest = divmod(int(np.int64(stamp)), SECOND_NS)
-    return store.types['std_msgs/msg/Header'](time(seconds, rest), '')
 
 
 # Signals of a bag: one number of every message of a topic.
@@ -103,48 +101,29 @@ def _rows(
 ) -> dict[str, list[tuple[int, float]]]:
     """Stamps, ns, and numbers of every name, in the order in which they were received."""
     rows: dict[str, list[tuple[int, float]]] = {name: [] for name in names}
-
-    def take(topic: str, message: Any, received: int) -> None:
+    topics = {name.partition(':')[0] for name in names}
+    plain = {t: (held[t],) for t in topics if held[t] in SIGNAL_FIELDS}
+    known = (
+        (block.topic, decode_message(data, held[block.topic]), received)
+        for block in (locate(source).messages(plain, {}, []) if plain else ())
+        for received, data in block
+    )
+    for topic, message, received in chain(known, _other_messages(source, topics - set(plain))):
         for name in names:
             if name.partition(':')[0] == topic:
                 number = _number(message, name, held[topic])
                 rows[name].append((_stamp(message, received), number))
-
-    topics = {name.partition(':')[0] for name in names}
-    plain: dict[str, tuple[str, ...]] = {t: (held[t],) for t in topics if held[t] in SIGNAL_FIELDS}
-    for topic, message, received in _plain_messages(source, plain):
-        take(topic, message, received)
-    if topics - set(plain):
-        for topic, message, received in _other_messages(source, topics - set(plain)):
-            take(topic, message, received)
     return rows
-
-
-def _plain_messages(
-    source: str | Path, plain: dict[str, tuple[str, ...]]
-) -> Iterator[tuple[str, Any, int]]:
-    """Messages of types that are known, of any bag that can be read, whole or not."""
-    if not plain:
-        return
-    from rosbags.typesys import Stores, get_typestore  # 0.2 s
-
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for block in locate(source).messages(plain, {}, []):
-        for start, size, received in zip(
-            block.start.tolist(), block.size.tolist(), block.log_time.tolist(), strict=True
-        ):
-            data = bytes(block.buffer[start : start + size])
-            yield block.topic, store.deserialize_cdr(data, plain[block.topic][0]), received
 
 
 def _other_messages(source: str | Path, topics: set[str]) -> Iterator[tuple[str, Any, int]]:
     """Messages that the bag itself describes; InputError if it is not whole."""
+    if not topics:
+        return
     from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.typesys import Stores, get_typestore
 
     try:
-        store = get_typestore(Stores.ROS2_JAZZY)
-        with AnyReader([Path(source)], default_typestore=store) as reader:
+        with AnyReader([Path(source)], default_typestore=message_types()) as reader:
             chosen = [c for c in reader.connections if c.topic in topics]
             for connection, received, raw in reader.messages(connections=chosen):
                 yield connection.topic, reader.deserialize(raw, connection.msgtype), received
@@ -167,7 +146,7 @@ def _stamp(message: Any, received: int) -> int:
     header = getattr(message, 'header', None)
     if header is None:
         return received
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+    return int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)
 
 
 def _number(message: Any, name: str, kind: str) -> float:

@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import gzip
 import stat
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from itertools import islice
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
 
-import numpy as np
-
-from otf_core.bags.mcap_messages import McapMessages, MessageBlock, Wanted, check_type
+from otf_core.bags.mcap_messages import (
+    McapMessages,
+    MessageBlock,
+    Wanted,
+    check_type,
+    join_messages,
+)
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
@@ -24,8 +26,6 @@ STORAGES = ('.mcap', '.db3')
 PACKINGS = ('.zstd', '.zst', '.lz4', '.gz')
 """Suffixes of storage files, and of what may have compressed them as a whole."""
 ROS1 = "convert it first, as in 'rosbags-convert --src RUN.bag --dst RUN'"
-BATCH = 20_000
-"""Messages that the general reader joins to one block."""
 UNPACKED_AT_ONCE = 1 << 20
 MOST_UNPACKED, MAX_RATIO = 1 << 28, 200
 """Bytes; a compressed file that unpacks to more, and to so many times its size, is refused."""
@@ -42,15 +42,12 @@ class BagSource:
     files : tuple of Path
         Its storage files in recording order.
     packed : bool
-        The general reader has to unpack files or messages by metadata.yaml.
-    stated : mapping of str to int
-        Messages of every topic by metadata.yaml.
+        Its messages are compressed one by one, as metadata.yaml states.
     """
 
     path: Path
     files: tuple[Path, ...]
     packed: bool = False
-    stated: Mapping[str, int] = field(default_factory=dict)
 
     def messages(
         self,
@@ -81,30 +78,8 @@ class BagSource:
         if self.packed:
             yield from _general_messages(self.path, wanted, topics)
             return
-        counts: Counter[str] = Counter()
         for file in self.files:
-            for block in _file_messages(file, wanted, topics, remarks, recover=recover):
-                counts[block.topic] += block.start.size
-                yield block
-        if self.files[0].suffix == '.db3':  # of MCAP the file itself says it
-            self._compare(counts, topics.keys() & wanted.keys(), remarks)
-
-    def _compare(self, counted: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
-        """Refuse files that have lost messages; say that metadata.yaml does not know them."""
-        for topic in sorted(asked):
-            stated = self.stated.get(topic, 0)
-            if counted[topic] < stated:
-                raise InputError(
-                    f'{self.path}: is damaged, {topic} has {counted[topic]} messages but the bag '
-                    f'states {stated}'
-                )
-        more = [topic for topic in sorted(asked) if counted[topic] > self.stated.get(topic, 0)]
-        if self.stated and more:
-            counts = ', '.join(f'{counted[t]} of {t}, not {self.stated.get(t, 0)}' for t in more)
-            remarks.append(
-                f"metadata.yaml counts too few messages: there are {counts}; 'ros2 bag reindex' "
-                f'writes it anew'
-            )
+            yield from _file_messages(file, wanted, topics, remarks, recover=recover)
 
 
 def locate(source: str | Path) -> BagSource:
@@ -215,29 +190,11 @@ def _from_metadata(folder: Path) -> BagSource:
             f'{folder}: {len(missing)} of {len(files)} files listed in metadata.yaml are missing '
             f'({_names(missing)}); copy the whole folder'
         )
-    packed = str(info.get('compression_mode') or 'none').lower() != 'none'
-    storage = info.get('storage_identifier')
-    if packed and storage not in ('mcap', 'sqlite3'):
-        raise InputError(
-            f"{file}: storage_identifier is {storage!r}; write 'mcap' or 'sqlite3' there, which "
-            f"its files are, or 'ros2 bag reindex' the bag"
-        )
     strange = [p for p in files if not is_storage(p)]
     if strange:
         raise InputError(f'{file}: lists {_names(strange)}; supported are .mcap and .db3')
-    return BagSource(folder, files, packed, _metadata_messages(info))
-
-
-def _metadata_messages(info: Mapping[str, Any]) -> dict[str, int]:
-    """Messages of every topic by metadata.yaml, as far as it is well-formed."""
-    stated: dict[str, int] = {}
-    listed = info.get('topics_with_message_count')
-    for row in listed if isinstance(listed, list) else ():
-        about = row.get('topic_metadata') if isinstance(row, dict) else None
-        count = row.get('message_count') if isinstance(row, dict) else None
-        if isinstance(about, dict) and isinstance(count, int):
-            stated[str(about.get('name'))] = count
-    return stated
+    packed = str(info.get('compression_mode')).lower() == 'message'
+    return BagSource(folder, files, packed)
 
 
 def _file_messages(
@@ -262,10 +219,25 @@ def _file_messages(
 def _unpacked_messages(
     file: Path, wanted: Wanted, topics: dict[str, str], remarks: list[str], *, recover: bool
 ) -> Iterator[MessageBlock]:
-    """Yield the messages of a storage file that is compressed as a whole."""
+    """Yield the messages of a storage file that is compressed as a whole.
+
+    InputError if it is damaged or far larger than recordings are.
+    """
+    most, size = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size), 0
     with TemporaryDirectory(prefix='otf-') as folder:
         plain = Path(folder) / file.stem
-        _unpack(file, plain)
+        try:
+            with file.open('rb') as raw, _stream_of(file, raw) as stream, plain.open('wb') as out:
+                while size <= most and (block := stream.read(UNPACKED_AT_ONCE)):
+                    size += out.write(block)
+        except Exception as error:  # noqa: BLE001
+            # zstandard, lz4, gzip and zlib have errors of their own
+            raise InputError(f'{file}: cannot be unpacked ({error}); copy it again') from None
+        if size > most:
+            raise InputError(
+                f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its size, which '
+                f'is implausible for a recording; it is not read'
+            )
         try:
             yield from _file_messages(plain, wanted, topics, remarks, recover=recover)
         except InputError as error:
@@ -285,42 +257,12 @@ def _stream_of(file: Path, raw: BinaryIO) -> BinaryIO:
     return cast(BinaryIO, zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
 
 
-def _unpack(file: Path, plain: Path) -> None:
-    """Write what a compressed file holds; InputError if it is damaged or unpacks without end."""
-    with plain.open('wb') as out:
-        for block in _blocks_of(file):
-            out.write(block)
-
-
-def _blocks_of(file: Path) -> Iterator[bytes]:
-    """Content of a compressed file; InputError if it is damaged or far larger than recordings."""
-    most, size = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size), 0
-    try:
-        with file.open('rb') as raw, _stream_of(file, raw) as stream:
-            while block := stream.read(UNPACKED_AT_ONCE):
-                size += len(block)
-                if size > most:
-                    raise InputError(
-                        f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
-                        f'size, which is implausible for a recording; it is not read'
-                    )
-                yield block
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001
-        # zstandard, lz4, gzip and zlib have errors of their own
-        raise InputError(f'{file}: cannot be unpacked ({error}); copy it again') from None
-
-
 def _general_messages(
     path: Path, wanted: Wanted, topics: dict[str, str]
 ) -> Iterator[MessageBlock]:
     """Yield what rosbags reads: sqlite3 storage, compressed files or messages."""
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need
 
-    for file in sorted(path.glob('*.zstd')) if path.is_dir() else ():
-        for _ in _blocks_of(file):  # is it more than recordings are?
-            pass
     try:
         with Reader(path) as reader:
             topics.update({c.topic: c.msgtype for c in reader.connections})
@@ -330,28 +272,18 @@ def _general_messages(
             for topic in wanted.keys() & {c.topic for c in reader.connections}:
                 chosen = [c for c in reader.connections if c.topic == topic]
                 messages = ((time, data) for _, time, data in reader.messages(chosen))
-                stated = sum(c.msgcount for c in chosen)
-                yield from _blocks(path, topic, messages, stated)
+                stated, count = sum(c.msgcount for c in chosen), 0
+                for block in join_messages(topic, messages):
+                    yield block
+                    count += block.start.size
+                if count != stated:
+                    raise InputError(
+                        f'{path}: is damaged, {topic} has {count} messages but the bag states '
+                        f'{stated}'
+                    )
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001
         # rosbags passes on what apsw, zstd, lz4, ruamel and struct raise on damaged files
         detail = ' '.join(f'{type(error).__name__}: {error}'.split())[:300]
         raise InputError(f'{path}: cannot be read as a bag ({detail})') from None
-
-
-def _blocks(
-    path: Path, topic: str, messages: Iterator[tuple[int, bytes]], stated: int
-) -> Iterator[MessageBlock]:
-    """Join messages to blocks; InputError if there are not as many as the bag states."""
-    count = 0
-    while batch := list(islice(messages, BATCH)):
-        size = np.array([len(data) for _, data in batch], np.int64)
-        buffer = np.frombuffer(b''.join(data for _, data in batch), np.uint8)
-        log_time = np.array([time for time, _ in batch], np.int64)
-        yield MessageBlock(topic, buffer, np.cumsum(size) - size, size, log_time)
-        count += len(batch)
-    if count != stated:
-        raise InputError(
-            f'{path}: is damaged, {topic} has {count} messages but the bag states {stated}'
-        )

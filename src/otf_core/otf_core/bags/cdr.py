@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR encoding of what a bag carries: stamped points in bulk, Path one by one.
+"""CDR encoding of what a bag carries: stamped points in bulk, everything else by rosbags.
 
 A message begins with 00 01 (little endian) or 00 00 (big endian) and two option bytes; alignment
 counts from byte 4. PointStamped is int32 sec, uint32 nanosec, string frame_id, three float64: with
 L characters and a NUL the header ends 13 + L bytes after byte 4, so (-(13 + L)) mod 8 bytes of
-padding come before x. Checked against rosbags 0.11 (serde/cdr.py).
+padding come before x.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Index
+from otf_core.bags.rosbag2_metadata import AXES, PATH
 from otf_core.errors import InputError
 from otf_core.files.message_text import shortened
 
@@ -28,8 +31,6 @@ MAX_TRAILING = 3
 RESERVED = 16
 """Bytes that Fast DDS reserves for a trajectory point beyond its fields: its empty sequences count
 as if they were aligned. They follow the message, whatever was in the memory."""
-MIN_POSE_SIZE = 69
-"""Bytes a PoseStamped takes at least: stamp 8, empty frame_id 5, seven float64 56."""
 
 Bytes = NDArray[np.uint8]
 
@@ -50,37 +51,112 @@ def gather(buffer: Bytes, at: Index, width: int) -> NDArray[np.void]:
     return np.asarray(windows[at])
 
 
+@cache
+def message_types() -> Any:
+    """Types of the messages of ROS 2 Jazzy, by rosbags, which takes 0.1 s to import."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def decode_message(data: bytes, kind: str) -> Any:
+    """Decode one message of a type.
+
+    Raises
+    ------
+    ValueError
+        If it is none; says why.
+    """
+    if data[:2] not in (b'\x00\x00', b'\x00\x01'):
+        raise ValueError(f'it begins with {data[:4].hex(" ") or "nothing"}')
+    from rosbags.serde import SerdeError
+
+    types = message_types()
+    definition = types.get_msgdef(kind)
+    decode = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+    try:
+        message, end = decode(memoryview(data)[4:], 0, definition.cls, types)
+    except struct.error:
+        raise ValueError(f'it ends early, after {len(data)} bytes') from None
+    except (SerdeError, OverflowError, MemoryError) as error:
+        raise ValueError(str(error)) from None
+    rest = len(data) - 4 - end
+    reserved = RESERVED * len(message.points) if kind == AXES.type else 0
+    if not 0 <= rest <= MAX_TRAILING + reserved:
+        raise ValueError(f'{rest} bytes follow its last field')
+    return message
+
+
+def encode_message(message: Any) -> bytes:
+    """Encode one message, little endian."""
+    return bytes(message_types().serialize_cdr(message, message.__msgtype__))
+
+
+def encode_header(stamp_ns: int, frame: str) -> Any:
+    """Header of a message."""
+    types = message_types().types
+    time = types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, SECOND_NS))
+    return types['std_msgs/msg/Header'](time, frame)
+
+
 @dataclass(frozen=True)
 class PointForm:
     """How messages hold a stamped point.
 
     Attributes
     ----------
-    type : str
-        Of the messages, without its package.
+    kind : str
+        Type of the messages.
+    point : str
+        Field of the point.
+    after : int
+        Numbers, float64, that follow the point: rotation, covariance, speed.
     child : str, optional
         The child_frame_id that stands between header and point; None: nothing does.
-    after : int
-        Bytes that follow the point: rotation, covariance, speed.
     """
 
-    type: str = 'PointStamped'
-    child: str | None = None
+    kind: str = 'geometry_msgs/msg/PointStamped'
+    point: str = 'point'
     after: int = 0
+    child: str | None = None
 
 
 POINT_FORM = PointForm()
-ROTATION, COVARIANCE, TWIST = 4 * 8, 36 * 8, 6 * 8
+_ROTATION, _COVARIANCE, _TWIST = 4, 36, 6
 FORMS = {
-    'geometry_msgs/msg/PointStamped': POINT_FORM,
-    'geometry_msgs/msg/PoseStamped': PointForm('PoseStamped', None, ROTATION),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': PointForm(
-        'PoseWithCovarianceStamped', None, ROTATION + COVARIANCE
-    ),
-    'geometry_msgs/msg/TransformStamped': PointForm('TransformStamped', '', ROTATION),
-    'nav_msgs/msg/Odometry': PointForm('Odometry', '', ROTATION + COVARIANCE + TWIST + COVARIANCE),
+    form.kind: form
+    for form in (
+        POINT_FORM,
+        PointForm('geometry_msgs/msg/PoseStamped', 'pose.position', _ROTATION),
+        PointForm(
+            'geometry_msgs/msg/PoseWithCovarianceStamped',
+            'pose.pose.position',
+            _ROTATION + _COVARIANCE,
+        ),
+        PointForm('geometry_msgs/msg/TransformStamped', 'transform.translation', _ROTATION, ''),
+        PointForm(
+            'nav_msgs/msg/Odometry',
+            'pose.pose.position',
+            _ROTATION + _COVARIANCE + _TWIST + _COVARIANCE,
+            '',
+        ),
+    )
 }
 """Types that samples may have (common_interfaces, Jazzy); a child frame is that of the data."""
+
+
+def _decode_stamped(data: bytes, number: int, form: PointForm) -> Any:
+    """Decode one message with a stamped point; InputError names it if it is none."""
+    name = form.kind.rpartition('/')[2]
+    try:
+        message = decode_message(data, form.kind)
+    except ValueError as error:
+        raise InputError(f'message {number} is not a {name} in CDR ({error})') from None
+    nanosec = message.header.stamp.nanosec
+    if nanosec >= SECOND_NS:
+        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
+        raise InputError(text)
+    return message
 
 
 def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
@@ -92,18 +168,15 @@ def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
         If it is not a message of this type.
     """
     form = FORMS[kind]
-    try:
-        reader = CdrReader(data)
-        reader.numbers('iI')
-        frame = reader.text()
-        return (form if form.child is None else replace(form, child=reader.text())), frame
-    except ValueError as error:
-        raise InputError(f'message 0 is not a {form.type} in CDR ({error})') from None
+    message = _decode_stamped(data, 0, form)
+    if form.child is not None:
+        form = replace(form, child=message.child_frame_id)
+    return form, message.header.frame_id
 
 
 @cache
-def point_dtype(frame: str, order: str, form: PointForm = POINT_FORM) -> np.dtype[np.void]:
-    """Layout of a message with this frame_id; ``order`` is ``<`` or ``>``."""
+def point_dtype(frame: str, form: PointForm = POINT_FORM) -> np.dtype[np.void]:
+    """Layout of a message with this frame_id, little endian."""
     length = len(frame.encode())
     end = 13 + length
     child_at = end + -end % 4
@@ -112,23 +185,23 @@ def point_dtype(frame: str, order: str, form: PointForm = POINT_FORM) -> np.dtyp
     xyz_at = 4 + end + -end % 8
     fields = {
         'encapsulation': ('>u2', 0),
-        'sec': (f'{order}i4', 4),
-        'nanosec': (f'{order}u4', 8),
-        'length': (f'{order}u4', 12),
+        'sec': ('<i4', 4),
+        'nanosec': ('<u4', 8),
+        'length': ('<u4', 12),
         'frame': (f'S{length + 1}', 16),
-        'xyz': (f'({3},){order}f8', xyz_at),
+        'xyz': ('(3,)<f8', xyz_at),
     }
     if form.child is not None:
         fields |= {
-            'child_length': (f'{order}u4', 4 + child_at),
+            'child_length': ('<u4', 4 + child_at),
             'child': (f'S{len(form.child.encode()) + 1}', 8 + child_at),
         }
     return np.dtype(
         {
             'names': list(fields),
-            'formats': [form for form, _ in fields.values()],
+            'formats': [kind for kind, _ in fields.values()],
             'offsets': [offset for _, offset in fields.values()],
-            'itemsize': xyz_at + 24 + form.after,
+            'itemsize': xyz_at + 8 * (3 + form.after),
         }
     )
 
@@ -181,64 +254,34 @@ def decode_points(
     InputError
         Names the first message that is none of this type or has a broken stamp.
     """
-    need = point_dtype(frame, '<', form).itemsize
-    bad = (size < need) | (size > need + MAX_TRAILING)
-    if not bad.any():
-        stamp_ns, xyz, bad = _decoded(buffer, start, frame, form)
-        if not bad.any():
-            return DecodedPoints(stamp_ns, xyz, None, Counter())
-    foreign = Counter(
-        _foreign_frame(
-            bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)]), first + i, form
-        )
-        for i in np.flatnonzero(bad).tolist()
-    )
-    if frame in foreign:  # of the same frame, but longer than it should be
-        raise InputError(f'a message of frame {frame!r} is not a {form.type} in CDR')
-    stamp_ns, xyz, _ = _decoded(buffer, start[~bad], frame, form)
-    return DecodedPoints(stamp_ns, xyz, ~bad, foreign)
-
-
-def _decoded(
-    buffer: Bytes, start: Index, frame: str, form: PointForm
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Stamps, points, and which messages are of another frame or broken."""
-    need = point_dtype(frame, '<', form).itemsize
-    rows = gather(buffer, start, need)
-    code = rows.view(point_dtype(frame, '<', form))['encapsulation']
+    layout = point_dtype(frame, form)
+    fits = (size >= layout.itemsize) & (size <= layout.itemsize + MAX_TRAILING)
+    some = slice(None) if fits.all() else fits
+    rows = gather(buffer, start[some], layout.itemsize).view(layout)
     stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
-    bad = code > 1
-    for value, order in ((1, '<'), (0, '>')):
-        of_order = code == value
-        chosen = slice(None) if of_order.all() else of_order
-        part = rows[chosen].view(point_dtype(frame, order, form))
-        if part.size:
-            stamp_ns[chosen] = part['sec'].astype(np.int64) * SECOND_NS + part['nanosec']
-            xyz[chosen] = part['xyz']
-            bad[chosen] |= part['length'] != part.dtype['frame'].itemsize
-            bad[chosen] |= part['frame'] != frame.encode()
-            bad[chosen] |= part['nanosec'] >= SECOND_NS
-            if form.child is not None:
-                bad[chosen] |= part['child_length'] != part.dtype['child'].itemsize
-                bad[chosen] |= part['child'] != form.child.encode()
-    return stamp_ns, xyz, bad
-
-
-def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
-    """Frame of a message that is not as expected; InputError says what else is wrong."""
-    try:
-        reader = CdrReader(data)
-        _, nanosec = reader.numbers('iI')
-        frame = reader.text()
-        child = None if form.child is None else reader.text()
-        reader.numbers(f'{3 + form.after // 8}d')
-        reader.finish()
-    except ValueError as error:
-        raise InputError(f'message {number} is not a {form.type} in CDR ({error})') from None
-    if nanosec >= SECOND_NS:
-        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
-        raise InputError(text)
-    return frame if child == form.child else f'{frame}, child {child}'
+    stamp_ns[some] = rows['sec'].astype(np.int64) * SECOND_NS + rows['nanosec']
+    xyz[some] = rows['xyz']
+    alike = (rows['encapsulation'] == 1) & (rows['nanosec'] < SECOND_NS)
+    names = {'length': 'frame', 'child_length': 'child'}
+    for (count, name), text in zip(names.items(), (frame, form.child), strict=True):
+        if text is not None:
+            alike &= (rows[count] == layout[name].itemsize) & (rows[name] == text.encode())
+    kept = np.zeros(start.size, np.bool_)
+    kept[some] = alike
+    foreign: Counter[str] = Counter()
+    for i in np.flatnonzero(~kept).tolist():  # in another frame, big endian, or broken
+        data = bytes(buffer[start[i] : start[i] + size[i]])
+        message = _decode_stamped(data, first + i, form)
+        own, child = message.header.frame_id, getattr(message, 'child_frame_id', None)
+        if (own, child) != (frame, form.child):
+            foreign[own if child == form.child else f'{own}, child {child}'] += 1
+            continue
+        stamp, point = message.header.stamp, attrgetter(form.point)(message)
+        kept[i] = True
+        stamp_ns[i], xyz[i] = stamp.sec * SECOND_NS + stamp.nanosec, (point.x, point.y, point.z)
+    if kept.all():
+        return DecodedPoints(stamp_ns, xyz, None, foreign)
+    return DecodedPoints(stamp_ns[kept], xyz[kept], kept, foreign)
 
 
 def frame_shown(frame: str) -> str:
@@ -254,43 +297,6 @@ def frame_text(what: str, frame: str, expected: str) -> str:
     )
 
 
-class CdrReader:
-    """Cursor over one message; every failure is a ValueError that says what is wrong."""
-
-    def __init__(self, data: bytes) -> None:
-        if data[:2] not in (b'\x00\x00', b'\x00\x01'):
-            raise ValueError(f'it begins with {data[:4].hex(" ") or "nothing"}')
-        self._data = data
-        self._order = '<' if data[1] else '>'
-        self._at = 4
-
-    def numbers(self, form: str) -> tuple[float, ...]:
-        """Read numbers of one size given as struct letters, e.g. ``iI`` or ``3d``."""
-        width = struct.calcsize('<' + form[-1])
-        self._at += -(self._at - 4) % width
-        try:
-            values = struct.unpack_from(self._order + form, self._data, self._at)
-        except struct.error:
-            raise ValueError(f'it ends early, after {len(self._data)} bytes') from None
-        self._at += struct.calcsize('<' + form)
-        return values
-
-    def text(self) -> str:
-        """Read a string."""
-        length = int(self.numbers('I')[0])
-        raw = self._data[self._at : self._at + length]
-        if length < 1 or len(raw) < length or raw[-1]:
-            raise ValueError(f'a string of {length} bytes is not terminated')
-        self._at += length
-        return raw[:-1].decode()
-
-    def finish(self, further: int = 0) -> None:
-        """Check that nothing but padding follows, and so many bytes that its writer reserved."""
-        rest = len(self._data) - self._at
-        if rest > MAX_TRAILING + further:
-            raise ValueError(f'{rest} bytes follow its last field')
-
-
 def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
     """Decode one nav_msgs/msg/Path to its positions, shape (n, 3), m.
 
@@ -300,27 +306,18 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
         If it is not a Path, or the Path or a pose has another frame_id (a pose may leave it
         empty).
     """
-    points = []
     try:
-        reader = CdrReader(data)
-        reader.numbers('iI')
-        own_frame = reader.text()
-        frame = frame or own_frame
-        if own_frame != frame:
-            raise InputError(frame_text('message', own_frame, frame))
-        count = int(reader.numbers('I')[0])
-        if count * MIN_POSE_SIZE > len(data):
-            raise ValueError(f'{count} poses do not fit into {len(data)} bytes')
-        for i in range(count):
-            reader.numbers('iI')
-            own_frame = reader.text()
-            if own_frame not in ('', frame):
-                raise InputError(frame_text(f'pose {i}', own_frame, frame))
-            points.append(reader.numbers('7d')[:3])
-        reader.finish()
+        message = decode_message(data, PATH.type)
     except ValueError as error:
-        raise InputError(f'message is not a nav_msgs/msg/Path in CDR ({error})') from None
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
+        raise InputError(f'message is not a {PATH.type} in CDR ({error})') from None
+    frame = frame or message.header.frame_id
+    if message.header.frame_id != frame:
+        raise InputError(frame_text('message', message.header.frame_id, frame))
+    for i, pose in enumerate(message.poses):
+        if pose.header.frame_id not in ('', frame):
+            raise InputError(frame_text(f'pose {i}', pose.header.frame_id, frame))
+    positions = [p.pose.position for p in message.poses]
+    return np.array([(p.x, p.y, p.z) for p in positions], dtype=np.float64).reshape(-1, 3)
 
 
 def decode_axes(data: bytes) -> tuple[str, tuple[str, ...], NDArray[np.float64]]:
@@ -340,86 +337,50 @@ def decode_axes(data: bytes) -> tuple[str, tuple[str, ...], NDArray[np.float64]]
     InputError
         If it is none, or a point has other positions than there are joints.
     """
-    rows = []
     try:
-        reader = CdrReader(data)
-        reader.numbers('iI')
-        frame = reader.text()
-        names = tuple(reader.text() for _ in range(_counted(reader, data, 5)))
-        for i in range(_counted(reader, data, 24)):
-            own, *_ = [_values(reader, data) for _ in range(4)]
-            reader.numbers('iI')
-            if len(own) != len(names):
-                raise InputError(f'point {i} has {len(own)} positions of {len(names)} joints')
-            rows.append(own)
-        reader.finish(RESERVED * len(rows))
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(
-            f'message is not a trajectory_msgs/msg/JointTrajectory in CDR ({error})'
-        ) from None
-    return frame, names, np.array(rows, dtype=np.float64).reshape(-1, len(names))
-
-
-def _counted(reader: CdrReader, data: bytes, least: int) -> int:
-    """Read the length of a sequence whose items take some bytes at least."""
-    count = int(reader.numbers('I')[0])
-    if count * least > len(data):
-        raise ValueError(f'{count} items do not fit into {len(data)} bytes')
-    return count
-
-
-def _values(reader: CdrReader, data: bytes) -> tuple[float, ...]:
-    """Read a sequence of float64."""
-    count = _counted(reader, data, 8)
-    return reader.numbers(f'{count}d') if count else ()
+        message = decode_message(data, AXES.type)
+    except ValueError as error:
+        raise InputError(f'message is not a {AXES.type} in CDR ({error})') from None
+    names = tuple(message.joint_names)
+    for i, point in enumerate(message.points):
+        if len(point.positions) != len(names):
+            count = len(point.positions)
+            raise InputError(f'point {i} has {count} positions of {len(names)} joints')
+    positions = np.array([point.positions for point in message.points], dtype=np.float64)
+    return message.header.frame_id, names, positions.reshape(len(message.points), len(names))
 
 
 def encode_axes(
     names: Sequence[str], positions: NDArray[np.float64], stamp_ns: int, frame: str
 ) -> bytes:
     """Encode a JointTrajectory, little endian, without times, velocities and efforts."""
-    body = bytearray(struct.pack('<iI', *divmod(stamp_ns, SECOND_NS)))
+    types = message_types().types
+    point, none = types['trajectory_msgs/msg/JointTrajectoryPoint'], np.empty(0)
+    at_once = types['builtin_interfaces/msg/Duration'](0, 0)
+    points = [point(row, none, none, none, at_once) for row in positions]
+    return encode_message(types[AXES.type](encode_header(stamp_ns, frame), list(names), points))
 
-    def add(form: str, width: int, *values: float) -> None:
-        body.extend(bytes(-len(body) % width) + struct.pack(f'<{form}', *values))
 
-    def text(word: str) -> None:
-        raw = word.encode() + b'\0'
-        add('I', 4, len(raw))
-        body.extend(raw)
-
-    text(frame)
-    add('I', 4, len(names))
-    for name in names:
-        text(name)
-    add('I', 4, len(positions))
-    for row in positions.tolist():
-        add('I', 4, len(row))
-        add(f'{len(row)}d', 8, *row)
-        add('IIIiI', 4, 0, 0, 0, 0, 0)
-    return b'\x00\x01\x00\x00' + bytes(body)
+def encode_path(points: NDArray[np.float64], stamp_ns: int, frame: str) -> bytes:
+    """Encode a Path, little endian; every pose carries the stamp and frame of the path."""
+    types, header = message_types().types, encode_header(stamp_ns, frame)
+    pose, stamped, point, turn = (
+        types[f'geometry_msgs/msg/{name}']
+        for name in ('Pose', 'PoseStamped', 'Point', 'Quaternion')
+    )
+    unturned = turn(0.0, 0.0, 0.0, 1.0)
+    poses = [stamped(header, pose(point(*row), unturned)) for row in points.tolist()]
+    return encode_message(types[PATH.type](header, poses))
 
 
 def encode_points(
     stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], frame: str
 ) -> NDArray[np.void]:
     """Encode PointStamped messages, little endian; shape (n,), one item per message."""
-    rows = np.zeros(stamp_ns.size, point_dtype(frame, '<'))
+    rows = np.zeros(stamp_ns.size, point_dtype(frame))
     rows['encapsulation'] = 1
     rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, SECOND_NS)
     rows['length'] = rows.dtype['frame'].itemsize
     rows['frame'] = frame.encode()
     rows['xyz'] = xyz
     return rows
-
-
-def encode_path(points: NDArray[np.float64], stamp_ns: int, frame: str) -> bytes:
-    """Encode a Path, little endian; every pose carries the stamp and frame of the path."""
-    name = frame.encode() + b'\0'
-    header = struct.pack('<iII', *divmod(stamp_ns, SECOND_NS), len(name)) + name
-    body = bytearray(header)
-    body += bytes(-len(body) % 4) + struct.pack('<I', len(points))
-    for point in points.tolist():
-        body += bytes(-len(body) % 4) + header
-        body += bytes(-len(body) % 8) + struct.pack('<7d', *point, 0.0, 0.0, 0.0, 1.0)
-    return b'\x00\x01\x00\x00' + bytes(body)

@@ -6,47 +6,29 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import struct
+import shutil
 import threading
 import time
-import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Schema,
-    Statistics,
-)
+from mcap.records import DataEnd, Footer
 from numpy.typing import NDArray
 
 from otf_core.bags.bag_source import locate
 from otf_core.bags.cdr import DecodedPoints, decode_points, encode_points
-from otf_core.bags.mcap_messages import (
-    MAGIC,
-    MESSAGE_HEAD,
-    RECORD_HEAD,
-    MessageBlock,
-    complete_records,
-)
+from otf_core.bags.mcap_messages import MAGIC, MessageBlock, record_starts
 from otf_core.bags.rosbag2_metadata import (
     AXES,
-    CREATOR,
     GAP,
     PATH,
     POINT,
@@ -54,8 +36,9 @@ from otf_core.bags.rosbag2_metadata import (
     Part,
     Topic,
     bag_metadata,
-    channel_metadata,
+    describe_topics,
     metadata_text,
+    start_mcap,
 )
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.output_folder import file_digest
@@ -66,67 +49,60 @@ from otf_core.files.strict_yaml import read_yaml
 # Behind the last chunk stand an end of the data section and a footer without a summary, which the
 # next chunk overwrites; so any reader takes the file at any moment, and one that is torn while it
 # is written is read to the chunk before. Only when the file is closed its summary is written.
-# Source: mcap.dev/spec; records as mcap 1.6 writes them.
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Serialized messages of one topic, one length.
-
-    Attributes
-    ----------
-    data : ndarray, shape (n,)
-        Items of raw bytes, one per message.
-    log_time : int
-        ns; when they were received.
-    """
+    """Serialized messages of one topic, of one length in bytes, received at one time, ns."""
 
     topic: Topic
-    data: NDArray[np.void]
+    data: bytes
+    width: int
     log_time: int
 
 
-def one_message(topic: Topic, data: bytes, log_time: int) -> Rows:
-    """Return a single message as rows."""
-    return Rows(topic, np.frombuffer(data, f'V{len(data)}'), log_time)
-
-
-def _bytes_of(*records: McapRecord) -> bytes:
+def _end_of_file() -> bytes:
     builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+    DataEnd(data_section_crc=0).write(builder)
+    Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
+    return bytes(builder.end()) + MAGIC  # type: ignore[no-untyped-call]
 
 
-def _tail(*summary: McapRecord, end: int) -> bytes:
-    """End of the file behind ``end``: data end, summary if there is one, footer, mark."""
-    data_end = _bytes_of(DataEnd(data_section_crc=0))
-    start = end + len(data_end) if summary else 0
-    footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=0)
-    return data_end + _bytes_of(*summary, footer) + MAGIC
+END = _end_of_file()
 
 
 def repair(path: Path) -> None:
-    """Make a file whole that a crash has torn, up to its last complete chunk.
-
-    Raises
-    ------
-    OSError, ValueError
-        If it cannot be written, or is no such file.
-    """
+    """Make a file whole that a crash has torn, up to its last complete chunk; OSError if not."""
     data = np.fromfile(path, np.uint8)
-    starts = complete_records(data, len(MAGIC), data.size)
-    opcodes = data[starts[:-1]]
-    ends = starts[1:][np.isin(opcodes, [Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX])]
-    ended = np.flatnonzero(opcodes == Opcode.DATA_END)
-    ends = ends[ends <= starts[ended[0]]] if ended.size else ends
-    if bytes(data[-len(MAGIC) :]) == MAGIC or not ends.size:
+    if bytes(data[-len(MAGIC) :]) == MAGIC:
         return
-    tail = _tail(end=int(ends[-1]))
+    starts = record_starts(data, len(MAGIC))
+    kept = np.isin(data[starts[:-1]], (Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX))
+    end = int(starts[np.append(kept, False).argmin()])
+    if end <= len(MAGIC):
+        return
     with path.open('r+b') as file:
-        file.truncate(int(ends[-1]) + len(tail))
-        _write_all(file.fileno(), tail, int(ends[-1]))
+        file.truncate(end)
+        file.seek(end)
+        file.write(END)
+        file.flush()
         os.fsync(file.fileno())
+
+
+class _Unwritten(BytesIO):
+    """What the writer has made and the disk has not taken yet; ``start`` is where it belongs."""
+
+    start = 0
+
+    def tell(self) -> int:
+        """Return where the next byte of the file belongs."""
+        return self.start + super().tell()
+
+    def clear(self) -> None:
+        """Let go of what the disk has."""
+        self.start = self.tell()
+        self.seek(0)
+        self.truncate()
 
 
 class JournalFile:
@@ -146,116 +122,58 @@ class JournalFile:
     """
 
     def __init__(self, path: Path, definitions: Mapping[Topic, str]) -> None:
-        self._path = path
-        self._channel_of = {topic: k for k, topic in enumerate(definitions, start=1)}
-        schemas = [
-            Schema(k, text.encode(), 'ros2msg', topic.type)
-            for (topic, k), text in zip(
-                self._channel_of.items(), definitions.values(), strict=True
-            )
-        ]
-        channels = [
-            Channel(k, topic.name, 'cdr', channel_metadata(topic), k)
-            for topic, k in self._channel_of.items()
-        ]
-        self._about: list[McapRecord] = [*schemas, *channels]
-        self._index: list[ChunkIndex] = []
-        self._packer = zstandard.ZstdCompressor(level=1)
+        self._path, self._finished = path, False
+        self._unwritten = _Unwritten()
+        self._writer, self._channels = start_mcap(self._unwritten, definitions)
         self.part = Part(path.name, 0, 0, {})
-        self._sequence = 0
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        self._end = 0
-        head = MAGIC + _bytes_of(Header('ros2', CREATOR), *self._about)
-        self._write(head, _tail(end=len(head)))
         _sync_folder(path.parent)
 
-    def append(self, rows: Sequence[Rows]) -> None:
-        """Write a chunk; it is on the disk when this returns, and the file is whole.
+    @property
+    def size(self) -> int:
+        """Bytes on the disk, without the end of the file."""
+        return self._unwritten.start
 
-        After an OSError the file is as before, or cut off behind its last chunk, and the same
-        rows may be given again.
+    def add(self, rows: Sequence[Rows]) -> None:
+        """Take a chunk, which ``write`` writes."""
+        counts = Counter(self.part.counts)
+        for r in rows:
+            for at in range(0, len(r.data), r.width):
+                message = r.data[at : at + r.width]
+                self._writer.add_message(
+                    self._channels[r.topic], r.log_time, message, r.log_time, counts.total()
+                )
+                counts[r.topic] += 1
+        start, end = min(r.log_time for r in rows), max(r.log_time for r in rows)
+        first = self.part.start if self.part.counts else start
+        self.part = Part(self._path.name, first, max(end, self.part.end), counts)
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def write(self, end: bytes = END) -> None:
+        """Write what was taken; it is on the disk when this returns, and the file is whole.
+
+        After an OSError the file is as before, or cut off behind its last chunk; what was taken is
+        kept, and this may be tried again.
         """
         if self._gone():
             self._restore()
-        records, index, starts = self._records(rows)
-        start, end = min(r.log_time for r in rows), max(r.log_time for r in rows)
-        packed = self._packer.compress(records)
-        chunk = _bytes_of(Chunk('zstd', packed, end, start, zlib.crc32(records), len(records)))
-        at = self._end
-        offsets = {channel: at + len(chunk) + offset for channel, offset in starts.items()}
-        self._write(chunk + index, _tail(end=at + len(chunk) + len(index)))
-        self._index.append(
-            ChunkIndex(
-                len(chunk), at, 'zstd', len(packed), end, len(index), offsets, start, len(records)
-            )
-        )
-        counts = Counter(self.part.counts)
-        for r in rows:
-            counts[r.topic] += len(r.data)
-        first = self.part.start if self._sequence else start
-        self._sequence += sum(len(r.data) for r in rows)
-        self.part = Part(self._path.name, first, max(end, self.part.end), counts)
-
-    def finish(self) -> None:
-        """Write the summary; after an OSError it may be tried again."""
-        part = self.part
-        counts = {self._channel_of[t]: n for t, n in part.counts.items()}
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channel_of),
-            channel_message_counts=counts,
-            chunk_count=len(self._index),
-            message_count=sum(counts.values()),
-            message_end_time=part.end,
-            message_start_time=part.start,
-            metadata_count=0,
-            schema_count=len(self._channel_of),
-        )
-        self._write(b'', _tail(*self._about, statistics, *self._index, end=self._end))
-
-    def release(self) -> None:
-        """Let go of the file."""
-        os.close(self._file)
-
-    def _records(self, rows: Sequence[Rows]) -> tuple[bytes, bytes, dict[int, int]]:
-        """Message records of a chunk, their indexes, and where the index of a channel begins."""
-        parts: list[bytes] = []
-        entries: dict[int, list[NDArray[np.uint64]]] = {}
-        sequence, at = self._sequence, 0
-        for r in rows:
-            width = MESSAGE_HEAD.itemsize + r.data.itemsize
-            head = np.zeros(len(r.data), MESSAGE_HEAD)
-            head['opcode'], head['length'] = Opcode.MESSAGE, width - RECORD_HEAD
-            head['channel'] = self._channel_of[r.topic]
-            head['sequence'] = sequence + np.arange(len(r.data))
-            head['log_time'] = head['publish_time'] = r.log_time
-            both = np.zeros(len(r.data), [('head', MESSAGE_HEAD), ('data', r.data.dtype)])
-            both['head'], both['data'] = head, r.data
-            index = np.empty((len(r.data), 2), '<u8')
-            index[:, 0], index[:, 1] = r.log_time, at + width * np.arange(len(r.data))
-            entries.setdefault(self._channel_of[r.topic], []).append(index)
-            parts.append(both.tobytes())
-            sequence, at = sequence + len(r.data), at + len(parts[-1])
-        indexes, starts = b'', {}
-        for channel, listed in entries.items():
-            body = b''.join(i.tobytes() for i in listed)
-            starts[channel] = len(indexes)
-            head_of = struct.pack('<BQHI', Opcode.MESSAGE_INDEX, 6 + len(body), channel, len(body))
-            indexes += head_of + body
-        return b''.join(parts), indexes, starts
-
-    def _write(self, data: bytes, tail: bytes) -> None:
-        """Write behind the last chunk, at once if the system takes it, and wait for the disk."""
         try:
-            _write_all(self._file, data + tail, self._end)
+            _write_all(self._file, self._unwritten.getvalue() + end, self.size)
             os.fdatasync(self._file)
         except OSError:
             with suppress(OSError):  # where the end stood before there is room for it again
-                before = _tail(end=self._end)
-                _write_all(self._file, before, self._end)
-                os.ftruncate(self._file, self._end + len(before))
+                _write_all(self._file, END, self.size)
+                os.ftruncate(self._file, self.size + len(END))
             raise
-        self._end += len(data)
+        self._unwritten.clear()
+
+    def close(self) -> None:
+        """Write the summary and let go of the file; after an OSError it may be tried again."""
+        if not self._finished:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        self._finished = True
+        self.write(end=b'')
+        os.close(self._file)
 
     def _gone(self) -> bool:
         """Return whether somebody has removed or replaced the file."""
@@ -267,17 +185,9 @@ class JournalFile:
     def _restore(self) -> None:
         """Write the file again: what was removed can still be read by who has it open."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        new = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        try:
-            at = 0
-            while block := os.pread(self._file, 1 << 20, at):
-                at += os.write(new, block)
-        except OSError:
-            os.close(new)
-            os.unlink(self._path)
-            raise
+        shutil.copyfile(f'/proc/self/fd/{self._file}', self._path)
         os.close(self._file)
-        self._file = new
+        self._file = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
 
 
 def _write_all(file: int, data: bytes, at: int) -> None:
@@ -328,14 +238,7 @@ class Definitions:
     @cached_property
     def both(self) -> tuple[dict[Topic, str], dict[Topic, str]]:
         """Definition and hash of every topic."""
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store = get_typestore(Stores.ROS2_JAZZY)
-        for name, text in self.texts.items():
-            store.register(get_types_from_msg(text, name))
-        topics = [t for t in self.all if t.type in store.fielddefs]
-        texts = {t: store.generate_msgdef(t.type, ros_version=2)[0] for t in topics}
-        return texts, {t: store.hash_rihs01(t.type) for t in topics}
+        return describe_topics(self.all, self.texts)
 
 
 class JournalRun:
@@ -359,24 +262,27 @@ class JournalRun:
         self._file: JournalFile | None = None
         self._updated = 0.0
 
-    def append(self, rows: Sequence[Rows]) -> None:
-        """Write a chunk; it is on the disk when this returns."""
+    def add(self, rows: Sequence[Rows]) -> None:
+        """Take a chunk, which ``write`` writes."""
         if self._file is None:
             self.folder.mkdir(parents=True, exist_ok=True)
             path = self.folder / f'{self.folder.name}_{len(self._parts)}.mcap'
             self._file = JournalFile(path, self._definitions.both[0])
-        self._file.append(rows)
-        if (
-            time.monotonic() - self._updated > METADATA_PERIOD
-            or not (self.folder / METADATA).exists()
-        ):
+        self._file.add(rows)
+
+    def write(self) -> None:
+        """Write what was taken; it is on the disk when this returns."""
+        if self._file is None:
+            return
+        self._file.write()
+        since = time.monotonic() - self._updated
+        if since > METADATA_PERIOD or not (self.folder / METADATA).exists():
             self._update(RECORDING)
 
     def close(self, state: str = RECORDING) -> None:
         """End the present part, if there is one, and say what became of the run."""
         if self._file is not None:
-            self._file.finish()
-            self._file.release()
+            self._file.close()
             self._parts.append(self._file.part)
             self._file = None
         if self._parts:
@@ -463,60 +369,45 @@ def resume_run(folder: Path, definitions: Definitions) -> JournalContent:
         raise InputError(f'{folder}: cannot be resumed ({error})') from None
     parts: list[Part] = []
     arrived = []
-    own = {t.name for t in (*TOPICS, GAP)}
+    topics = {t.name: t for t in definitions.all}
     for file in files:
-        messages = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
-        arrived.append(tuple(_in_order([b for b in messages if b.topic in own])))
-        if messages:
-            times = np.concatenate([b.log_time for b in messages])
-            counts: Counter[Topic] = Counter()
-            for block in messages:
-                counts[_topic(block, definitions.all)] += block.start.size
-            parts.append(Part(file.name, int(times.min()), int(times.max()), counts))
-        else:
-            parts.append(Part(file.name, 0, 0, {}))
+        blocks = list(locate(file).messages({t.name: (t.type,) for t in topics.values()}, {}))
+        counts: Counter[Topic] = Counter()
+        for block in blocks:
+            counts[topics[block.topic]] += block.start.size
+        times = [int(t) for b in blocks for t in (b.log_time.min(), b.log_time.max())] or [0]
+        parts.append(Part(file.name, min(times), max(times), counts))
+        arrived.append(tuple(_in_order(blocks)))
     end = max((part.end for part in parts), default=0)
     machine = _about(folder).get(MACHINE, '')
     return JournalContent(JournalRun(folder, definitions, machine, parts), end, tuple(arrived))
 
 
-def _topic(block: MessageBlock, topics: Sequence[Topic] = (*TOPICS, GAP)) -> Topic:
-    return next(t for t in topics if t.name == block.topic)
-
-
 def _in_order(blocks: Sequence[MessageBlock]) -> Iterator[tuple[Topic, DecodedPoints | bytes]]:
-    """Yield points and other messages in the order in which they were received."""
-    others = sorted(
-        (int(t), k, i)
-        for k, block in enumerate(blocks)
-        if block.topic != POINT.name
-        for i, t in enumerate(block.log_time)
+    """Yield points and messages of ``TOPICS`` and gaps in the order in which they came."""
+    topics = {t.name: t for t in (*TOPICS, GAP)}
+    others = deque(
+        sorted(
+            (time, k, i, data)
+            for k, block in enumerate(blocks)
+            if block.topic in topics and block.topic != POINT.name
+            for i, (time, data) in enumerate(block)
+        )
     )
-    points = [b for b in blocks if b.topic == POINT.name]
-    for block in points:
-        while others and others[0][0] <= block.log_time[0]:
-            yield _message(blocks, others.pop(0))
-        cuts = [int(np.searchsorted(block.log_time, t)) for t, _, _ in others]
-        at = 0
-        for cut in (c for c in cuts if c < block.start.size):
-            yield from _points(block, at, cut)
-            yield _message(blocks, others.pop(0))
+    for block in (b for b in blocks if b.topic == POINT.name):
+        cuts, at = np.append(block.log_time, np.iinfo(np.int64).max), 0
+        while at < block.start.size:
+            cut = int(np.searchsorted(cuts, others[0][0])) if others else block.start.size
+            cut = min(max(cut, at), block.start.size)
+            if cut > at:
+                start, size = block.start[at:cut], block.size[at:cut]
+                yield POINT, decode_points(block.buffer, start, size, POINT.frame)
+            if cut < block.start.size:
+                _, k, _, data = others.popleft()
+                yield topics[blocks[k].topic], data
             at = cut
-        yield from _points(block, at, block.start.size)
-    for other in others:
-        yield _message(blocks, other)
-
-
-def _message(blocks: Sequence[MessageBlock], at: tuple[int, int, int]) -> tuple[Topic, bytes]:
-    block = blocks[at[1]]
-    start, size = int(block.start[at[2]]), int(block.size[at[2]])
-    return _topic(block), bytes(block.buffer[start : start + size])
-
-
-def _points(block: MessageBlock, start: int, stop: int) -> Iterator[tuple[Topic, DecodedPoints]]:
-    if stop > start:
-        rows = slice(start, stop)
-        yield POINT, decode_points(block.buffer, block.start[rows], block.size[rows], POINT.frame)
+    for _, k, _, data in others:
+        yield topics[blocks[k].topic], data
 
 
 # Journal: what arrives is written to disk at once, a bag per run, by a thread of its own.
@@ -579,6 +470,7 @@ class Journal:
         self._lock = _locked(directory)
         self._definitions = Definitions(texts, tuple(beside))
         self._run: JournalRun | None = None
+        self._refused: JournalRun | None = None
         self._latched: dict[Topic, tuple[bytes, ...]] = {}
         self._items: list[tuple[JournalRun, Rows] | _End] = []
         self._pending, self._missed = 0, 0
@@ -602,7 +494,8 @@ class Journal:
         xyz : ndarray of float64, shape (n, 3), m
         """
         run = self._run or self._begin()
-        self._put(run, Rows(POINT, encode_points(stamp_ns, xyz, frame), self._now()))
+        rows = encode_points(stamp_ns, xyz, frame)
+        self._put(run, POINT, rows.tobytes(), rows.dtype.itemsize)
 
     def message(self, topic: Topic, *data: bytes) -> None:
         """Take serialized messages that stay valid: they are part of every run from now on.
@@ -615,7 +508,7 @@ class Journal:
         goes_on = len(data) > len(before) and data[: len(before)] == before
         if self._run:
             for one in data[len(before) :] if goes_on else data:
-                self._put(self._run, one_message(topic, one, self._now()))
+                self._put(self._run, topic, one)
 
     def keep(self, topic: Topic, *data: bytes) -> None:
         """Take messages as ``message`` does that the present run has already."""
@@ -624,7 +517,7 @@ class Journal:
     def event(self, topic: Topic, data: bytes) -> None:
         """Take a serialized message of what has happened: it is part of this run only."""
         if self._run:
-            self._put(self._run, one_message(topic, data, self._now()))
+            self._put(self._run, topic, data)
 
     def end(self, state: str) -> Path | None:
         """End the present run, if there is one, and say what became of it; return its folder."""
@@ -694,7 +587,7 @@ class Journal:
         self._run = run = JournalRun(self.directory / name, self._definitions, self._machine())
         for topic, messages in self._latched.items():
             for data in messages:
-                self._put(run, one_message(topic, data, self._now()))
+                self._put(run, topic, data)
         return run
 
     def _machine(self) -> str:
@@ -708,9 +601,10 @@ class Journal:
         """Time of arrival, ns: the clock of the system, but never back."""
         return self._clock + time.monotonic_ns()
 
-    def _put(self, run: JournalRun, rows: Rows) -> None:
+    def _put(self, run: JournalRun, topic: Topic, data: bytes, width: int = 0) -> None:
+        rows = Rows(topic, data, width or len(data), self._now())
         if self._pending > MAX_PENDING_BYTES:
-            self._missed += len(rows.data)
+            self._missed += len(data) // rows.width
             return
         self._append((run, rows))
 
@@ -718,7 +612,7 @@ class Journal:
         with self._wake:
             self._items.append(item)
             if not isinstance(item, _End):
-                self._pending += item[1].data.nbytes
+                self._pending += len(item[1].data)
 
     def _work(self) -> None:
         waiting: list[tuple[JournalRun, Rows] | _End] = []
@@ -741,6 +635,9 @@ class Journal:
 
     def _write(self, waiting: list[tuple[JournalRun, Rows] | _End]) -> None:
         """Write what waits, run by run, and take it off the list."""
+        if self._refused:
+            self._refused.write()
+        self._refused = None
         while waiting:
             first = waiting[0]
             if isinstance(first, _End):
@@ -756,11 +653,15 @@ class Journal:
                 if isinstance(item, _End) or item[0] is not run:
                     break
                 rows.append(item[1])
-            self._check_room(sum(r.data.nbytes for r in rows))
-            run.append(rows)
+            size = sum(len(r.data) for r in rows)
+            self._check_room(size)
+            run.add(rows)
+            self._refused = run  # what it has taken it writes, now or later
             del waiting[: len(rows)]
             with self._wake:
-                self._pending -= sum(r.data.nbytes for r in rows)
+                self._pending -= size
+            run.write()
+            self._refused = None
 
     def _check_room(self, size: int) -> None:
         """OSError if so many bytes more would leave too little of the disk for the results."""

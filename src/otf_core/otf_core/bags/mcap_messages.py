@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of one MCAP file as blocks of positions, without a Python object per message."""
+"""Messages of one MCAP file as blocks of positions, without a Python object per message.
+
+``mcap`` reads the records of the file; chunks are taken whole, and numpy takes the messages out of
+them. A file without its end (cut off, or still being recorded) is read to its last complete chunk,
+which is said. Source: mcap.dev/spec.
+"""
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TypeVar
 
 import numpy as np
 import zstandard
@@ -25,117 +30,21 @@ from otf_core.arrays import Index
 from otf_core.bags.cdr import Bytes, gather
 from otf_core.errors import InputError
 
-# Where the records of an MCAP file or of a decompressed chunk begin.
-#
-# Every record is opcode (1 byte), length (uint64), content; so the positions of all records follow
-# from the lengths alone. Records of one head (opcode and length) that follow each other stand one
-# length apart: whole streams of them are checked at once, the rest is walked one by one.
-
-RECORD_HEAD = 9
-WALKED_RECORDS = 16
-"""Records walked before those behind them are looked at together."""
-FIRST_BLOCK = 256
-"""Records looked at together at first; twice as many each time that all are alike."""
-LISTED_POSITIONS = 1 << 16
-"""Positions held as Python numbers at most, which take five times the memory."""
-
-
-def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
-    """Positions of all records from begin on, and ``end`` as the last item.
-
-    Raises
-    ------
-    ValueError
-        If the lengths do not lead exactly to the end.
-    """
-    starts = complete_records(buffer, begin, end)
-    if starts[-1] != end:
-        raise ValueError(f'the record at byte {starts[-1]} is cut off')
-    return starts
-
-
-def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
-    """Positions of the records that are whole before ``end``, and where the last of them ends.
-
-    Zeros up to the end, which a crash may leave of a file, count as cut off.
-
-    Raises
-    ------
-    ValueError
-        If something that is not a record begins where one should.
-    """
-    unpack = struct.Struct('<BQ').unpack_from
-    view, at, last, last_head = buffer.data, begin, begin, end - RECORD_HEAD
-    parts: list[Index] = []
-    walked: list[int] = []
-    whole = True
-    while whole and at <= last_head:
-        for _ in range(WALKED_RECORDS):
-            opcode, length = unpack(view, at)
-            if not opcode and buffer[at:end].any():
-                raise ValueError(f'no record at byte {at}')
-            whole = bool(opcode) and length <= end - at - RECORD_HEAD
-            if not whole:
-                break
-            walked.append(at)
-            last, at = at, at + RECORD_HEAD + length
-            if at > last_head:
-                break
-        alike = len(walked) > 2 and at - last == last - walked[-2] == walked[-2] - walked[-3]
-        repeats = whole and alike
-        if repeats or len(walked) > LISTED_POSITIONS:
-            parts.append(np.array(walked, np.int64))
-            walked = []
-        if repeats:
-            more = _alike(buffer, last, end, opcode, length)
-            parts.append(more[1:])
-            last = int(more[-1])
-            at = last + RECORD_HEAD + length
-            if at > end:  # the last of them is cut off
-                parts[-1], at, whole = parts[-1][:-1], last, False
-    return np.concatenate([*parts, np.array([*walked, at], np.int64)])
-
-
-def _alike(buffer: Bytes, at: int, end: int, opcode: int, length: int) -> Index:
-    """Positions of the record at ``at`` and of those behind it that have the same head."""
-    step = RECORD_HEAD + length
-    count, look = 1, FIRST_BLOCK
-    while look:
-        first = at + count * step
-        look = min(look, (end - RECORD_HEAD - first) // step + 1)
-        if look <= 0:
-            break
-        opcodes = np.ndarray((look,), 'u1', buffer, first, (step,))
-        lengths = np.ndarray((look,), '<u8', buffer, first + 1, (step,))
-        other = (opcodes != opcode) | (lengths != length)
-        same = int(other.argmax()) if other.any() else look
-        count += same
-        look = 2 * look if same == look else 0
-    return at + step * np.arange(count)
-
-
-# Messages of one MCAP file as blocks of positions, without a Python object per message.
-#
-# The positions of all records follow from their lengths alone, in the file as in a decompressed
-# chunk (``mcap_records``). Everything else is numpy. The file is mapped, and what was read of it
-# is given back chunk by chunk; no length it states is believed before it was checked. A file
-# without its end (cut off, or still being recorded) is read to its last complete chunk, which is
-# said. Source: mcap.dev/spec as implemented by mcap 1.6 (records.py, stream_reader.py).
-
+T = TypeVar('T')
 MAGIC = b'\x89MCAP0\r\n'
 MAX_CHUNK = 1 << 30
 """Bytes; a chunk that claims to unpack to more is taken for damaged."""
 SMALL_CHUNK, MAX_RATIO = 1 << 25, 200
 """Bytes; a larger chunk that claims to unpack to so many times its size is taken for damaged:
 points and paths shrink to a tenth at best."""
-BATCH = 100_000
-"""Messages of one block at most: a file without chunks is one buffer."""
-CRC_BLOCK = 1 << 24
-"""Bytes that are mapped at once for the checksum of the data section."""
+BATCH = 50_000
+"""Messages of one block at most, outside of chunks."""
+ALIKE = 16
+"""Records of one head in a row from which on those behind them are looked at together."""
+RECORD_HEAD = np.dtype([('opcode', 'u1'), ('length', '<u8')])
 MESSAGE_HEAD = np.dtype(
     [
-        ('opcode', 'u1'),
-        ('length', '<u8'),
+        *RECORD_HEAD.descr,
         ('channel', '<u2'),
         ('sequence', '<u4'),
         ('log_time', '<u8'),
@@ -148,6 +57,12 @@ RECOVER = (
     "recover: true in --config reads the rest without it, as 'mcap recover IN.mcap -o OUT.mcap' "
     'does for any tool'
 )
+DAMAGE = (
+    McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, OverflowError,
+    MemoryError,
+)  # fmt: skip
+"""What mcap, zstandard and lz4 raise on what is not as it should be; they ask for as many bytes as
+a damaged length states."""
 
 
 @dataclass(frozen=True)
@@ -169,9 +84,41 @@ class MessageBlock:
     size: Index
     log_time: Index
 
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Yield log time, ns, and bytes of every message."""
+        rows = zip(self.start.tolist(), self.size.tolist(), self.log_time.tolist(), strict=True)
+        return ((time, bytes(self.buffer[at : at + size])) for at, size, time in rows)
 
-class _Damaged(InputError):
-    """Bytes are not what they should be."""
+
+def join_messages(topic: str, messages: Iterator[tuple[int, bytes]]) -> Iterator[MessageBlock]:
+    """Join messages, log time in ns and bytes each, to blocks."""
+    while batch := list(islice(messages, BATCH)):
+        size = np.array([len(data) for _, data in batch], np.int64)
+        buffer = np.frombuffer(b''.join(data for _, data in batch), np.uint8)
+        log_time = np.array([time for time, _ in batch], np.uint64).astype(np.int64)
+        yield MessageBlock(topic, buffer, np.cumsum(size) - size, size, log_time)
+
+
+def record_starts(data: Bytes, begin: int = 0) -> Index:
+    """Positions of the whole records from ``begin`` on, and where the last of them ends."""
+    unpack, view = struct.Struct('<BQ').unpack_from, data.data
+    starts: list[int] = []
+    at, alike, last, last_head = begin, 0, 0, data.size - RECORD_HEAD.itemsize
+    while at <= last_head:
+        opcode, length = unpack(view, at)
+        if not opcode or length > last_head - at:  # zeros may be what a crash leaves of a file
+            break
+        starts.append(at)
+        step = RECORD_HEAD.itemsize + length
+        alike = alike + 1 if step == last else 0
+        if alike == ALIKE:
+            heads = np.ndarray(((data.size - at) // step,), RECORD_HEAD, data, at, (step,))
+            other = (heads['opcode'] != opcode) | (heads['length'] != length)
+            count, alike = int(other.argmax()) if other.any() else heads.size, 0
+            starts.extend(range(at + step, at + count * step, step))
+            at += (count - 1) * step
+        at, last = at + step, step
+    return np.array([*starts, at], np.int64)
 
 
 class McapMessages:
@@ -198,106 +145,66 @@ class McapMessages:
         *,
         recover: bool = False,
     ) -> None:
-        self._file = file
-        self._wanted = wanted
-        self._topics = topics
+        self._file, self._wanted, self._topics, self._recover = file, wanted, topics, recover
         self._remarks = [] if remarks is None else remarks
-        self._recover = recover
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
-        self._count = 0
-        self._left_out = 0
-        self._overtaken = False
+        self._count = self._left_out = self._size = 0
+        self._whole, self._torn = False, ''
 
     def __iter__(self) -> Iterator[MessageBlock]:
         """Yield blocks in file order; InputError if the file is damaged."""
-        data = self._map()
-        whole = data.size >= 2 * len(MAGIC) and bytes(data[-len(MAGIC) :]) == MAGIC
-        starts = self._starts_of_file(data, whole)
-        opcodes = data[starts[:-1]]
-        if whole and (not np.any(opcodes == Opcode.DATA_END) or opcodes[-1] != Opcode.FOOTER):
-            self._damaged_end('the data section or the footer is missing')
-        stated = None
-        bulk = np.isin(opcodes, [Opcode.MESSAGE, Opcode.MESSAGE_INDEX])
-        for i in np.flatnonzero(~bulk):
-            opcode, at, end = opcodes[i], int(starts[i]), int(starts[i + 1])
-            record = data[at + RECORD_HEAD : end]
-            if opcode == Opcode.CHUNK:
-                last = not np.any(opcodes[i + 1 :] == Opcode.CHUNK)
-                cut = last and (self._overtaken or not whole)
-                yield from self._chunk_or_nothing(record, at, cut)
-                self._give_back()
-            elif opcode == Opcode.DATA_END:
-                self._check_data_crc(data, at, self._parse(DataEnd, record).data_section_crc)
-            elif opcode == Opcode.STATISTICS:
-                stated = self._parse(Statistics, record).message_count
-            else:
-                self._register(opcode, record)
-        yield from self._messages(data, starts)
-        if stated not in (None, self._count) and not self._left_out:
-            self._damaged_end(f'it states {stated} messages but holds {self._count}')
-        if not self._overtaken:
-            self._tell(data.size, int(starts[-1]), whole)
-
-    def _starts_of_file(self, data: Bytes, whole: bool) -> Index:
-        """Positions of the records; without its end those that are complete."""
-        begin = len(MAGIC)
-        if whole and not self._recover and not self._grown():
-            return self._starts(data, begin, data.size - len(MAGIC))
         try:
-            return complete_records(data, begin, data.size - len(MAGIC) * whole)
-        except ValueError as error:
-            if not self._recover and not self._grown():
-                self._damaged(str(error))
-            return complete_records(data, begin, int(str(error).rpartition(' ')[2]))
-
-    def _chunk_or_nothing(self, record: Bytes, at: int, cut: bool) -> Iterator[MessageBlock]:
-        """Yield the messages of a chunk; none of one that may be left out."""
-        count, name = self._count, self._file.name
-        try:
-            yield from self._chunk(self._parse(Chunk, record))
-        except _Damaged:
-            if not (cut or self._recover) or self._count > count:
-                raise
-            self._left_out += 1
-            if self._recover and not cut:
-                self._remarks.append(f'the damaged chunk at byte {at} of {name} is left out')
-
-    def _tell(self, size: int, end: int, whole: bool) -> None:
-        """State what is missing of a file without its end."""
-        name = self._file.name
-        if whole and end == size - len(MAGIC):
-            return
-        if whole:
-            self._remarks.append(f'{name}: what follows the damage at byte {end} is left out')
-            return
-        torn = ' and its last chunk, which is incomplete,' if self._left_out else ''
-        self._remarks.append(
-            f'{name} has no end (cut off, or still being recorded); read to its last '
-            f'complete chunk: {self._count} messages, {size - end} of {size} bytes{torn} '
-            f'are left out'
-        )
-
-    def _map(self) -> Bytes:
-        try:
-            if not self._file.stat().st_size:
+            self._size = self._file.stat().st_size
+            if not self._size:
                 raise InputError(f'{self._file}: is empty; nothing was recorded')
-            with self._file.open('rb') as file:
-                self._pages = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            self._size = len(self._pages)
+            data = np.memmap(self._file, np.uint8, 'r', shape=(self._size,)).view(np.ndarray)
         except OSError as error:
             raise InputError(f'{self._file}: cannot be read ({error.strerror})') from None
-        data = np.frombuffer(self._pages, np.uint8)
         if bytes(data[: len(MAGIC)]) != MAGIC:
             raise InputError(
                 f'{self._file}: is not an MCAP file (it does not begin with the MCAP magic)'
             )
-        return data
+        self._whole = data.size >= 2 * len(MAGIC) and bytes(data[-len(MAGIC) :]) == MAGIC
+        try:
+            yield from self._records(data[: -len(MAGIC)] if self._whole else data)
+        except DAMAGE as error:
+            raise InputError(
+                f'{self._file}: is damaged, {error}; copy it again, or {RECOVER}'
+            ) from None
 
-    def _give_back(self) -> None:
-        """Let go of the pages of the file that were read; what is needed again is read again."""
-        if hasattr(mmap, 'MADV_DONTNEED'):  # not on Windows
-            self._pages.madvise(mmap.MADV_DONTNEED)
+    def _records(self, data: Bytes) -> Iterator[MessageBlock]:
+        starts = record_starts(data, len(MAGIC))
+        opcodes, stated = data[starts[:-1]], None
+        bulk = np.isin(opcodes, (Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
+        end = int(starts[-1])
+        if self._whole and end < data.size:
+            self._damaged_end(f'the record at byte {end} is cut off')
+        elif self._whole and (Opcode.DATA_END not in opcodes or opcodes[-1] != Opcode.FOOTER):
+            self._damaged_end('the data section or the footer is missing')
+        for i in np.flatnonzero(~bulk).tolist():
+            at, record = int(starts[i]), data[starts[i] + RECORD_HEAD.itemsize : starts[i + 1]]
+            if opcodes[i] == Opcode.CHUNK:
+                yield from self._chunk_or_nothing(record, at)
+            elif opcodes[i] == Opcode.DATA_END:
+                checksum = _parsed(DataEnd, record).data_section_crc
+                if checksum not in (0, zlib.crc32(data[:at].data)):
+                    self._damaged_end('the checksum of the data section is wrong')
+            elif opcodes[i] == Opcode.STATISTICS:
+                stated = _parsed(Statistics, record).message_count
+            else:
+                self._register(opcodes[i], record)
+        for first in range(0, starts.size, BATCH):
+            yield from self._blocks(data, starts[first : first + BATCH + 1])
+        if stated not in (None, self._count) and not self._left_out:
+            self._damaged_end(f'it states {stated} messages but holds {self._count}')
+        if not self._whole and not self._grown():
+            torn = ' and its last chunk, which is incomplete,' if self._torn else ''
+            self._remarks.append(
+                f'{self._file.name} has no end (cut off, or still being recorded); read to its '
+                f'last complete chunk: {self._count} messages, {data.size - end} of {data.size} '
+                f'bytes{torn} are left out'
+            )
 
     def _grown(self) -> bool:
         """Return whether the file is being written: its end was then where more stands now."""
@@ -305,117 +212,106 @@ class McapMessages:
             return self._file.stat().st_size != self._size
         return False
 
-    def _damaged(self, what: str) -> NoReturn:
-        raise _Damaged(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
-
     def _damaged_end(self, what: str) -> None:
         """Refuse a file of which something is missing, or say so where that is wanted."""
         if self._grown():
-            self._remarks.append(
-                f'{self._file.name} is being recorded; read up to its current end'
-            )
-            self._overtaken = True
-            return
-        if not self._recover:
-            self._damaged(what)
+            what = 'is being recorded; read up to its current end'
+        elif not self._recover:
+            raise ValueError(what)
         self._remarks.append(f'{self._file.name}: {what}')
-
-    def _starts(self, buffer: Bytes, begin: int, end: int) -> Index:
-        try:
-            return record_starts(buffer, begin, end)
-        except ValueError as error:
-            self._damaged(str(error))
-
-    def _parse(self, kind: Any, record: Bytes) -> Any:
-        try:
-            return kind.read(ReadDataStream(BytesIO(record.tobytes())))
-        except (McapError, struct.error, UnicodeDecodeError, OverflowError):
-            # OverflowError: mcap asks for as many bytes as a damaged length states
-            self._damaged(f'a {kind.__name__} record cannot be decoded')
-
-    def _check_data_crc(self, data: Bytes, end: int, stated: int) -> None:
-        if not stated:
-            return
-        checksum = 0
-        for at in range(0, end, CRC_BLOCK):
-            checksum = zlib.crc32(data[at : min(at + CRC_BLOCK, end)].data, checksum)
-            self._give_back()
-        if checksum != stated:
-            self._damaged_end('the checksum of the data section is wrong')
 
     def _register(self, opcode: int, record: Bytes) -> None:
         if opcode == Opcode.SCHEMA:
-            schema = self._parse(Schema, record)
+            schema = _parsed(Schema, record)
             self._schemas[schema.id] = schema.name
         elif opcode == Opcode.CHANNEL:
-            self._register_channel(self._parse(Channel, record))
+            channel = _parsed(Channel, record)
+            topic, kind = channel.topic, self._schemas.get(channel.schema_id, '')
+            if self._channels.setdefault(channel.id, topic) != topic:
+                raise ValueError(f'channel {channel.id} is defined twice, differently')
+            self._topics.setdefault(topic, kind)
+            check_type(self._file, topic, kind, channel.message_encoding, self._wanted)
 
-    def _register_channel(self, channel: Channel) -> None:
-        topic, kind = channel.topic, self._schemas.get(channel.schema_id, '')
-        if self._channels.setdefault(channel.id, topic) != topic:
-            self._damaged(f'channel {channel.id} is defined twice, differently')
-        self._topics.setdefault(topic, kind)
-        check_type(self._file, topic, kind, channel.message_encoding, self._wanted)
+    def _topic(self, channel: int) -> str:
+        if channel not in self._channels:
+            raise ValueError(f'channel {channel} is not described')
+        return self._channels[channel]
 
-    def _chunk(self, chunk: Chunk) -> Iterator[MessageBlock]:
-        data = np.frombuffer(self._unpack(chunk), np.uint8)
-        starts = self._starts(data, 0, data.size)
-        opcodes = data[starts[:-1]]
-        for i in np.flatnonzero(opcodes != Opcode.MESSAGE):
-            self._register(opcodes[i], data[starts[i] + RECORD_HEAD : starts[i + 1]])
-        yield from self._messages(data, starts)
+    def _chunk_or_nothing(self, record: Bytes, at: int) -> Iterator[MessageBlock]:
+        """Yield the messages of a chunk; none of one that may be left out.
 
-    def _unpack(self, chunk: Chunk) -> bytes:
+        The last chunk of a file without its end may be torn.
+        """
+        if self._torn:
+            raise ValueError(self._torn)
+        try:
+            data = self._unpack(_parsed(Chunk, record))
+            starts = record_starts(data)
+            if starts[-1] != data.size:
+                raise ValueError(f'the record at byte {starts[-1]} of a chunk is cut off')
+            for i in np.flatnonzero(data[starts[:-1]] != Opcode.MESSAGE).tolist():
+                content = data[starts[i] + RECORD_HEAD.itemsize : starts[i + 1]]
+                self._register(data[starts[i]], content)
+            blocks = list(self._blocks(data, starts))
+        except DAMAGE as error:
+            what = str(error)
+            if isinstance(error, CRCValidationError):
+                what = 'the checksum of a chunk is wrong'
+            if self._recover:
+                where = f'at byte {at} of {self._file.name}'
+                self._remarks.append(f'the damaged chunk {where} is left out ({what})')
+            elif self._whole and not self._grown():
+                raise ValueError(what) from None
+            else:
+                self._torn = what
+            self._left_out += 1
+            return
+        yield from blocks
+
+    def _unpack(self, chunk: Chunk) -> Bytes:
         """Decompress a chunk and check its size and checksum."""
-        size, how = chunk.uncompressed_size, chunk.compression
+        stated, how = chunk.uncompressed_size, chunk.compression
         if how not in ('', 'lz4', 'zstd'):
             raise InputError(
                 f"{self._file}: chunk compression '{how}' is not supported; rewrite the bag "
                 f"with 'mcap compress'"
             )
-        try:
-            if how == 'zstd':
-                known = zstandard.get_frame_parameters(chunk.data).content_size
-                if known not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-                    size = -1
-            bomb = size > SMALL_CHUNK and size > MAX_RATIO * len(chunk.data)
-            if not 0 <= size <= MAX_CHUNK or bomb:
-                self._damaged(f'a chunk states {chunk.uncompressed_size} bytes')
-            stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        except CRCValidationError:
-            self._damaged('the checksum of a chunk is wrong')
-        except (McapError, zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:
-            # RuntimeError is what lz4 raises
-            self._damaged(f'a chunk cannot be decompressed ({error})')
-        if length != size:
-            self._damaged(f'a chunk has {length} bytes instead of {size}')
-        return stream.read(length)
+        sizes = {stated}
+        if how == 'zstd':
+            sizes.add(zstandard.get_frame_parameters(chunk.data).content_size)
+        sizes.discard(zstandard.CONTENTSIZE_UNKNOWN)
+        largest = max(SMALL_CHUNK, MAX_RATIO * len(chunk.data))
+        if len(sizes) > 1 or stated > min(largest, MAX_CHUNK):
+            raise ValueError(f'a chunk states {stated} bytes')
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        if length != stated:
+            raise ValueError(f'a chunk has {length} bytes instead of {stated}')
+        return np.frombuffer(stream.read(length), np.uint8)
 
-    def _messages(self, buffer: Bytes, starts: Index) -> Iterator[MessageBlock]:
-        """Yield the wanted messages among the records of one buffer, topic by topic."""
+    def _blocks(self, buffer: Bytes, starts: Index) -> Iterator[MessageBlock]:
+        """Yield the wanted messages among records, topic by topic."""
         chosen = buffer[starts[:-1]] == Opcode.MESSAGE
-        at = starts[:-1][chosen]
-        size = np.diff(starts)[chosen] - MESSAGE_HEAD.itemsize
+        at, size = starts[:-1][chosen], np.diff(starts)[chosen] - MESSAGE_HEAD.itemsize
         if np.any(size < 0):
-            self._damaged(f'the message at byte {at[size < 0][0]} is too short')
-        for first in range(0, at.size, BATCH):
-            batch = slice(first, first + BATCH)
-            yield from self._batch(buffer, at[batch], size[batch])
-
-    def _batch(self, buffer: Bytes, at: Index, size: Index) -> Iterator[MessageBlock]:
+            raise ValueError(f'the message at byte {at[size < 0][0]} is too short')
         head = gather(buffer, at, MESSAGE_HEAD.itemsize).view(MESSAGE_HEAD)
+        present = {i: self._topic(i) for i in np.unique(head['channel']).tolist()}
         self._count += at.size
-        present = set(np.unique(head['channel']).tolist())
-        if not present <= self._channels.keys():
-            self._damaged(f'channel {min(present - self._channels.keys())} is not described')
-        for topic in self._wanted:
-            ids = [i for i in present if self._channels[i] == topic]
-            if ids:
-                alone = len(ids) == len(present)
-                pick = slice(None) if alone else np.isin(head['channel'], ids)
-                log_time = head['log_time'][pick].astype(np.int64)
-                start = at[pick] + MESSAGE_HEAD.itemsize
-                yield MessageBlock(topic, buffer, start, size[pick], log_time)
+        for topic in self._wanted.keys() & set(present.values()):
+            ids = [i for i, name in present.items() if name == topic]
+            pick = slice(None) if len(ids) == len(present) else np.isin(head['channel'], ids)
+            log_time = head['log_time'][pick].astype(np.int64)
+            start = at[pick] + MESSAGE_HEAD.itemsize
+            yield MessageBlock(topic, buffer, start, size[pick], log_time)
+
+
+def _parsed(kind: type[T], record: Bytes) -> T:
+    """Return a record as mcap reads it; ValueError if it cannot."""
+    try:
+        read: T = kind.read(ReadDataStream(BytesIO(record.tobytes())))  # type: ignore[attr-defined]
+    except DAMAGE as error:
+        raise ValueError(f'a {kind.__name__} record cannot be decoded ({error})') from None
+    return read
 
 
 def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted) -> None:

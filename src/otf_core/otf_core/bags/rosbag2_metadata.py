@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a bag, and metadata.yaml of a rosbag2 folder, version 9."""
+"""Topics of a bag; metadata.yaml of a rosbag2 folder, version 9, and the MCAP file beside it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from types import MappingProxyType
+from typing import IO, TYPE_CHECKING, Any
 
 import yaml
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
 
 # The topics of a bag: name, message type, frame and quality of service.
 
@@ -142,3 +146,39 @@ def bag_metadata(
 def metadata_text(metadata: Mapping[str, Any]) -> str:
     """Return the text of metadata.yaml."""
     return yaml.safe_dump({'rosbag2_bagfile_information': metadata}, sort_keys=False)
+
+
+def describe_topics(
+    topics: Iterable[Topic], texts: Mapping[str, str] = MappingProxyType({})
+) -> tuple[dict[Topic, str], dict[Topic, str]]:
+    """Message definition and type description hash of topics, but of types that are not known.
+
+    Parameters
+    ----------
+    texts : mapping of str to str
+        Message definitions of types that are not part of ROS 2 itself.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # 0.1 s
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in texts.items():
+        store.register(get_types_from_msg(text, name))
+    known = [t for t in topics if t.type in store.fielddefs]
+    definitions = {t: store.generate_msgdef(t.type, ros_version=2)[0] for t in known}
+    return definitions, {t: store.hash_rihs01(t.type) for t in known}
+
+
+def start_mcap(
+    stream: IO[bytes], definitions: Mapping[Topic, str], *, data_crcs: bool = False
+) -> tuple[Writer, dict[Topic, int]]:
+    """Begin an MCAP file of compressed chunks; return its writer and the channels of topics."""
+    from mcap.writer import CompressionType, Writer
+
+    writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=data_crcs)
+    writer.start(profile='ros2', library=CREATOR)
+    channels = {}
+    for topic, text in definitions.items():
+        schema = writer.register_schema(topic.type, 'ros2msg', text.encode())
+        about = channel_metadata(topic)
+        channels[topic] = writer.register_channel(topic.name, 'cdr', schema, about)
+    return writer, channels

@@ -66,10 +66,14 @@ from otf_core.solving.joint import (
     settle_covariance,
     tables_of,
 )
-from otf_core.solving.model_choice import Choice
 from otf_core.solving.residuals import ResidualCheck
-from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
-from otf_core.solving.reversal_choice import lags
+from otf_core.solving.reversal import (
+    Choice,
+    Reversal,
+    backlash_at_target,
+    lags,
+    reversal_tables,
+)
 from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate, unseen_sizes
 from otf_core.solving.unknowns import place_block

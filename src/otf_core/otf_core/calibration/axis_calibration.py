@@ -30,12 +30,13 @@ from otf_core.solving.joint import (
     JointSolution,
     Start,
     UnsettledError,
+    find_identifiable_blocks,
     solve_robustly,
     tables_of,
     unknowns_of,
 )
-from otf_core.solving.model_choice import Choice, choose_shapes
-from otf_core.solving.reversal_choice import choose_reversal
+from otf_core.solving.model_choice import choose_shapes
+from otf_core.solving.reversal import Choice, choose_reversal
 from otf_core.threads import limit_to_one_thread
 
 
@@ -148,15 +149,17 @@ class _Job:
             raise InputError(steps[0] if steps else str(error)) from None
         unknowns = unknowns_of(runs, shapes.bases)
         runs, joint = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
-        choice, unknowns = choose_reversal(joint, config)
+        choice, unknowns = choose_reversal(runs, joint, config)
         tables = tables_of(machine, joint.unknowns, joint.solution)
         matched, fitted = _moved(matched, joint), [run.fitted for run in runs]
         runs = [
             replace(run, fitted=logs)
             for run, logs in zip(self._runs(matched, joint.places, tables), fitted, strict=True)
         ]
-        further = [n for n in unknowns.blocks if n not in joint.unknowns.blocks]
-        accepted = (*joint.solution.accepted, *further)
+        accepted = joint.solution.accepted
+        if further := unknowns.blocks.keys() - joint.unknowns.blocks.keys():
+            seen = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
+            accepted = (*accepted, *(name for name in seen if name in further))
         start = Start(joint.roughness.logs, accepted, tables)
         _, joint = solve_robustly(runs, unknowns, config, progress, start)
         # not before: places that are 0.1 mm off along the path look like a step

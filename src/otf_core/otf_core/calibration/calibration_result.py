@@ -55,8 +55,7 @@ from otf_core.prediction.calibration_document import (
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
-from otf_core.solving.reversal import Reversal
-from otf_core.solving.reversal_choice import AxisLag
+from otf_core.solving.reversal import AxisLag, Reversal
 from otf_core.solving.tabulate import TableCost
 
 

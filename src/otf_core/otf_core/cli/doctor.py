@@ -25,7 +25,7 @@ OLDEST_VERSIONS = {
     'numpy': '1.26',
     'scipy': '1.11',
     'PyYAML': '6.0',
-    'mcap': '1.1.1',
+    'mcap': '1.5',
     'zstandard': '0.18',
     'lz4': '4.3',
     'rosbags': '0.11',

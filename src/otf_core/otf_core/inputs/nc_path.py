@@ -40,14 +40,6 @@ MACHINE = 'machine coordinates'
 CURE = 'give the plan.json of otf plan or a CSV x,y,z of the corner points instead'
 
 
-def refuse(where: str, line: int, word: str, why: str) -> NoReturn:
-    """Refuse a program for a word of it."""
-    raise ConfigError(
-        f'{where}: line {line}: {shortened(word, 60)!r} {why}; an NC program is read as a path of '
-        f'straight lines and arcs of X, Y, Z alone: {CURE}'
-    )
-
-
 @dataclass
 class DrivenPath:
     """Corners of the moves of a program, in driving order.
@@ -56,6 +48,8 @@ class DrivenPath:
     ----------
     where : str
         The file, for messages.
+    block : tuple of int and str
+        Line and text of what is read, for messages.
     at : dict of str to Decimal or None
         Where the axes stand, m.
     corners : list of tuple of 3 float
@@ -69,6 +63,7 @@ class DrivenPath:
     """
 
     where: str
+    block: tuple[int, str] = (0, '')
     at: Position = field(default_factory=lambda: dict.fromkeys('XYZ'))
     corners: list[tuple[float, float, float]] = field(default_factory=list)
     lines: int = 0
@@ -81,11 +76,17 @@ class DrivenPath:
     _lost: tuple[int, str] | None = None
     _stopped: bool = False
 
-    def line_to(
-        self, line: int, word: str, goal: Mapping[str, Decimal | None], frame: str
-    ) -> None:
+    def refuse(self, why: str, word: str = '') -> NoReturn:
+        """Refuse the program for a word of its block, or for all of it."""
+        line, text = self.block
+        raise ConfigError(
+            f'{self.where}: line {line}: {shortened(word or text, 60)!r} {why}; an NC program is '
+            f'read as a path of straight lines and arcs of X, Y, Z alone: {CURE}'
+        )
+
+    def line_to(self, goal: Mapping[str, Decimal | None], frame: str) -> None:
         """Drive straight to where some axes are given; None: to where the program does not say."""
-        self._frame(line, word, frame)
+        self._frame(frame)
         self.lines += 1
         self._moves += 1
         self.at |= goal
@@ -93,12 +94,10 @@ class DrivenPath:
             self._found_again()
             self._add(self._point())
         else:
-            self._lose(line, word)
+            self._lose()
 
     def arc_to(
         self,
-        line: int,
-        word: str,
         goal: Mapping[str, Decimal | None],
         frame: str,
         plane: str,
@@ -111,8 +110,6 @@ class DrivenPath:
 
         Parameters
         ----------
-        line, word
-            Of the block, for messages.
         goal : mapping of str to Decimal
             Where it ends, m; axes that are not given stay.
         plane : str
@@ -125,8 +122,8 @@ class DrivenPath:
         start = dict(self.at)
         end = {**start, **goal}
         if None in (*start.values(), *end.values()):
-            refuse(self.where, line, word, 'begins before the program has stated X, Y and Z')
-        self._frame(line, word, frame)
+            self.refuse('begins before the program has stated X, Y and Z')
+        self._frame(frame)
         self._add(self._point())
         self.arcs += 1
         self._moves += 1
@@ -135,12 +132,10 @@ class DrivenPath:
         u, v = ('XYZ'.index(a) for a in plane)
         if centre is None:
             assert radius is not None
-            middle = self._centre_of(
-                line, word, first[[u, v]], last[[u, v]], float(radius), clockwise
-            )
+            middle = self._centre_of(first[[u, v]], last[[u, v]], float(radius), clockwise)
         else:
             middle = np.array([float(centre[a]) for a in plane])
-        for point in self._chords(line, word, first, last, (u, v), middle, clockwise):
+        for point in self._chords(first, last, (u, v), middle, clockwise):
             self._add((float(point[0]), float(point[1]), float(point[2])))
         self.at = end
         self._add(self._point())
@@ -182,44 +177,41 @@ class DrivenPath:
         if not self.corners or self.corners[-1] != point:
             self.corners.append(point)
 
-    def _frame(self, line: int, word: str, frame: str) -> None:
+    def _frame(self, frame: str) -> None:
         self.frames[frame] += 1
         offsets = [name for name in self.frames if name != MACHINE]
         if len(offsets) > 1:
-            refuse(
-                self.where, line, word,
+            self.refuse(
                 f'moves in {offsets[1]} after moves in {offsets[0]}, and the program does not '
                 f'state how they are related',
             )  # fmt: skip
 
-    def _lose(self, line: int, word: str) -> None:
+    def _lose(self) -> None:
         """Count a move to where the program does not say."""
         if self.corners:
-            self._lost = self._lost or (line, word)
+            self._lost = self._lost or self.block
             return
         self._unseen += 1
         if self._unseen > APPROACH:
             missing = ' and '.join(a for a, value in self.at.items() if value is None)
-            refuse(
-                self.where, line, word,
+            self.refuse(
                 f'is move {self._unseen} of the program, which has not stated yet where {missing} '
                 f'stands',
             )  # fmt: skip
 
     def _found_again(self) -> None:
         if self._lost is not None:
-            refuse(self.where, *self._lost, 'goes to a position that is not in the program')
+            self.block = self._lost
+            self.refuse('goes to a position that is not in the program')
 
-    def _centre_of(
-        self, line: int, word: str, start: Array, end: Array, radius: float, clockwise: bool
-    ) -> Array:
+    def _centre_of(self, start: Array, end: Array, radius: float, clockwise: bool) -> Array:
         """Centre of an arc of given radius between two points of its plane."""
         chord = end - start
         half = 0.5 * math.hypot(*chord)
         if half == 0.0:
-            refuse(self.where, line, word, 'is an arc of given radius that ends where it begins')
+            self.refuse('is an arc of given radius that ends where it begins')
         if half > abs(radius) + MAX_RADIUS_STEP:
-            refuse(self.where, line, word, 'is an arc whose ends lie farther apart than 2 R')
+            self.refuse('is an arc whose ends lie farther apart than 2 R')
         away = math.sqrt(max(radius * radius - half * half, 0.0))
         normal = np.array([-chord[1], chord[0]]) / (2.0 * half)
         return 0.5 * (start + end) + normal * away * (-1 if clockwise else 1) * (
@@ -227,21 +219,13 @@ class DrivenPath:
         )
 
     def _chords(
-        self,
-        line: int,
-        word: str,
-        start: Array,
-        end: Array,
-        plane: tuple[int, int],
-        middle: Array,
-        clockwise: bool,
+        self, start: Array, end: Array, plane: tuple[int, int], middle: Array, clockwise: bool
     ) -> Array:
         """Points of an arc after its start, shape (n, 3), m; the last but one is the last."""
         to_start, to_end = start[list(plane)] - middle, end[list(plane)] - middle
         radius = math.hypot(*to_start)
         if radius <= 0.0 or abs(math.hypot(*to_end) - radius) > MAX_RADIUS_STEP:
-            refuse(
-                self.where, line, word,
+            self.refuse(
                 f'is an arc whose ends lie {1e3 * radius:.4f} and {1e3 * math.hypot(*to_end):.4f} '
                 f'mm from its centre',
             )  # fmt: skip
@@ -253,11 +237,9 @@ class DrivenPath:
             turn = -2.0 * math.pi if clockwise else 2.0 * math.pi
         length = radius * abs(turn)
         if not length <= LONGEST_ARC:
-            refuse(
-                self.where, line, word, f'is an arc of {length:.3g} m, which no machine can drive'
-            )
+            self.refuse(f'is an arc of {length:.3g} m, which no machine can drive')
         if len(self.corners) > MOST_CORNERS:
-            refuse(self.where, line, word, f'is an arc after {MOST_CORNERS} chords: too many')
+            self.refuse(f'is an arc after {MOST_CORNERS} chords: too many')
         chord = min(CHORD, math.sqrt(8.0 * radius * SAGITTA))
         count = max(math.ceil(length / chord), math.ceil(abs(turn) / CHORD_TURN), 3)
         count = max(1, min(count, int(length / SHORTEST_CHORD)))

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from otf_core.arrays import Array
+from otf_core.files.message_text import shortened
 from otf_core.files.writing import unreadable
-from otf_core.inputs.nc_path import CHORD, MACHINE, DrivenPath, Position, refuse
+from otf_core.inputs.nc_path import CHORD, MACHINE, DrivenPath, Position
 
 # Reads the moves of G-code (DIN 66025, ISO 6983) of FANUC, SINUMERIK, LinuxCNC, TwinCAT.
 #
@@ -100,7 +101,7 @@ class GCode:
     """
 
     def __init__(self, path: DrivenPath) -> None:
-        self._path, self._where = path, path.where
+        self._path = path
         self._motion, self._plane, self._unit = '1', 'XY', MILLIMETRE
         self._absolute, self._centre_absolute = True, False
         self._frame = 'the active work offset'
@@ -109,8 +110,9 @@ class GCode:
         """Read lines up to the end of the program."""
         for number, line in enumerate(lines, start=1):
             text = without_comments(line.upper())
+            self._path.block = number, line.strip()
             if text is None:
-                refuse(self._where, number, line.strip(), 'is a comment that is not closed')
+                self._path.refuse('is a comment that is not closed')
             text = text.strip().rstrip('*').strip()
             if text.startswith('%'):
                 unit = re.search(r'\bG(7[01])\s*$', text)  # HEIDENHAIN ISO: %NAME G71 *
@@ -121,42 +123,38 @@ class GCode:
             text = SPINDLE.sub('', text).strip()
             if not text or text.startswith('%'):
                 continue
-            block = self._parsed(number, text)
+            self._path.block = number, shortened(text, 40)
+            block = self._parsed(text)
             if skipped and (block.axes or set(block.g) & {'0', '1', '2', '3'}):
-                refuse(
-                    self._where,
-                    number,
-                    line.strip(),
-                    'is skipped or executed depending on a switch',
-                )
-            if not skipped and self._run(number, text, block):
+                self._path.refuse('is skipped or executed depending on a switch')
+            if not skipped and self._run(block):
                 return
 
-    def _parsed(self, number: int, text: str) -> _Block:
+    def _parsed(self, text: str) -> _Block:
         block, at = _Block(), 0
         while at < len(text):
             if text[at].isspace():
                 at += 1
                 continue
-            match = TOKEN.match(text, at) or self._unreadable(number, text[at:])
+            match = TOKEN.match(text, at) or self._unreadable(text[at:])
             at = match.end()
             while at < len(text) and text[at].isspace():
                 at += 1
             if at < len(text) and text[at] in '*/[#=(),"\'':  # 2*R1, X[#1], CYCLE81(...)
-                self._unreadable(number, text[match.start() :])
-            self._sort(number, block, match)
+                self._unreadable(text[match.start() :])
+            self._sort(block, match)
         return block
 
-    def _unreadable(self, number: int, text: str) -> NoReturn:
+    def _unreadable(self, text: str) -> NoReturn:
         word = text.split()[0]
         why = 'is not a word with a number'
         if re.search(r'[#\[\]]|[A-Z_]*\s*=\s*[A-Z]|^R\d+\s*=|\$', text):
             why = 'holds a variable, an expression or a command'
         elif CALLS.match(text) or FRAMES.match(text):
             why = 'is a cycle, a call or a command'
-        refuse(self._where, number, word, why)
+        self._path.refuse(why, word)
 
-    def _sort(self, number: int, block: _Block, match: re.Match[str]) -> None:
+    def _sort(self, block: _Block, match: re.Match[str]) -> None:
         word = match[0]
         if match['name']:
             block.names.append(match['name'])
@@ -164,7 +162,7 @@ class GCode:
         letter = match['axis'] or ('R' if match['radius'] else match['letter'])
         digits = (match['moved'] or match['radius'] or match['value']).replace(' ', '')
         if len(digits) > LONGEST_NUMBER:
-            refuse(self._where, number, word, 'has too many digits')
+            self._path.refuse('has too many digits', word)
         value, mode = Decimal(digits), match['mode'] or ''
         if letter == 'G':
             block.g.append(_code(value))
@@ -172,7 +170,7 @@ class GCode:
             block.m.append(_code(value))
         elif letter in 'XYZ':
             if letter in block.axes:
-                refuse(self._where, number, word, f'is a second {letter} in its block')
+                self._path.refuse(f'is a second {letter} in its block', word)
             block.axes[letter] = value, mode
         elif letter in 'IJK':
             block.centre[letter] = value, mode
@@ -181,23 +179,23 @@ class GCode:
         else:
             block.others.append((letter, value, word))
 
-    def _run(self, number: int, text: str, block: _Block) -> bool:
+    def _run(self, block: _Block) -> bool:
         """Run a block; True at the end of the program."""
-        self._check_names(number, block)
+        self._check_names(block)
         for code in block.m:
             if code in REFUSED_M:
-                refuse(self._where, number, f'M{code}', REFUSED_M[code])
+                self._path.refuse(REFUSED_M[code], f'M{code}')
         dwells = '4' in block.g
         home = {'28', '30'} & set(block.g)
-        self._modal(number, block)
-        self._check_others(number, block, dwells=dwells)
+        self._modal(block)
+        self._check_others(block, dwells=dwells)
         if not dwells:
-            self._move(number, text, block, home=bool(home))
+            self._move(block, home=bool(home))
         if any(code in STOPS for code in block.m):
             self._path.stop()
         return any(code in ENDS for code in block.m)
 
-    def _check_names(self, number: int, block: _Block) -> None:
+    def _check_names(self, block: _Block) -> None:
         for name in block.names:
             if name in HARMLESS_NAMES:
                 continue
@@ -206,9 +204,9 @@ class GCode:
                 why = 'shifts, turns or scales the coordinates, or transforms them'
             elif CALLS.match(name):
                 why = 'is a cycle, a call or a command'
-            refuse(self._where, number, name, why)
+            self._path.refuse(why, name)
 
-    def _modal(self, number: int, block: _Block) -> None:
+    def _modal(self, block: _Block) -> None:
         """Take the preparatory functions of a block."""
         for code in block.g:
             if code in ('0', '1', '2', '3'):
@@ -228,15 +226,15 @@ class GCode:
             elif code == '52' and not any(value for value, _ in block.axes.values()):
                 block.axes.clear()
             elif code == '50' and block.axes:
-                refuse(self._where, number, 'G50', 'scales positions or sets coordinates')
+                self._path.refuse('scales positions or sets coordinates', 'G50')
             elif code in ('4', '28', '30', '53', '153') or code in HARMLESS_G:
                 continue
             else:
                 family = code.split('.')[0]
                 why = 'is a cycle' if family in CYCLES else WHY.get(family, 'is not known')
-                refuse(self._where, number, f'G{code}', why)
+                self._path.refuse(why, f'G{code}')
 
-    def _check_others(self, number: int, block: _Block, *, dwells: bool) -> None:
+    def _check_others(self, block: _Block, *, dwells: bool) -> None:
         """Refuse words that may move or shift anything."""
         parameters = dwells or bool({'64', '8', '187', '642'} & set(block.g))
         for letter, value, word in block.others:
@@ -248,47 +246,44 @@ class GCode:
                 continue  # turns of an arc
             if letter in 'ABCUVW':
                 if value or not self._absolute:
-                    refuse(self._where, number, word, 'moves an axis other than X, Y, Z')
+                    self._path.refuse('moves an axis other than X, Y, Z', word)
                 continue
             why = {
                 'D': 'applies a tool offset', 'H': 'applies a tool length offset',
                 'L': 'calls a subprogram',
             }.get(letter, 'is not supported')  # fmt: skip
-            refuse(self._where, number, word, why)
+            self._path.refuse(why, word)
         if block.radius is not None and self._motion not in '23' and not dwells:
-            refuse(self._where, number, f'R{block.radius}', 'belongs to no arc')
+            self._path.refuse('belongs to no arc', f'R{block.radius}')
 
-    def _move(self, number: int, text: str, block: _Block, *, home: bool) -> None:
+    def _move(self, block: _Block, *, home: bool) -> None:
         machine = bool({'53', '153'} & set(block.g)) or 'SUPA' in block.names
         frame = MACHINE if machine else self._frame
-        word = text if len(text) <= 40 else f'{text[:37]}...'
         if home:
             gone: Position = dict.fromkeys(block.axes or 'XYZ')
-            self._path.line_to(number, word, gone, frame)
+            self._path.line_to(gone, frame)
             return
         arc = self._motion in '23'
         if not block.axes and not (arc and (block.centre or block.radius is not None)):
             return
         if machine and not self._absolute:
-            refuse(self._where, number, word, 'combines machine coordinates with increments')
+            self._path.refuse('combines machine coordinates with increments')
         goal: Position = {a: self._goal(a, *given) for a, given in block.axes.items()}
         if not arc:
             if block.centre:
-                refuse(self._where, number, word, 'has a centre, but the motion is a line')
+                self._path.refuse('has a centre, but the motion is a line')
             before = dict(self._path.at)
             moved = [a for a, value in goal.items() if value != before[a]]
             self._path.slanted_rapids += self._motion == '0' and len(moved) > 1
-            self._path.line_to(number, word, goal, frame)
+            self._path.line_to(goal, frame)
             return
         centre = None
         if block.centre:
-            centre = self._centre(number, word, block)
+            centre = self._centre(block)
         elif block.radius is None:
-            refuse(self._where, number, word, 'is an arc without centre (I, J, K) and radius (R)')
+            self._path.refuse('is an arc without centre (I, J, K) and radius (R)')
         radius = None if block.radius is None else block.radius * self._unit
-        self._path.arc_to(
-            number, word, goal, frame, self._plane, centre, radius, clockwise=self._motion == '2'
-        )
+        self._path.arc_to(goal, frame, self._plane, centre, radius, clockwise=self._motion == '2')
 
     def _goal(self, axis: str, value: Decimal, mode: str) -> Decimal | None:
         """Where an axis goes, m; None: from where it is not known by so much."""
@@ -297,19 +292,19 @@ class GCode:
         before = self._path.at[axis]
         return None if before is None else before + value * self._unit
 
-    def _centre(self, number: int, word: str, block: _Block) -> dict[str, Decimal] | None:
+    def _centre(self, block: _Block) -> dict[str, Decimal] | None:
         of_axis = dict(zip('XYZ', 'IJK', strict=True))
         letters = [of_axis[axis] for axis in self._plane]
         wrong = [letter for letter in block.centre if letter not in letters]
         if any(block.centre[letter][0] for letter in wrong):
-            refuse(self._where, number, word, f'has {wrong[0]} in the plane {self._plane}')
+            self._path.refuse(f'has {wrong[0]} in the plane {self._plane}')
         offsets = {}
         for axis, letter in zip(self._plane, letters, strict=True):
             value, mode = block.centre.get(letter, (Decimal(0), ''))
             start = self._path.at[axis]
             absolute = mode == 'AC' or (self._centre_absolute and not mode)
             if absolute and letter not in block.centre:
-                refuse(self._where, number, word, f'has no {letter} for its centre (G90.1)')
+                self._path.refuse(f'has no {letter} for its centre (G90.1)')
             offsets[axis] = value * self._unit + (Decimal(0) if absolute else start or Decimal(0))
         return offsets
 
@@ -387,7 +382,7 @@ class Klartext:
     """
 
     def __init__(self, path: DrivenPath) -> None:
-        self._path, self._where = path, path.where
+        self._path = path
         self._unit = MILLIMETRE
         self._centre: dict[str, Decimal] | None = None
         self._last: Position = {}
@@ -405,17 +400,13 @@ class Klartext:
             text = re.sub(r'^/?\s*\d+\s+', '', text).strip()
             if not text or re.fullmatch(r'\d+', text):
                 continue
+            self._path.block = number, ' '.join(text.split())
             if re.match(r'/', line.strip()) and re.match(r'L|C', text):
-                refuse(
-                    self._where,
-                    number,
-                    line.strip(),
-                    'is skipped or executed depending on a switch',
-                )
-            if self._run(number, ' '.join(text.split())):
+                self._path.refuse('is skipped or executed depending on a switch')
+            if self._run(' '.join(text.split())):
                 return
 
-    def _run(self, number: int, text: str) -> bool:
+    def _run(self, text: str) -> bool:
         """Run a block; True at the end of the program."""
         if text.startswith('BEGIN PGM'):
             self._unit = INCH if text.endswith('INCH') else MILLIMETRE
@@ -427,75 +418,73 @@ class Klartext:
             return False
         words = text.split()
         if words[0] in ('L', 'C', 'CC', 'CR'):
-            return self._path_function(number, text, words)
+            return self._path_function(words)
         wrong = [w for w in words if w.startswith('M') and not HARMLESS_M.fullmatch(w)]
         if words[0].startswith('M') and not wrong:
             return False
         if not HARMLESS.match(text):
             why = next((why for form, why in REFUSED if form.match(text)), 'is not known')
-            refuse(self._where, number, text, why)
+            self._path.refuse(why)
         return False
 
-    def _path_function(self, number: int, text: str, words: list[str]) -> bool:
+    def _path_function(self, words: list[str]) -> bool:
         goal: Position = {}
         fields: dict[str, str] = {}
         for word in words[1:]:
             match = COORDINATE.fullmatch(word)
             if match and match['axis'] in 'XYZ':
-                goal[match['axis']] = self._goal(number, word, match)
+                goal[match['axis']] = self._goal(word, match)
             elif match and match['axis'] in 'ABCUVW':
                 if match['step'] or Decimal(match['value'].replace(',', '.')):
-                    refuse(self._where, number, word, 'moves an axis other than X, Y, Z')
+                    self._path.refuse('moves an axis other than X, Y, Z', word)
             elif re.fullmatch(r'R0|F(MAX|AUTO|[TZU]?\d[\d.,]*)', word):
                 continue
             elif re.fullmatch(r'R[LR]', word):
-                refuse(self._where, number, word, 'switches cutter compensation on')
+                self._path.refuse('switches cutter compensation on', word)
             elif words[0] in ('C', 'CR') and re.fullmatch(rf'DR[-+]|R{VALUE}', word):
                 fields[word[:2] if word.startswith('DR') else 'R'] = word
             elif word in ('M2', 'M02', 'M30') or HARMLESS_M.fullmatch(word):
                 fields[word] = word
             else:
-                refuse(self._where, number, word, 'is not supported')
+                self._path.refuse('is not supported', word)
         if words[0] == 'CC':
-            self._take_centre(number, text, goal)
+            self._take_centre(goal)
         elif goal or words[0] == 'C':
-            self._move(number, text, words[0], goal, fields)
+            self._move(words[0], goal, fields)
         if {'M0', 'M00', 'M1', 'M01'} & fields.keys():
             self._path.stop()
         return bool({'M2', 'M02', 'M30'} & fields.keys())
 
-    def _goal(self, number: int, word: str, match: re.Match[str]) -> Decimal | None:
+    def _goal(self, word: str, match: re.Match[str]) -> Decimal | None:
         """Where an axis goes, m; None: from where it is not known by so much."""
         if len(word) > LONGEST_NUMBER:
-            refuse(self._where, number, word, 'has too many digits')
+            self._path.refuse('has too many digits', word)
         value = Decimal(match['value'].replace(',', '.')) * self._unit
         if not match['step']:
             return value
         before = self._path.at[match['axis']]
         return None if before is None else before + value
 
-    def _take_centre(self, number: int, text: str, goal: Position) -> None:
+    def _take_centre(self, goal: Position) -> None:
         """Centre of the next circles; without coordinates the last position."""
         x, y = (goal.get(axis, None if goal else self._path.at[axis]) for axis in 'XY')
         if 'Z' in goal or x is None or y is None:
-            refuse(self._where, number, text, 'is not a centre in the plane of X and Y')
+            self._path.refuse('is not a centre in the plane of X and Y')
         self._centre = {'X': x, 'Y': y}
 
-    def _move(
-        self, number: int, text: str, kind: str, goal: Position, words: dict[str, str]
-    ) -> None:
+    def _move(self, kind: str, goal: Position, words: dict[str, str]) -> None:
         frame = MACHINE if {'M91'} & words.keys() else ACTIVE_PRESET
         if kind == 'L':
-            self._path.line_to(number, text, goal, frame)
+            self._path.line_to(goal, frame)
             return
         sense = words.get('DR')
         radius = words.get('R')
         if kind == 'C' and self._centre is None:
-            refuse(self._where, number, text, 'is a circle without a centre (CC)')
+            self._path.refuse('is a circle without a centre (CC)')
         if sense is None or (kind == 'CR' and radius is None):
-            refuse(self._where, number, text, 'has no sense (DR) or no radius (R)')
+            self._path.refuse('has no sense (DR) or no radius (R)')
         self._path.arc_to(
-            number, text, goal, frame, 'XY',
+            goal, frame, 'XY',
             self._centre if kind == 'C' else None,
             Decimal(radius[1:].replace(',', '.')) * self._unit if radius else None,
             clockwise=sense.endswith('-'),

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.bags.bag_reading import ReceivedPoints
+from otf_core.bags.bag_reading import Reading, ReceivedPoints
 from otf_core.bags.rosbag2_metadata import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import value_text
@@ -35,7 +34,6 @@ from otf_core.inputs.columns import (
     find_columns,
     read_table,
 )
-from otf_core.model.axis_path import AxisPath
 
 # The unit of length follows from the size of the track where the file does not say it.
 
@@ -57,8 +55,8 @@ def is_text(source: str | Path) -> bool:
     return Path(source).suffix.lower() in SUFFIXES and Path(source).is_file()
 
 
-class TextReading:
-    """A table of samples; the same face as ``bags.bag.BagReading``.
+class TextReading(Reading):
+    """A table of samples.
 
     Parameters
     ----------
@@ -68,23 +66,6 @@ class TextReading:
         Hz; of samples without a time.
     time_format : str, optional
         Form of the times, see ``text_times.read_times``.
-
-    Attributes
-    ----------
-    topics : dict of str
-        Empty: there are none.
-    paths : list of ndarray, shape (n, 3), m
-        Empty until one is given.
-    axis_paths : list of AxisPath
-        Empty.
-    remarks : list of str
-        What was left out.
-    left_out : list of SkippedLines
-        Lines that are not samples, by reason.
-    said : list of str
-        How the file was read.
-    foreign : Counter of str
-        Empty.
 
     Raises
     ------
@@ -101,14 +82,7 @@ class TextReading:
         rate: float | None = None,
         time_format: str | None = None,
     ) -> None:
-        self.point: Topic = replace(POINT, name='samples')  # as messages call them
-        self.path: Topic | None = PATH
-        self.topics: dict[str, str] = {}
-        self.paths: list[Array] = []
-        self.axis_paths: list[AxisPath] = []
-        self.remarks: list[str] = []
-        self.foreign: Counter[str] = Counter()
-        self._where = str(source)
+        super().__init__(source, replace(POINT, name='samples'), PATH)
         table = read_table(source, named=columns is None)
         columns_found = find_columns(table, columns)
         chosen = _chosen(table, columns_found, time_format)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the functions of the motions and of the reversal model.
-
-Which functions the error motions are made of: smooth, finer, or straight between the nodes.
+"""Choice of the functions of the motions: smooth, finer, or straight between the nodes.
 
 Smooth functions over ``INTERVALS`` parts of every axis are compared with splines over twice as
 many parts, and with tables that are linear between the nodes of machine.yaml: a machine that its
@@ -10,43 +8,25 @@ functions with the largest restricted likelihood are taken, finer ones only if c
 of the residuals free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
-
-Which reversal model the data call for: cross-validation on held-out legs.
-
-Noise is correlated within a leg, so whole legs are held out, with all that pass over the same
-line. The lines are dealt to folds, and what each model leaves of a fold is judged with the model
-fitted to all others. With S_j the sum of the squared whitened residuals of line j, the gain of a
-richer model over a simpler one is
-
-    D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
-
-A model of k parameters that are not there loses about k. The richer one is taken if D > 3 s_D.
-Servo mismatch flips with travel too, but grows with the feed: where it explains the held-out legs
-better, by the same rule, no reversal is modelled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial, reduce
-from operator import add
+from functools import partial
 from typing import Generic
 
 import numpy as np
-from scipy import linalg
 
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
-from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
-from otf_core.effects.state import state_of_travel
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import AnyRun, Observed
-from otf_core.solving.design import Design
 from otf_core.solving.joint import (
     DAMPED,
     GOLDEN,
@@ -63,31 +43,24 @@ from otf_core.solving.joint import (
     step_equations,
     sum_normal_equations,
     systems_of,
-    tables_of,
     unknowns_of,
     whiteners_of,
 )
 from otf_core.solving.normal import (
     NormalEquations,
-    sum_groups,
 )
-from otf_core.solving.residuals import FOLDS, fold_of
-from otf_core.solving.reversal import MODELS
-from otf_core.solving.roughness import TRACE, Roughness, Search
-from otf_core.solving.solution import Solution, free_columns, identifiable_blocks, solve, solve_for
+from otf_core.solving.reversal import Choice, choose_reversal
+from otf_core.solving.roughness import Roughness, Search
+from otf_core.solving.solution import Solution, solve
 from otf_core.solving.system import System
 from otf_core.solving.unknowns import (
     INTERVALS,
     Bases,
     Unknowns,
-    is_reversal,
     linear_bases,
-    reversal_names,
-    reversal_order,
     smooth_bases,
 )
 from otf_core.solving.whitener import Whitener
-from otf_core.threads import side_by_side
 
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
@@ -314,34 +287,6 @@ def _solved(
     )
 
 
-Evidence = dict[str, float | int | str]
-
-MIN_GAIN_OVER_SCATTER = 3.0
-"""Gain over its own scatter from which a richer model is taken."""
-RIVAL = ServoMismatch()
-"""What is taken for a reversal most easily."""
-MIN_LINES = 16
-"""Fewer lines do not determine the scatter: no reversal is modelled then."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A reversal model.
-
-    Attributes
-    ----------
-    model : str
-        A name of ``reversal.MODELS``.
-    held : bool
-        Axes that stand stay on the side of their last travel.
-    evidence : mapping of str to number or text
-    """
-
-    model: str
-    held: bool
-    evidence: Evidence
-
-
 @dataclass(frozen=True)
 class ReversalSolution(Generic[AnyRun]):
     """Solution with the reversal model that was configured or chosen.
@@ -381,260 +326,9 @@ def solve_with_reversal(
     unknowns = unknowns_of(runs, shapes.bases)
     plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
 
-    choice = choose_reversal(*plain, config)
-    if choice.model == 'none':
+    choice, unknowns = choose_reversal(*plain, config)
+    if len(unknowns.blocks) == len(plain[1].unknowns.blocks):
         return ReversalSolution(*plain, choice, plain)
-    names = reversal_names(runs[0].machine.motions, MODELS[choice.model])
-    unknowns = unknowns_of(runs, shapes.bases, names, held=choice.held)
     # reversal adds blocks: which of them the data determine is found out anew
     again = solve_robustly(shapes.runs, unknowns, config, progress)
     return ReversalSolution(*again, choice, plain)
-
-
-def choose_reversal(
-    runs: Sequence[Observed], joint: JointSolution, config: CalibrationConfig
-) -> Choice:
-    """Choose a reversal model by what it leaves of held-out legs.
-
-    The model may be given by the configuration; whether axes at rest are held is always
-    chosen.
-
-    Parameters
-    ----------
-    joint : JointSolution
-        Of the same runs, without reversal.
-
-    Returns
-    -------
-    Choice
-        With the evidence: 'lines', 'folds', 'needed' gain over scatter; per model
-        'held_out_MODEL', sum of squared whitened residuals; 'gain_MODEL' and 'scatter_MODEL'
-        over the best simpler one, for the rival over the model chosen; 'rival', if it was
-        better.
-    """
-    given = config.reversal
-    if given == 'none':
-        return Choice('none', False, {'decided_by': 'configuration'})
-    fold = line_folds(joint)
-    lines = sum(len(f) for f in fold)
-    if lines < MIN_LINES and given == 'auto':
-        return Choice('none', False, {'decided_by': too_few(lines), 'lines': lines})
-    choices: dict[float, Choice] = {}
-    for held in (False, True):
-        held_out = _held_out_squares(runs, joint, fold, config.unidentifiable_above, held)
-        choice = Choice(given, held, {'decided_by': 'configuration'})
-        if given == 'auto':
-            choice = choose_model(held_out, held)
-        # of equals the first counts: nothing is held where there is no reversal
-        choices.setdefault(float(held_out[choice.model].sum()), choice)
-        gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
-        if choice.model == 'none' and max(gains[1:]) <= 0.0:
-            break  # no reversal at all, so none that is held
-    return choices[min(choices)]
-
-
-def too_few(lines: int) -> str:
-    """Why held-out lines do not decide."""
-    return f'too few lines: {lines}, {MIN_LINES} needed'
-
-
-def line_folds(joint: JointSolution) -> list[Index]:
-    """Fold of every line of every run: passes over one line are held out together."""
-    count = [int(solved.whitener.line.max()) + 1 for solved in joint.runs]
-    return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
-
-
-def choose_model(held_out: Mapping[str, Array], held: bool) -> Choice:
-    """Choose among the models, the simplest first, by the squares (lines,) that each leaves."""
-    lines = len(held_out['none'])
-    evidence: Evidence = {
-        'decided_by': 'held-out lines',
-        'lines': lines,
-        'folds': FOLDS,
-        'needed': MIN_GAIN_OVER_SCATTER,
-        **{f'held_out_{model}': float(square.sum()) for model, square in held_out.items()},
-    }
-    best = 'none'
-    for model, square in held_out.items():
-        if model == best or (best == 'none' and model == RIVAL.name):
-            continue
-        difference = held_out[best] - square
-        gain, scatter = float(difference.sum()), float(np.sqrt(lines) * difference.std(ddof=1))
-        evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
-        if gain > MIN_GAIN_OVER_SCATTER * scatter:
-            best = model
-    if best == RIVAL.name:
-        return Choice('none', False, evidence | {'rival': RIVAL.name})
-    return Choice(best, held, evidence)
-
-
-def _held_out_squares(
-    runs: Sequence[Observed], joint: JointSolution, fold: Sequence[Index], limit: float, held: bool
-) -> dict[str, Array]:
-    """Squared whitened residual of every line under every model fitted to the other folds."""
-    names = reversal_names(joint.machine.motions, max(MODELS.values()))
-    unknowns = unknowns_of(runs, joint.unknowns.bases, names, held=held)
-    tables = tables_of(joint.machine, joint.unknowns, joint.solution)
-    systems = systems_of([s.run for s in joint.runs], unknowns, tables)
-    rows = [(system, s.whitener) for system, s in zip(systems, joint.runs, strict=True)]
-    rivals = [_rival_columns(run, system) for run, system in zip(runs, systems, strict=True)]
-    seen = joint.solution.accepted
-    blocks = [n for n in unknowns.blocks if _motion(n) in seen]
-    folded = FoldedLines.of(rows, fold, rivals, unknowns, blocks)
-    visible = identifiable_blocks(folded.total, unknowns, limit)
-    columns = {
-        model: free_columns(
-            unknowns,
-            [n for n in visible if reversal_order(n) < count and _motion(n) in seen],
-        )
-        for model, count in MODELS.items()
-    }
-    width = rivals[0].shape[2]
-    columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
-    loose = unknowns.free - joint.unknowns.free + width
-    prior = linalg.block_diag(joint.roughness.precision, TRACE / limit**2 * np.eye(loose))
-    return folded.squares(columns, prior)
-
-
-WhitenedRows = tuple[System, Whitener]
-
-
-@dataclass(frozen=True)
-class FoldedLines:
-    """Lines of all runs, dealt to folds.
-
-    Attributes
-    ----------
-    rows : sequence of (System, Whitener)
-        Of every run.
-    fold : sequence of ndarray of int64
-        Fold of every line.
-    further : sequence of ndarray, shape (c, p, k)
-        Columns beside the unknowns.
-    parts : sequence of NormalEquations
-        Of every fold.
-    total : NormalEquations
-        Of all of them, and what is known beside the rows.
-    """
-
-    rows: Sequence[WhitenedRows]
-    fold: Sequence[Index]
-    further: Sequence[Array]
-    unknowns: Unknowns
-    parts: Sequence[NormalEquations]
-    total: NormalEquations
-
-    @classmethod
-    def of(
-        cls,
-        rows: Sequence[WhitenedRows],
-        fold: Sequence[Index],
-        further: Sequence[Array],
-        unknowns: Unknowns,
-        blocks: Collection[str] | None = None,
-        known: Sequence[NormalEquations] = (),
-    ) -> FoldedLines:
-        """Sum up the rows of every fold; see ``normal.sum_groups``."""
-        sums = [
-            sum_groups(system, unknowns, whitener, group[whitener.line], more, FOLDS, blocks)
-            for (system, whitener), group, more in zip(rows, fold, further, strict=True)
-        ]
-        parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
-        return cls(rows, fold, further, unknowns, parts, reduce(add, [*parts, *known]))
-
-    def squares(self, columns: Mapping[str, Index], prior: Array) -> dict[str, Array]:
-        """Squares (lines,) that models of some columns leave of the lines that they do not know.
-
-        Parameters
-        ----------
-        columns : mapping of model to ndarray of int64
-            Places among free unknowns and further columns.
-        prior : ndarray, shape (k, k), 1 / (m, rad)^2
-        """
-        held_out = [_folds(*run) for run in zip(self.rows, self.fold, self.further, strict=True)]
-        for some in (part for folds in held_out for part in folds):
-            some.rows.prepare()
-        values = side_by_side(
-            lambda part: _estimates(self.total.less(part), columns, prior), self.parts
-        )
-
-        def left(model: str) -> Array:
-            own = [of_fold[model] for of_fold in values]
-            pairs = zip(self.rows, held_out, strict=True)
-            return np.concatenate(
-                [_squares(rows, folds, self.unknowns, own) for rows, folds in pairs]
-            )
-
-        return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
-
-
-def _estimates(
-    normal: NormalEquations, columns: Mapping[str, Index], prior: Array
-) -> dict[str, Array]:
-    """Estimates of some columns each, see ``solve_for``; one factor for all that begin alike."""
-    most = max(columns.values(), key=len)
-    place = np.ix_(most, most)
-    factor = linalg.cholesky(normal.matrix[place] + prior[place], lower=True)
-    half = linalg.solve_triangular(factor, normal.right[most], lower=True)
-    estimates = {}
-    for model, use in columns.items():
-        own = slice(0, len(use))
-        if not np.array_equal(use, most[own]):
-            estimates[model] = solve_for(normal, use, prior)
-            continue
-        value = linalg.solve_triangular(factor[own, own], half[own], lower=True, trans='T')
-        estimates[model] = np.zeros(len(normal.right))
-        estimates[model][use] = value
-    return estimates
-
-
-def _motion(block: str) -> str:
-    return block[:3] if is_reversal(block) else block
-
-
-def _rival_columns(run: Observed, system: System) -> Array:
-    """Columns of the rival across the path, shape (c, p, k)."""
-    state = state_of_travel(run.machine, system.q, run.pieces.direction)
-    terms = RIVAL.terms(replace(state, speed=run.pieces.speed), {})
-    return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
-
-
-@dataclass(frozen=True)
-class _Fold:
-    """Lines of a run that are held out together.
-
-    Attributes
-    ----------
-    pieces : ndarray of int64, shape (m,)
-    rival : ndarray, shape (c, m, k)
-        Columns beside the unknowns.
-    """
-
-    pieces: Index
-    rows: Design
-    rival: Array
-
-
-def _folds(rows: WhitenedRows, fold: Index, rival: Array) -> list[_Fold]:
-    """Folds of a run, by the fold of every line."""
-    system, whitener = rows
-    of_piece = fold[_line_of_piece(whitener)]
-    places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
-    return [_Fold(p, system.rows.at(p), rival[:, p]) for p in places]
-
-
-def _line_of_piece(whitener: Whitener) -> Index:
-    return np.repeat(whitener.line, [high - low for low, high in whitener.bounds])
-
-
-def _squares(
-    rows: WhitenedRows, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
-) -> Array:
-    """Sum of squares of each line of a run with the values (columns,) of its fold."""
-    system, whitener = rows
-    rest = system.deviation.copy()
-    for fold, value in zip(folds, values, strict=True):
-        rest[:, fold.pieces] -= fold.rows.times(unknowns.gauge @ value[: unknowns.free])
-        rest[:, fold.pieces] -= fold.rival @ value[unknowns.free :]
-    square = (whitener.whiten(rest) ** 2).sum(axis=0)
-    return np.asarray(np.bincount(_line_of_piece(whitener), square), dtype=float)

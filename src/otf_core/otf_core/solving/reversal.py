@@ -8,23 +8,45 @@ Unknowns are the coefficients of the effects ``backlash`` (constants of EXX, EYY
 
 The reversal value of a motion is its error in forward travel less that in backward travel
 (ISO 230-2: difference of the means of the two directions of approach); tables hold the mean.
+
+An axis that is late by T behind the others displaces the target by -v T along its travel: where
+axes drive at one feed it looks like backlash. Both are blocks of one selection on held-out lines
+(``selection``). An axis that stands after its travel shows backlash, but no lag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.config import CalibrationConfig
 from otf_core.effects.catalogue.direction_dependent_tables import ORDER, functions_along
 from otf_core.model.chain import Sight
 from otf_core.model.expanded import quantity
-from otf_core.model.machine import Axis
-from otf_core.model.motions import DIRECTIONS
+from otf_core.model.machine import Axis, Machine
+from otf_core.model.motions import DIRECTIONS, ErrorMotion
 from otf_core.model.tables import ErrorTables
-from otf_core.solving.unknowns import Unknowns, reversal_blocks
+from otf_core.pieces.runs import Observed
+from otf_core.solving.joint import JointSolution, unknowns_of
+from otf_core.solving.residuals import FOLDS
+from otf_core.solving.selection import (
+    MIN_GAIN_OVER_SCATTER,
+    Block,
+    HeldOutLines,
+    Selection,
+    select,
+)
+from otf_core.solving.unknowns import (
+    Unknowns,
+    is_reversal,
+    lag_block,
+    reversal_block,
+    reversal_blocks,
+    reversal_order,
+)
 
 NONE, CONSTANT, TABLES, AUTO = 'none', 'constant', 'tables', 'auto'
 MODELS = {NONE: 0, CONSTANT: 1, TABLES: ORDER + 1}
@@ -34,6 +56,153 @@ MODELS = {NONE: 0, CONSTANT: 1, TABLES: ORDER + 1}
 def count_functions(axis: Axis, model: str) -> int:
     """Functions per motion of an axis; one more where it turns: worms and gears make waves."""
     return MODELS[model] + (model == TABLES and axis.rotary)
+
+
+MOST = 1e-3
+"""m and rad, and s; standard deviation of the prior of reversal and lags: they are smaller."""
+MIN_LINES = 16
+"""Fewer lines do not determine the scatter of a gain: nothing is added then."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What differs between both senses of travel.
+
+    Attributes
+    ----------
+    model : str
+        A name of ``MODELS``.
+    held : bool
+        Axes that stand stay on the side of their last travel.
+    evidence : mapping of str to number or text
+        'decided_by'; of held-out lines their number, 'folds', 'gain' of all that was chosen over
+        nothing, or of the best block that was not, its 'scatter', how many times this is 'needed',
+        and what would explain the lines as well.
+    """
+
+    model: str
+    held: bool
+    evidence: Mapping[str, float | int | str]
+
+
+def choose_reversal(
+    runs: Sequence[Observed], joint: JointSolution, config: CalibrationConfig
+) -> tuple[Choice, Unknowns]:
+    """Choose which motions reverse, as constants or tables, and which axes are late.
+
+    The reversal model may be given by the configuration; whether axes at rest are held is always
+    chosen.
+
+    Parameters
+    ----------
+    joint : JointSolution
+        Of the same runs, without reversal.
+
+    Returns
+    -------
+    choice : Choice
+    unknowns : Unknowns
+        With the reversal coefficients and lags to solve for.
+    """
+    machine, given = joint.machine, config.reversal
+    lines = sum(int(own.max()) + 1 for own in (s.whitener.line for s in joint.runs))
+    by_configuration: dict[str, float | int | str] = {'decided_by': 'configuration'}
+    if given == NONE:
+        return Choice(NONE, False, by_configuration), joint.unknowns
+    if lines < MIN_LINES and given == AUTO:
+        few = f'too few lines: {lines}, {MIN_LINES} needed'
+        return Choice(NONE, False, {'decided_by': few, 'lines': lines}), joint.unknowns
+    seen = [m for m in machine.motions if m in joint.solution.accepted]
+    late = [lag_block(a) for a in machine.axis_names]
+    every = _reversal(machine, seen, CONSTANT if given == CONSTANT else TABLES)
+    tried: list[tuple[float, Unknowns, Selection]] = []
+    for held in (False, True):
+        unknowns = _unknowns_with(runs, joint, every, machine.axis_names, held=held)
+        held_out = HeldOutLines.of(joint, unknowns, np.full(len(every) + len(late), MOST))
+        found = Selection(tuple(every), 0.0, 0.0)
+        if given == AUTO:
+            found = select(held_out, _candidates(machine, seen))
+        reverses = [n for n in found.names if is_reversal(n)]
+        axes = [a for a in machine.axis_names if lag_block(a) in found.names]
+        chosen = _unknowns_with(runs, joint, reverses, axes, held=held)
+        tried.append((float(held_out.estimate(found.names)[1].sum()), chosen, found))
+        if not reverses:
+            break  # no reversal at all, so none that is held
+    # of equals the first counts
+    _, unknowns, found = min(tried, key=lambda one: one[0])
+    if given != AUTO:
+        return Choice(given, unknowns.held, by_configuration), unknowns
+    orders = [reversal_order(n) for n in found.names if is_reversal(n)]
+    model = NONE if not orders else TABLES if max(orders) else CONSTANT
+    evidence: dict[str, float | int | str] = {
+        'decided_by': 'held-out lines',
+        'lines': lines,
+        'folds': FOLDS,
+        'needed': MIN_GAIN_OVER_SCATTER,
+        'gain': found.gain,
+        'scatter': found.scatter,
+    }
+    if found.indistinguishable_from:
+        evidence['indistinguishable_from'] = ', '.join(found.indistinguishable_from)
+    return Choice(model, unknowns.held, evidence), unknowns
+
+
+def _unknowns_with(
+    runs: Sequence[Observed],
+    joint: JointSolution,
+    reversal: Sequence[str],
+    late: Sequence[str],
+    *,
+    held: bool,
+) -> Unknowns:
+    return unknowns_of(runs, joint.unknowns.bases, reversal, late, held=held)
+
+
+def _reversal(machine: Machine, motions: Sequence[ErrorMotion], model: str) -> list[str]:
+    """Blocks of the reversal coefficients of motions, order by order, translations first."""
+    return sorted(
+        (
+            reversal_block(motion, k)
+            for motion in motions
+            for k in range(count_functions(machine.axes[motion.axis], model))
+        ),
+        key=lambda name: (reversal_order(name), not ErrorMotion(name[1], name[2]).is_translation),
+    )
+
+
+def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
+    """Reversal of motions, of an axis, of all drives and of the machine, and lags likewise."""
+    groups = [[m] for m in seen]
+    groups += [[m for m in seen if m.axis == a] for a in machine.axis_names]
+    groups += [[m for m in seen if m.is_positioning], list(seen)]
+    blocks = [
+        Block(tuple(_reversal(machine, group, model)))
+        for model in (CONSTANT, TABLES)
+        for group in groups
+        if group
+    ]
+    late = [lag_block(axis) for axis in machine.axis_names]
+    return [*blocks, *(Block((name,), positive=True) for name in late), Block(tuple(late))]
+
+
+@dataclass(frozen=True)
+class AxisLag:
+    """Time by which an axis is late behind the others, s, and its standard uncertainty."""
+
+    axis: str
+    value: float
+    u: float
+
+
+def lags(joint: JointSolution, covariance: Array) -> list[AxisLag]:
+    """Lags of a solution, by a covariance (full, full) of its unknowns."""
+    found = []
+    for axis in joint.machine.axis_names:
+        block = joint.unknowns.blocks.get(lag_block(axis))
+        if block is not None and lag_block(axis) in joint.solution.accepted:
+            u = float(np.sqrt(max(covariance[block.start, block.start], 0.0)))
+            found.append(AxisLag(axis, float(joint.solution.value[block.start]), u))
+    return found
 
 
 @dataclass(frozen=True)
@@ -84,7 +253,7 @@ class Reversal:
     model : str
         A name of ``MODELS``.
     evidence : mapping of str to number or text
-        Why this model: see ``model_choice.choose``.
+        Why this model, see ``Choice``.
     motions : mapping of motion name to ReversalTable
         Empty for the model 'none'.
     held : bool

@@ -317,19 +317,21 @@ def shape_of(corners: Array) -> PathShape:
     return PathShape(corners, stretch, _groups(stretch, length, np.concatenate([[0.0], turn])))
 
 
+ROUNDING = 0.01
+"""Share of a part by which parts may be longer: planned paths are whole numbers of parts, which
+rounding would cut now so, now so."""
+
+
 def _groups(stretch: Index, length: Array, turn: Array) -> Index:
-    """Cut stretches into parts; ``turn`` is the angle at the start of each chord, rad."""
-    group = stretch.copy()
-    bent = travelled = 0.0
-    for j, (own, size, angle) in enumerate(
-        zip(stretch.tolist(), length.tolist(), turn.tolist(), strict=True)
-    ):
-        bent, travelled = bent + angle, travelled + size
-        if j == own or bent > GROUP_TURN or travelled > GROUP_LENGTH:
-            group[j], bent, travelled = j, 0.0, size
-        else:
-            group[j] = group[j - 1]
-    return group
+    """Cut stretches into equal parts; ``turn`` is the angle at the start of each chord, rad."""
+    begins = stretch == np.arange(len(stretch))
+    share = np.maximum(length / GROUP_LENGTH, np.where(begins, 0.0, turn) / GROUP_TURN)
+    before = np.cumsum(share) - share
+    whole = np.maximum(np.bincount(stretch, share)[stretch], 1e-12)
+    parts = np.maximum(np.ceil(whole - ROUNDING), 1.0)
+    number = np.floor((before - before[stretch]) / whole * parts + ROUNDING)
+    first = begins | np.append(True, np.diff(number) != 0.0)
+    return np.asarray(np.maximum.accumulate(np.where(first, np.arange(len(stretch)), 0)))
 
 
 MAX_TURN = 0.1
@@ -395,7 +397,7 @@ def piece_boundaries(
         turned = np.append(0.0, np.cumsum(turns(step / length[:, None] if unit is None else unit)))
         angle = np.interp(marks, 0.5 * (reach[1:] + reach[:-1]), turned)
         counts = np.maximum(span / size, np.diff(angle) / MAX_TURN)
-    parts = np.maximum(np.ceil(counts), 1.0).astype(np.int64)
+    parts = np.maximum(np.ceil(counts - ROUNDING), 1.0).astype(np.int64)
     place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
     return np.append(inner, reach[-1])

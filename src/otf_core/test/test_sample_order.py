@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Order of reception against order of stamps, and two publishers on one topic."""
+"""Recorded points to samples: wrong stamps, other clocks, order of reception, points left out."""
+
+from collections import Counter
 
 import numpy as np
 import pytest
 from bag_cells import PATH_MESSAGE, START, point_messages, write_mcap
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.sample_order import sort_by_time
+from otf_core.bags.sample_order import CLOCK_CHANGE_SAMPLES, Screening, of_one_clock, sort_by_time
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 
@@ -100,3 +102,87 @@ def test_two_publishers_on_one_topic_are_refused(tmp_path, apart, gap):
     rows = [(a, b, START + i, d) for i, (a, b, _, d) in enumerate(messages)]
     with pytest.raises(InputError, match='runs or trackers are mixed; record each in its own bag'):
         read_bag(write_mcap(tmp_path / 'run.mcap', rows))
+
+
+# ---------------------------------------------------------------- clocks
+
+CLOCK = 1_700_000_000 * S + np.arange(1000) * S // 100
+WRONG = (0, -5 * S, 1_700_003_600 * S, (2**31 - 1) * S, 1_699_999_990 * S)
+
+
+def left_out(stamps):
+    """Indices that are left out; what is told of them is the same."""
+    told = []
+    kept = of_one_clock(stamps, lambda off, newest: told.extend(off))
+    if kept is None:
+        assert not told
+        return []
+    out = np.setdiff1d(np.arange(len(stamps)), kept)
+    assert sorted(told) == sorted(stamps[out].tolist())
+    return out.tolist()
+
+
+@pytest.mark.parametrize('wrong', WRONG)
+@pytest.mark.parametrize('at', [[7], [500], [500, 501, 502, 503], [990, 997]])
+def test_single_wrong_stamps_are_left_out(wrong, at):
+    stamps = CLOCK.copy()
+    stamps[at] = wrong
+    assert left_out(stamps) == at
+
+
+@pytest.mark.parametrize(('at', 'off'), [(0, 3600 * S), (999, -3600 * S)])
+def test_wrong_stamps_at_either_end_are_left_out(at, off):
+    stamps = CLOCK.copy()
+    stamps[at] += off
+    assert left_out(stamps) == [at]
+
+
+def test_pauses_and_what_transport_delays_are_no_wrong_stamps():
+    stamps = CLOCK.copy()
+    stamps[500:] += 60 * S
+    stamps[700:800] = stamps[700:800][::-1]
+    stamps[100] -= S // 2
+    assert left_out(stamps) == []
+
+
+@pytest.mark.parametrize('at', [500, 1000 - CLOCK_CHANGE_SAMPLES])
+def test_clock_that_was_set_back_is_not_left_out(at):
+    stamps = CLOCK.copy()
+    stamps[at:] -= 20 * S
+    assert left_out(stamps) == []
+
+
+def test_of_two_trackers_one_is_left_out_whoever_is_ahead():
+    for apart in (3600 * S, -3600 * S):
+        for burst in (1, 20):
+            other = np.arange(1000) // burst % 2 == 1
+            out = left_out(CLOCK + apart * other)
+            assert 450 <= len(out) <= 550 and len(set(other[out].tolist())) == 1
+
+
+# ---------------------------------------------------------------- points left out
+
+FEW = np.arange(1, 9, dtype=np.int64) * 10_000_000
+POINTS = np.ones((8, 3))
+POINTS[5] = np.nan
+
+
+def test_first_bad_sample_has_its_number_in_the_stream_wherever_foreign_points_came():
+    said = set()
+    for at in (0, 4, 8):  # live they come in between, a bag counts them before
+        screening = Screening()
+        screening.good(FEW[:at], POINTS[:at])
+        screening.foreign(Counter(lab=3))
+        screening.good(FEW[at:], POINTS[at:])
+        said.add(screening.remarks()[0])
+    (text,) = said
+    assert 'dropped 1 of 11 points' in text and 'the first is sample 5, 0.050000 s' in text
+
+
+def test_long_frame_id_is_not_repeated_whole():
+    screening = Screening()
+    screening.foreign(Counter({'x' * 100_000: 3}))
+    assert "'" + 'x' * 60 + " ...'" in screening.remarks()[0]
+    with pytest.raises(InputError) as caught:
+        screening.check('bag')
+    assert max(map(len, [*screening.remarks(), str(caught.value)])) < 400
