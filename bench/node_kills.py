@@ -29,6 +29,7 @@ from rclpy.node import Node
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
 from cells import write_machine
 from emulated import DRIFT, emulator
+from emulator import Cell
 from graph import offline
 
 from otf_bringup.domain import free_domain
@@ -41,7 +42,6 @@ from otf_ros import qos
 from otf_ros.app import running_ros
 from otf_ros.convert import ns_from_time
 from otf_ros.drain import Drain
-from otf_tracker_driver.emulator.cell import Cell
 
 EVERY = (8.0, 14.0)
 """s; from kill to kill."""

@@ -38,7 +38,7 @@ from nature import Cell, Judgement, judge
 from nature_forms import FORMS
 from nature_tracker import Noise
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 RATES = (20.0, 200.0, 1000.0)
@@ -76,7 +76,7 @@ def run_case(form, rate, colour, chain, seed, with_limits):
     cell, noise = Cell(seed, chain, form=form), Noise(colour=colour)
     recording = cell.recording(rate, noise)
     start = time.perf_counter()
-    result = calibrate_runs([recording])
+    result = calibrate_recordings([recording])
     seconds = {OURS: time.perf_counter() - start}
     judged = {OURS: judge(cell, result.tables, result.covariance_run)}
     for kind in KINDS if with_limits else KINDS[:3]:

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
 from device_times import EPOCH, Delays, packets
 
 from otf_core.model.observation import Samples
-from otf_tracker_driver.clock.stamper import Stamper
+from otf_tracker_driver.clock import Stamper
 
 RUNS, LENGTH, DRIFT = 8, 240.0, 18e-6
 

@@ -21,6 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
 from cells import MACHINE
 from emulated import DRIFT, emulator
+from emulator import Cell
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
@@ -32,7 +33,6 @@ from otf_core.planning.path_creation import plan_path
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
-from otf_tracker_driver.emulator.cell import Cell
 
 FAULTS = (
     'beam_loss=0.01,beam_out=0.5,split=0.5,merge=0.5,close_after=61,busy=0.1,speed_warning=0.02,'
@@ -105,7 +105,7 @@ def main(minutes=10.0, seed=1):
                 last = now
                 parts.append(part)
             time.sleep(0.005)
-        state = backend.state
+        state = backend.health
         backend.stop()
         samples = join_samples(parts)
         backend.disconnect()

@@ -36,7 +36,7 @@ from nature import Cell, Extra, Judgement, judge
 from nature_tracker import Noise
 from spread import add_options, spread
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.errors import OtfError
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
@@ -108,7 +108,7 @@ def judged(row, form, chain, seed, path):
         extra=condition.extra,
     )
     try:
-        result = calibrate_runs([cell.recording(condition.rate, Noise(**condition.noise))])
+        result = calibrate_recordings([cell.recording(condition.rate, Noise(**condition.noise))])
     except OtfError as error:
         print(f'{condition.name}, {form}, {chain}, seed {seed}: {error}', file=sys.stderr)
         return None

@@ -9,12 +9,10 @@ from functools import lru_cache
 
 import numpy as np
 from cells import MACHINE, SHORT
+from emulator import Cell, EmulatedTracker, read_faults
 
 from otf_core.config import PlannerConfig
 from otf_core.model.machine import machine_from_dict
-from otf_tracker_driver.emulator.cell import Cell
-from otf_tracker_driver.emulator.faults import read_faults
-from otf_tracker_driver.emulator.server import EmulatedTracker
 
 DRIFT = 18e-6
 

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from otf_calibrator.collector import SILENT
-from otf_calibrator.job import recording_of
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.run import SILENT
 from otf_calibrator.session import Session
+from otf_calibrator.worker import recording_of
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_path
 from otf_core.bags.journal import Journal
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.inputs.recordings import read_content
@@ -202,14 +202,14 @@ def test_what_does_not_fit_the_path_is_refused_with_its_cause(side, name):
     if words is None:
         return
     with pytest.raises(InputError, match=re.escape(words)):
-        calibrate_runs([recording])
+        calibrate_recordings([recording])
 
 
 def test_path_of_another_machine_is_refused_with_its_cause(side):
     side.path(NominalPath(WHOLE.path.points * [1.0, 1.3, 0.8]))
     side.take(STAMP, XYZ, None)
     with pytest.raises(InputError, match='do bag and machine description belong together'):
-        calibrate_runs([recording_of(side.session.request())])
+        calibrate_recordings([recording_of(side.session.request())])
     side.close()
 
 

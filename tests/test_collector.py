@@ -7,10 +7,9 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from otf_calibrator.collector import ALIVE, SAME_RUN, SILENT, Collector, PathTaken
-from otf_calibrator.losses import LATE
+from otf_calibrator.inputs import GONE, GONE_BESIDE, PublisherOfRun
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.publishers import GONE, GONE_BESIDE, PublisherOfRun
+from otf_calibrator.run import ALIVE, LATE, SAME_RUN, SILENT, Collector, PathTaken
 from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
@@ -97,6 +96,20 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     ended = session.reason_to_end()
     assert ended == ('standstill at the end point' if seconds > 0.25 else '')
     assert not session.reason_to_end()
+
+
+def test_end_of_a_stream_waits_for_no_verdict_on_its_standstill():
+    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+    session, now = Session(lambda: config, print), time.monotonic()
+    session.worker.look = lambda look, samples: Future()
+    session.collector.set_path(PATH)
+    announce(session.collector, 'a', 0, 'STREAMING', now)
+    add(session.collector, 101, now=now)
+    for k in range(101, 501):
+        session.collector.add(k * 2_000_000, 0.1, 1e-3 * min(k - 100, 100), 0.0, now)
+    assert not session.reason_to_end() and session.judging
+    announce(session.collector, 'a', 501, 'FINISHED', now)
+    assert session.reason_to_end() == 'the stream has ended'
 
 
 def test_calibration_that_is_asked_for_takes_what_has_arrived_and_ends_a_run_that_is_complete():
@@ -412,7 +425,7 @@ def test_samples_of_a_second_publisher_are_left_out_however_long_it_goes_on():
     run = PublisherOfRun(lambda: 2)
     assert chosen(run, [7, 8], 0.0) == [7, 8]
     assert chosen(run, [4001, 4002], 0.1) == []
-    assert chosen(run, [9, 4003, 12, 4004], 0.2) == [9, 12] and run.missed == 2
+    assert chosen(run, [9, 4003, 12, 4004], 0.2) == [9, 12]
     assert chosen(run, [4005], 0.2 + 0.9 * GONE_BESIDE) == []
     assert chosen(run, [13, 4006], 20 * GONE_BESIDE) == [13]  # the node stood still
 
@@ -425,8 +438,8 @@ def test_publisher_after_one_that_was_killed_is_that_of_the_run():
     assert chosen(run, [2, 3], 1.1 * GONE) == [2, 3]
     known[0] = 1  # the graph does not know the dead one any more
     assert chosen(run, [1, 2], 1.2 * GONE) == [1, 2]
-    assert chosen(run, [5000], 1.3 * GONE) == [5000] and run.missed == 4997
-    assert chosen(run, [1], 1.4 * GONE) == [1] and run.missed == 0
+    assert chosen(run, [5000], 1.3 * GONE) == [5000]
+    assert chosen(run, [1], 1.4 * GONE) == [1]
 
 
 def test_publishers_that_give_no_numbers_are_not_told_apart():

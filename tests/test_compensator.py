@@ -61,9 +61,10 @@ def test_service_answers_what_to_command(graph, truth, tmp_path):
     error = exact_position(truth, wanted) - wanted
     np.testing.assert_allclose(array(c.error for c in found), error, atol=SECOND_ORDER)
     assert all(c.uncertainty.x > 1e-7 and c.inside for c in found)
-    absurd = Compensate.Request(wanted=[Point(x=100.0, y=50.0, z=0.0)])
-    answer = graph.call(Compensate, 'compensator/compensate', absurd)
-    assert not answer.success and 'points are in m' in answer.message
+    for x in (100.0, float(truth.machine.upper[0]) + 1e-3):
+        outside = Compensate.Request(wanted=[Point(x=x, y=0.0, z=0.0)])
+        answer = graph.call(Compensate, 'compensator/compensate', outside)
+        assert not answer.success and f'pose 1 of 1: X = {x:g} m is outside' in answer.message
 
 
 def test_tables_are_read_anew_and_stay_if_they_cannot_be(graph, truth, tmp_path):

@@ -5,9 +5,10 @@ import json
 import time
 
 import pytest
+import rclpy.clock
 from cells import write_machine
 
-from otf_calibrator import job, results
+from otf_calibrator import publish, worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
@@ -48,12 +49,12 @@ def finished(session):
 
 
 def test_report_that_fails_is_named_and_all_other_files_are_there(session, monkeypatch):
-    write = job.write_later
+    write = worker.write_later
 
     def write_all_but_the_report(result, folder, name):
-        (fails if name == job.REPORT_FILE else write)(result, folder, name)
+        (fails if name == worker.REPORT_FILE else write)(result, folder, name)
 
-    monkeypatch.setattr(job, 'write_later', write_all_but_the_report)
+    monkeypatch.setattr(worker, 'write_later', write_all_but_the_report)
     done, saved = finished(session)
     assert done.folder and saved.folder == done.folder
     problem = "report.html not written: internal error: IndexError('tuple index out of range')"
@@ -68,7 +69,7 @@ def test_report_that_fails_is_named_and_all_other_files_are_there(session, monke
 
 
 def test_tables_that_cannot_be_written_are_published(session, monkeypatch):
-    monkeypatch.setattr(job, 'write_calibration', fails)
+    monkeypatch.setattr(worker, 'write_calibration', fails)
     done, saved = finished(session)
     assert done.result.run_id and done.folder is None
     assert saved.problem.startswith('files not written: internal error: IndexError')
@@ -76,7 +77,7 @@ def test_tables_that_cannot_be_written_are_published(session, monkeypatch):
 
 
 def test_saving_that_fails_as_a_whole_leaves_the_result(session, monkeypatch):
-    monkeypatch.setattr(job, 'written_files', fails)
+    monkeypatch.setattr(worker, 'written_files', fails)
     done, saved = finished(session)
     assert saved.result is done.result and 'internal error: IndexError' in saved.problem
 
@@ -89,11 +90,11 @@ def test_result_that_cannot_be_published_is_a_failure_that_is_said(session, monk
             return lambda *given, **more: heard.append((name, given))
 
     heard = []
-    outcomes = results.OutcomePublisher.__new__(results.OutcomePublisher)
+    outcomes = publish.OutcomePublisher.__new__(publish.OutcomePublisher)
     outcomes._log, outcomes._session, outcomes._state = Silent(), session, Silent()
-    outcomes.results = results.ResultPublishers.__new__(results.ResultPublishers)
-    monkeypatch.setattr(outcomes.results, 'publish', fails)
-    monkeypatch.setattr(outcomes.results, 'publish_failure', results.internal_error)
+    outcomes._clock, outcomes._unpublished = rclpy.clock.Clock(), None
+    outcomes._tell = lambda message: heard.append(('told', (message.message,)))
+    monkeypatch.setattr(outcomes, '_publish', fails)
     session.start('requested')
     while not (done := session.take_finished()):
         time.sleep(0.01)

@@ -4,7 +4,6 @@
 import socket
 
 import pytest
-from backend_sources import BAG
 from cells import SHORT
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated import emulator
@@ -78,20 +77,6 @@ def test_recorders_are_no_calibrators_but_every_node_that_publishes_a_state_is(g
         ear.destroy_publisher(state)
 
 
-def test_path_is_offered_only_by_a_driver_that_replays_one(graph):
-    ear = graph.ear()
-    driver = graph.start('tracker_driver', auto_start=False)
-    graph.wait_for_status('IDLE')
-    assert ear.get_publishers_info_by_topic('planner/path') == []
-    graph.stop(driver)
-    given = {'replay.bag': BAG, 'auto_start': False}
-    graph.start('tracker_driver', backend='replay', **given)
-    assert graph.transition('configure')
-    graph.wait(lambda: len(ear.get_publishers_info_by_topic('planner/path')) == 1, 'the path')
-    assert graph.transition('cleanup')
-    graph.wait(lambda: ear.get_publishers_info_by_topic('planner/path') == [], 'its end')
-
-
 def test_silence_is_told_with_its_duration_and_restarts_and_is_a_fault_in_the_end(graph):
     diagnosed = graph.listen(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
     with other_tracker(silent=True) as tracker:
@@ -109,15 +94,6 @@ def test_silence_is_told_with_its_duration_and_restarts_and_is_a_fault_in_the_en
         assert status.silent_for == status.restarts == 0
     assert {one.hardware_id for message in diagnosed for one in message.status} >= {'tracker 99'}
     assert all(one.hardware_id for message in diagnosed for one in message.status)
-
-
-def test_simulated_tracker_waits_for_its_plan_and_then_for_calibrators(graph, machine_file):
-    graph.start('tracker_driver', machine_file=machine_file)
-    graph.wait_for_status('IDLE', 'waiting for planner/plan')
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    graph.wait_for_status('IDLE', 'waiting for calibrators')
-    graph.start('calibrator', machine_file=machine_file)
-    graph.wait_for_status('STREAMING')
 
 
 def test_setting_what_counts_later_says_when(graph, machine_file):

@@ -11,7 +11,6 @@ ROS = {'rclpy', 'otf_msgs', 'otf_ros', 'geometry_msgs', 'nav_msgs', 'std_msgs', 
        'visualization_msgs'}  # fmt: skip
 SIMULATING = {
     'backends/simulated.py',  # the simulated cell
-    'emulator/cell.py',  # the same, behind an emulated tracker
     'otf_calibrator/child.py',  # hands the twin to diagnoses, and where effects are taken off
     'otf_bringup/demo.py',  # draws the true errors of the simulated cell
 }
@@ -19,11 +18,11 @@ NODES = sorted(f for f in SOURCE.glob('*/*/*node.py') if f.parent.name != 'test'
 ROS_FREE = [
     *SOURCE.glob('otf_tracker_driver/otf_tracker_driver/*/*.py'),
     *SOURCE.glob('*/*/params.py'),
-    SOURCE / 'otf_calibrator/otf_calibrator/collector.py',
+    SOURCE / 'otf_calibrator/otf_calibrator/run.py',
     SOURCE / 'otf_view/otf_view/page.py',
     SOURCE / 'otf_view/otf_view/server.py',
-    *SOURCE.glob('otf_calibrator/otf_calibrator/child*.py'),
-    SOURCE / 'otf_calibrator/otf_calibrator/job.py',
+    *SOURCE.glob('otf_calibrator/otf_calibrator/child.py'),
+    SOURCE / 'otf_calibrator/otf_calibrator/worker.py',
     SOURCE / 'otf_calibrator/otf_calibrator/session.py',
     SOURCE / 'otf_path_planner/otf_path_planner/planning.py',
 ]

@@ -10,7 +10,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from std_msgs.msg import Float64
 
-from otf_calibrator.state import NAMES
+from otf_calibrator.publish import NAMES
 from otf_core.live.layers import Track, moving, scene
 from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform

@@ -75,23 +75,6 @@ def test_finds_the_true_errors_of_one_run_after_another_and_every_reader_gets_th
     assert share_left(FilePath(second.output_directory) / 'error_tables.json', other) < 0.03
 
 
-def test_calibrator_that_starts_late_without_any_clock_ends_the_run_at_standstill_with_all_samples(
-    graph, machine_file, tmp_path
-):
-    given = {'machine_file': machine_file, 'use_sim_time': True}
-    graph.start('path_planner', **given, end_dwell=20.0, **SHORT)
-    graph.start('tracker_driver', **given, **FAST)
-    graph.wait_for_status('IDLE', 'waiting for calibrators')
-    ends = {'finish_at_stream_end': False, 'idle_timeout': 0.0}
-    graph.start('calibrator', **given, **ends, output_directory=tmp_path / 'out')
-    result, state = graph.wait_for_result()
-    assert (result.status, result.samples_lost) == (result.OK, 0), state.message
-    folder = FilePath(result.output_directory)
-    graph.wait((folder / 'samples').exists, 'the bag of the samples')
-    again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
-    assert again == without_date((folder / 'error_tables.json').read_bytes())
-
-
 def test_standstill_method_uses_the_stops_and_frames_are_called_as_the_graph_wants(
     graph, machine_file, tmp_path
 ):

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from cells import SHORT, SMALL, share_left, write_machine, write_truth
 from emulated import DRIFT, emulator
+from emulator import Cell
 
 from otf_core.config import PlannerConfig
 from otf_core.model.machine import load_machine
 from otf_core.prediction.calibration_document import load_tables
 from otf_msgs.msg import CalibrationResult
-from otf_tracker_driver.emulator.cell import Cell
 
 PATH = {**SHORT, 'feed': 0.5, 'corner_dwell': 0.1}
 DRIVEN = 150.0

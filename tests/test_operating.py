@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from emulated import emulator
 from geometry_msgs.msg import PointStamped
 
-from otf_calibrator.diagnostics import journal
+from otf_calibrator.publish import _journal as journal
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
 from otf_ros.diagnostics import Finding, Level
@@ -81,19 +81,6 @@ def test_other_backends_start_again_after_their_end_but_take_no_commands(graph, 
     first = graph.wait_for_status('FINISHED')
     assert graph.trigger('tracker/start').success
     graph.wait(lambda: graph.status().stream_id != first.stream_id, 'another stream')
-
-
-def test_stream_that_is_slow_on_purpose_is_no_warning(graph, machine_file):
-    diagnosed = graph.listen(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    slow = {'simulated.rate': 200.0, 'time_scale': 0.5, 'wait_for_subscribers': 0}
-    graph.start('tracker_driver', machine_file=machine_file, **slow)
-
-    def streams():
-        return [s for one in diagnosed for s in one.status if s.name.endswith('stream')]
-
-    graph.wait(lambda: len([s for s in streams() if 'streaming' in s.message]) > 2, 'a rate')
-    assert {s.level for s in streams()} == {DiagnosticStatus.OK}, streams()
 
 
 def test_journal_that_cannot_be_written_is_an_error(tmp_path):

@@ -6,9 +6,11 @@ import pytest
 
 from otf_core.config import Parameters
 from otf_core.model.observation import Samples
+from otf_tracker_driver import streamer
 from otf_tracker_driver.backends import CommonConfig
+from otf_tracker_driver.backends.base import join_samples
 from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.window import AHEAD, UNHEARD, UNTAKEN, Window
+from otf_tracker_driver.calibrators import UNTAKEN, Place
 
 
 class Known(PacedBackend):
@@ -99,54 +101,67 @@ def test_source_waits_for_who_takes_its_samples_and_says_how_fast_it_is():
     assert backend.real_time_factor == pytest.approx(5.0, rel=0.06)
 
 
-def test_window_is_open_without_a_calibrator_and_follows_the_slowest():
-    window = Window(['a', 'b'])
-    assert window.allowed == AHEAD  # before it hears of them: they may have told all they had to
-    window.hear('a', 0, 0)
-    window.hear('b', 0, 0)
-    assert window.allowed == AHEAD
-    window.hear('a', 3000, 3500)
-    assert window.allowed == AHEAD
-    window.hear('b', 2000, 3500)
-    assert window.allowed == 2000 + AHEAD
-    window.hear('c', 0, 5000)  # it came later: what was published before is not for it
-    window.see(['a', 'c'], 5000)
-    assert window.allowed == 3000 + AHEAD
-    window.see([], 5000)
-    assert window.allowed is None
-    window.see(['d'], 6000)
-    assert window.allowed == 6000 + AHEAD
-
-
-def test_calibrator_that_states_nothing_is_not_waited_for_for_ever():
-    window = Window(['a'])
-    for _ in range(UNHEARD - 1):
-        window.see(['a'], AHEAD)
-    assert window.allowed == AHEAD
-    window.see(['a'], AHEAD)
-    assert window.allowed is None
-    window.hear('a', 5000, 6000)
-    for _ in range(2 * UNHEARD):  # it states where it is once there is news
-        window.see(['a'], 9000)
-    assert window.allowed == 5000 + AHEAD
-
-
-def test_calibrator_that_was_started_again_takes_what_is_published_from_then_on():
-    window = Window(['a'])
-    window.hear('a', 2000, 6000)
-    window.hear('a', 0, 6000)
-    assert window.allowed == 6000 + AHEAD
-    window.hear('a', 6500, 7000)
-    assert window.allowed == 6500 + AHEAD
-
-
-def test_samples_that_a_calibrator_will_never_take_do_not_hold_up_the_stream_for_ever():
-    window = Window(['a'])
+def test_place_of_a_calibrator_follows_what_it_takes_and_passes_what_it_never_will():
+    place = Place(None, 0.0)
+    place.hear(3000, 3500)
+    assert place.passed == 3000
     for _ in range(UNTAKEN - 1):
-        window.hear('a', 0, AHEAD)
-    assert window.allowed == AHEAD
-    window.hear('a', 0, AHEAD)
-    assert window.allowed == 2 * AHEAD
+        place.hear(0, 6000)  # it was started again, and has none of this stream
+    assert place.passed == 3000
+    place.hear(0, 6000)
+    assert place.passed == 6000
     for _ in range(2 * UNTAKEN):  # all taken: nothing is missing
-        window.hear('a', AHEAD, AHEAD)
-    assert window.allowed == 2 * AHEAD
+        place.hear(6000, 6000)
+    assert place.passed == 6000
+
+
+class Clock:
+    """Time that the test moves."""
+
+    def __init__(self, monkeypatch):
+        self.now = 100.0
+        monkeypatch.setattr(streamer.time, 'monotonic', lambda: self.now)
+
+
+def published(pace, clock, packets, ends):
+    """Batches as they are published: packets of 500 Hz that come at their times, by tick."""
+    batches, packets = [], dict(packets)
+    while clock.now < ends:
+        clock.now += streamer.PERIOD
+        due = [at for at in packets if at <= clock.now]
+        new = join_samples([packets.pop(at) for at in due])
+        batches.append((clock.now, pace.take(new, True)))
+    return batches
+
+
+def packet(first, count):
+    """Samples of 500 Hz from the sample of this number on."""
+    stamps = (first + np.arange(count)) * 2_000_000
+    return Samples(stamps, np.zeros((count, 3)))
+
+
+def test_packets_are_spread_over_their_time_and_late_by_no_more_than_one(monkeypatch):
+    clock = Clock(monkeypatch)
+    begun, pace = clock.now, streamer.Pace()
+    packets = [(begun + k / 3 + 0.02 * (k % 3), packet(500 * k // 3, 167)) for k in range(30)]
+    packets = [(at, packet(own.stamp_ns[0] // 2_000_000, 166)) for at, own in packets]
+    batches = published(pace, clock, packets, begun + 11.0)
+    sizes = [len(batch) for _, batch in batches]
+    assert sum(sizes) == 30 * 166 and max(sizes) < 10  # the depth of default subscriptions
+    came = {int(s): at for at, own in packets for s in own.stamp_ns}
+    late = [now - came[int(s)] for now, batch in batches for s in batch.stamp_ns]
+    assert max(late) < 1 / 3 + 0.06
+    assert pace.backlog < 0.1
+
+
+def test_backlog_is_a_number_and_is_caught_up_with(monkeypatch):
+    clock = Clock(monkeypatch)
+    begun, pace = clock.now, streamer.Pace()
+    held = [(begun + 0.1, packet(0, 5000))]
+    later = [(begun + 0.4 + k / 3, packet(5000 + 166 * k, 166)) for k in range(60)]
+    batches = published(pace, clock, held + later, begun + 0.5)
+    assert pace.backlog == pytest.approx(9.0, abs=1.0)
+    batches += published(pace, clock, later[1:], begun + 20.0)
+    stamps = np.concatenate([batch.stamp_ns for _, batch in batches])
+    assert np.all(np.diff(stamps) > 0) and len(stamps) > 5000 + 50 * 166
+    assert pace.backlog < 0.5

@@ -3,18 +3,17 @@
 
 import json
 import os
-from pathlib import Path
 from unittest.mock import ANY
 
 import numpy as np
-import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.children import Diagnosis
-from otf_calibrator.job import CalibrationOutput, Request, Worker, free_folder
+from otf_calibrator import worker as worker_module
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.worker import CalibrationOutput, Diagnosis, Request, Worker, free_folder
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.errors import InputError
 from otf_core.files.writing import DiskFull
 from otf_core.history.store import read_store
 from otf_core.model.machine import load_machine
@@ -55,11 +54,12 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
     assert set(os.listdir(tmp_path / 'out')) == {*names, 'latest'}
 
 
-def test_all_that_could_not_be_saved_is_named(tmp_path):
-    def full(folder):
-        raise DiskFull(f'{folder}: cannot be written (No space left on device)')
+def test_all_that_could_not_be_saved_is_named(tmp_path, monkeypatch):
+    def full(result, folder, name):
+        if name == 'report.html':
+            raise DiskFull(f'{folder}: cannot be written (No space left on device)')
 
-    later = {'report.html': full, 'residuals.npz': lambda folder: None}
+    monkeypatch.setattr(worker_module, 'write_later', full)
     (tmp_path / 'samples').write_text('in the way')
     samples = Samples(np.array([1, 2]), np.eye(3)[:2])
     files, path = CalibratorConfig(machine_file='none.yaml'), NominalPath(np.eye(3))
@@ -68,7 +68,7 @@ def test_all_that_could_not_be_saved_is_named(tmp_path):
     before, said = 'not added to the history: no', []
     worker = Worker(said.append)
     first = {'error_tables.csv': 'the disk is full'}
-    outcome = CalibrationOutput(request, recording, None, tmp_path, later, before, first)
+    outcome = CalibrationOutput(request, recording, None, tmp_path, before, first)
     saved = worker.save(outcome).result()
     worker.close()
     assert saved.problem == '; '.join([before, *said]) and len(said) == 2
@@ -87,40 +87,34 @@ def test_name_that_is_taken_gets_a_number(tmp_path):
     assert len(taken) == 50
 
 
-@pytest.fixture
-def begun(tmp_path):
-    """Diagnosis that has just been started."""
-    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(MACHINE))
-    samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
-    path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
-    recording = Recording(samples, path, load_machine(tmp_path / 'machine.yaml'))
-    folder = tmp_path / 'run'
-    folder.mkdir()
-    job = Diagnosis(recording, CalibrationConfig(), folder)
-    yield job
-    job.close()
-
-
-@pytest.fixture
-def job(begun):
-    """Diagnosis whose process is ended at once."""
-    begun._process.kill()
-    begun._process.wait()
-    return begun
-
-
-def test_diagnosis_whose_node_was_killed_leaves_nothing(begun, tmp_path):
-    begun._answers.close()  # as the end of the node does
-    assert begun._process.wait(60.0) == 1
-    assert list((tmp_path / 'run').iterdir()) == []
-
-
-def test_diagnosis_without_a_cause_leaves_none_of_an_earlier_one(job, tmp_path):
-    folder = tmp_path / 'run'
+def diagnosis_of(tmp_path, monkeypatch, work):
+    """Folder and answer of a diagnosis whose process does some work instead."""
+    folder, output = tmp_path / 'run', CalibrationOutput
+    folder.mkdir(exist_ok=True)
     (folder / 'effects.yaml').write_text('of the diagnosis before')
     (folder / 'calibration_plain').mkdir()
     (folder / 'error_tables.json').write_text('of the calibration')
-    Path(job._partial.name, 'gap.json').write_text('{}')
-    assert job._put_in_place({}) == {}
-    shown = {p.name for p in folder.iterdir() if not p.name.startswith('.')}
-    assert shown == {'error_tables.json', 'gap.json'}
+    monkeypatch.setattr(worker_module.Child, 'do', lambda *given: work(given[2][2]))
+    recording = Recording(Samples(np.array([1, 2]), np.eye(3)[:2]), NominalPath(np.eye(3)), None)
+    request = Request(recording.samples, recording.path, None, CalibrationConfig(), 0)
+    job = Diagnosis(output(request, recording, None, folder), lambda: None)
+    job.answer.exception(20.0)
+    job.close()
+    return {p.name for p in folder.iterdir()}, job.answer
+
+
+def test_diagnosis_without_a_cause_leaves_none_of_an_earlier_one(tmp_path, monkeypatch):
+    names, answer = diagnosis_of(
+        tmp_path, monkeypatch, lambda folder: (folder / 'gap.json').write_text('{}')
+    )
+    assert answer.result() == 2 and names == {'error_tables.json', 'gap.json'}
+
+
+def test_diagnosis_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+    def fails(folder):
+        (folder / 'gap.json').write_text('{}')
+        raise InputError('hardly moved')
+
+    names, answer = diagnosis_of(tmp_path, monkeypatch, fails)
+    assert answer.exception().exit_code == 3
+    assert names == {'error_tables.json', 'effects.yaml', 'calibration_plain'}

@@ -4,21 +4,14 @@
 import os
 import signal
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from cells import MACHINE
 
-from otf_calibrator.children import (
-    CalibrationTask,
-    ChildError,
-    Diagnosis,
-    Solver,
-    internal_error,
-)
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_calibrator.worker import Child, ChildError, internal_error
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import Cancelled, InputError, OtfError
 from otf_core.model.machine import load_machine
@@ -34,9 +27,9 @@ def ignored(stage, fraction):
     """Progress that nobody looks at."""
 
 
-def task(recording):
-    """Plain calibration of a recording."""
-    return CalibrationTask(recording, CONFIG, 'otf', 'none')
+def solve(child, recording, progress=ignored, method='otf'):
+    """Have a recording calibrated."""
+    return child.do('calibrate', (recording, CONFIG, method, 'none'), progress)
 
 
 @pytest.fixture(scope='module')
@@ -51,14 +44,14 @@ def recording(tmp_path_factory):
 
 @pytest.fixture
 def solver():
-    solver = Solver()
+    solver = Child()
     yield solver
     solver.close()
 
 
 def test_tables_are_those_of_this_process_bit_by_bit(solver, recording):
-    found = solver.solve(task(recording), ignored)
-    plain = calibrate_runs([recording], CONFIG)
+    found = solve(solver, recording)
+    plain = calibrate_recordings([recording], CONFIG)
     assert found.run_id == plain.run_id
     for name, table in plain.tables.motions.items():
         assert found.tables.motions[name].value.tobytes() == table.value.tobytes()
@@ -68,9 +61,9 @@ def test_tables_are_those_of_this_process_bit_by_bit(solver, recording):
 def test_what_is_wrong_with_a_run_is_said_and_the_process_goes_on(solver, recording):
     still = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
     with pytest.raises(InputError, match='samples'):
-        solver.solve(task(Recording(still, recording.path, recording.machine)), ignored)
+        solve(solver, Recording(still, recording.path, recording.machine))
     process = solver._process
-    assert solver.solve(task(recording), ignored).run_id
+    assert solve(solver, recording).run_id
     assert solver._process is process
 
 
@@ -78,12 +71,12 @@ def test_calibration_that_is_given_up_ends_at_once_and_the_next_one_works(solver
     def given_up(stage, fraction):
         raise Cancelled('not wanted any more')
 
-    solver.warm_up()
+    solver.begin()
     process = solver._process
     with pytest.raises(Cancelled):
-        solver.solve(task(recording), given_up)
+        solve(solver, recording, given_up)
     assert process.poll() == -signal.SIGKILL
-    assert solver.solve(task(recording), ignored).run_id
+    assert solve(solver, recording).run_id
 
 
 def test_process_that_the_system_ends_is_told_of_and_begun_anew(solver, recording):
@@ -91,30 +84,22 @@ def test_process_that_the_system_ends_is_told_of_and_begun_anew(solver, recordin
         os.kill(solver._process.pid, signal.SIGKILL)
 
     with pytest.raises(OtfError, match='ended by the system'):
-        solver.solve(task(recording), killed)
-    assert solver.solve(task(recording), ignored).run_id
+        solve(solver, recording, killed)
+    assert solve(solver, recording).run_id
 
 
 def test_defect_in_the_process_is_told_with_its_traceback_and_the_process_goes_on(
     solver, recording
 ):
     with pytest.raises(ChildError, match='Traceback') as told:
-        solver.solve(replace(task(recording), method='unheard of'), ignored)
+        solve(solver, recording, method='unheard of')
     assert internal_error(told.value) == "internal error: KeyError: 'unheard of'"
     process = solver._process
-    assert solver.solve(task(recording), ignored).run_id and solver._process is process
-
-
-def test_defect_in_a_diagnosis_is_told_with_its_traceback(tmp_path):
-    diagnosis = Diagnosis(None, CONFIG, tmp_path)  # which nobody can diagnose
-    while not (answer := diagnosis.finished()):
-        time.sleep(0.05)
-    assert answer.exit_code == 1 and answer.text.startswith('internal error: ')
-    assert 'Traceback' in answer.traceback and not list(tmp_path.iterdir())
+    assert solve(solver, recording).run_id and solver._process is process
 
 
 def test_process_ends_with_its_owner(solver):
-    solver.warm_up()
+    solver.begin()
     process = solver._process
     time.sleep(0.1)
     solver._end.close()  # as the system does for a node that is killed

@@ -18,7 +18,6 @@ setup(
     entry_points={
         'console_scripts': [
             'tracker_driver = otf_tracker_driver.__main__:main',
-            'emulate_tracker = otf_tracker_driver.emulator.__main__:main',
         ]
     },
 )

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes that are read late carry the time at which they arrived."""
 
-import asyncio
 import socket
 import time
 
 import pytest
 
-from otf_tracker_driver.clock.arrival import Arrivals
-from otf_tracker_driver.emscon.wire import wired
+from otf_tracker_driver.clock import Arrivals
 
 LATE = 0.08
 """s; between arrival and reading."""
@@ -74,31 +72,3 @@ def test_age_holds_after_a_process_has_stood_still_for_long(monkeypatch):
         monkeypatch.setattr(time, 'time_ns', lambda: now + still)
         monkeypatch.setattr(time, 'monotonic_ns', lambda: monotonic + still)
         assert arrivals.receive(100)[1] == pytest.approx(still, rel=0.01)
-
-
-def test_wire_tells_the_arrival_also_when_its_event_loop_is_busy():
-    async def read_late():
-        served = asyncio.Event()
-
-        async def serve(reader, writer):
-            while await reader.read(1):
-                writer.write(b'packet')
-                await writer.drain()
-                served.set()
-            writer.close()
-
-        server = await asyncio.start_server(serve, '127.0.0.1', 0)
-        host, port = server.sockets[0].getsockname()
-        async with server, wired(host, port, 5.0) as wire:
-            for _ in range(STARTING):
-                served.clear()
-                wire.write(b'?')
-                await served.wait()
-                time.sleep(LATE)  # as if other work held the loop up
-                data, age = await wire.read(100)
-                if age > LEAST:
-                    break
-            return data, age
-
-    data, age = asyncio.run(read_late())
-    assert data == b'packet' and age > LEAST

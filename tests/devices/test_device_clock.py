@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from device_times import EPOCH, Delays, packets
 
-from otf_tracker_driver.clock.stamper import HostClock, Stamper
+from otf_tracker_driver.clock import HostClock, Stamper
 
 MILLISECOND = 1e6
 

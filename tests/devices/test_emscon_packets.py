@@ -7,11 +7,17 @@ import struct
 
 import numpy as np
 import pytest
+from emulator import encode_measurements
 
-from otf_tracker_driver.emscon import codes, commands, packets
-from otf_tracker_driver.emscon.codes import Command, PacketType
-from otf_tracker_driver.emscon.errors import CommandRefused
-from otf_tracker_driver.emscon.framing import LARGEST, Framer, ProtocolError
+from otf_tracker_driver.backends import emscon_link
+from otf_tracker_driver.backends.emscon_link import (
+    LARGEST,
+    Command,
+    CommandRefused,
+    Framer,
+    PacketType,
+    ProtocolError,
+)
 
 SIZES = {
     1: (12, 56), 2: (12, 20), 5: (32, 16), 6: (12, 36), 7: (12, 16), 13: (12, 64), 15: (12, 72),
@@ -35,6 +41,11 @@ def measurement(kind=3, count=3, stride=36, result=0):
     return bytes(packet)
 
 
+def answered(command, body):
+    fields = emscon_link.ANSWERS.get(command, '')
+    return emscon_link.read_values(fields, body, emscon_link.command_text(command))
+
+
 def reflector(total, number, name):
     body = struct.pack('<3id', total, number, 1, 0.019) + name.encode('utf-16-le').ljust(64, b'\0')
     return struct.pack('<4i', 16 + len(body), 0, 42, 0) + body
@@ -56,11 +67,12 @@ GOOD = [
 @pytest.mark.parametrize('number', SIZES)
 def test_request_and_answer_have_the_sizes_of_the_protocol(number):
     command = Command(number)
-    values = [0] * len(struct.unpack_from(f'<{commands.LAYOUTS[command].request}', bytes(200)))
-    request = commands.encode_request(command, *values)
+    fields = emscon_link.REQUESTS.get(command, '')
+    values = [0] * len(struct.unpack_from(f'<{fields}', bytes(200)))
+    request = emscon_link.encode_request(command, *values)
     assert len(request) == SIZES[number][0]
     assert struct.unpack_from('<3i', request) == (len(request), 0, number)
-    assert 16 + struct.calcsize(f'<{commands.LAYOUTS[command].answer}') == SIZES[number][1]
+    assert 16 + struct.calcsize(f'<{emscon_link.ANSWERS.get(command, "")}') == SIZES[number][1]
 
 
 def test_all_commands_of_the_driver_are_in_that_list():
@@ -69,12 +81,12 @@ def test_all_commands_of_the_driver_are_in_that_list():
 
 @pytest.mark.parametrize(('kind', 'stride'), [(3, 36), (10, 92)])
 def test_samples_of_both_continuous_packets(kind, stride):
-    read = packets.decode(measurement(kind, 3, stride, result=57))
+    read = emscon_link.decode(measurement(kind, 3, stride, result=57))
     assert read.result == 57 and read.environment == (20.5, 1013.0, 41.0)
     assert read.status.tolist() == [0, 1, 2]
     assert read.device_ns.tolist() == [7_000_000_000, 7_002_000_000, 7_004_000_000]
     np.testing.assert_array_equal(read.value, [[1, -2, 0.25], [2, -2, 0.25], [3, -2, 0.25]])
-    again = packets.decode(packets.encode_measurements(read, PacketType(kind)))
+    again = emscon_link.decode(encode_measurements(read, PacketType(kind)))
     np.testing.assert_array_equal(again.value, read.value)
     np.testing.assert_array_equal(again.device_ns, read.device_ns)
 
@@ -84,34 +96,34 @@ def test_count_that_does_not_fill_the_packet_is_refused(count):
     packet = bytearray(measurement())
     struct.pack_into('<i', packet, 12, count)
     with pytest.raises(ProtocolError, match=f'says {count} samples'):
-        packets.decode(bytes(packet))
+        emscon_link.decode(bytes(packet))
 
 
 def test_unsolicited_packets_say_what_happened():
-    assert packets.decode(GOOD[3]) == packets.ErrorReport(64, 701)
-    assert packets.decode(GOOD[4]) == packets.StatusChange(998)
-    assert packets.decode(GOOD[-1]) == packets.UnusedPacket(77)
-    assert codes.status_text(701).startswith('beam lost')
+    assert emscon_link.decode(GOOD[3]) == emscon_link.ErrorReport(64, 701)
+    assert emscon_link.decode(GOOD[4]) == emscon_link.StatusChange(998)
+    assert emscon_link.decode(GOOD[-1]) is None
+    assert emscon_link.status_text(701).startswith('beam lost')
 
 
 def test_reflector_answer_has_its_name_and_longer_answers_are_read():
-    read = packets.decode(reflector(2, 7, 'CCR-1.5in'))
-    values = commands.read_answer(Command.GET_REFLECTORS, read.body)
+    read = emscon_link.decode(reflector(2, 7, 'CCR-1.5in'))
+    values = answered(Command.GET_REFLECTORS, read.body)
     assert values == (2, 7, 1, 0.019, 'CCR-1.5in')
-    assert commands.read_answer(Command.GET_REFLECTORS, read.body + b'newer') == values
+    assert answered(Command.GET_REFLECTORS, read.body + b'newer') == values
     with pytest.raises(ProtocolError, match='get reflectors'):
-        commands.read_answer(Command.GET_REFLECTORS, read.body[:-1])
+        answered(Command.GET_REFLECTORS, read.body[:-1])
 
 
 def test_text_of_a_tracker_becomes_one_printable_line():
     raw = 'AT\n\x1b[31m'.encode('utf-16-le').ljust(64, b'\xd8')
-    read = commands.read_answer(Command.GET_SOFTWARE_VERSION, raw)[0]
+    read = answered(Command.GET_SOFTWARE_VERSION, raw)[0]
     assert read.startswith('AT??[31m') and read.isprintable()
 
 
 @pytest.mark.parametrize('number', [5, 13, 20, 99, 701, 424242, -1])
 def test_every_code_has_a_text_with_its_number(number):
-    for text in (codes.status_text, codes.command_text):
+    for text in (emscon_link.status_text, emscon_link.command_text):
         assert str(number) in text(number)
 
 
@@ -164,13 +176,13 @@ def fuzz(count, seed):
         framer = Framer()
         try:
             for packet in framer.feed(mutated(rng)):
-                got = packets.decode(packet)
+                got = emscon_link.decode(packet)
                 read += 1
-                if isinstance(got, packets.Measurements):
+                if isinstance(got, emscon_link.Measurements):
                     assert len(got.status) == len(got.value) == len(got.device_ns)
                     assert 36 * len(got.status) < len(packet)
-                if isinstance(got, packets.Answer) and got.command in SIZES:
-                    commands.read_answer(Command(got.command), got.body)
+                if isinstance(got, emscon_link.Answer) and got.command in SIZES:
+                    answered(Command(got.command), got.body)
         except ProtocolError as error:
             assert '\n' not in str(error)
             refused += 1

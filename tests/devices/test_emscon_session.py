@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracker session against the emulator over real sockets, and against other servers."""
 
-import asyncio
 import contextlib
 import socket
 import threading
 import time
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -14,12 +12,9 @@ from emulated import emulator
 
 from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
+from otf_tracker_driver.backends import emscon_link as codes
 from otf_tracker_driver.backends.base import join_samples
-from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
-from otf_tracker_driver.emscon import actions, codes
-from otf_tracker_driver.emscon.intake import Intake
-from otf_tracker_driver.emscon.packets import Measurements
-from otf_tracker_driver.emscon.state import INITIALISING, SessionState
+from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig, two_face_check
 
 PATIENCE = 40.0
 """s"""
@@ -79,7 +74,7 @@ def test_tracker_that_is_busy_is_asked_again(make):
         backend = make(running.port, reflector='CCR-1.5in')
         backend.connect()
         until(lambda: not backend.preparing)
-        assert backend.state.tracker.reflector == 'CCR-1.5in'
+        assert backend.tracker.reflector == 'CCR-1.5in'
 
 
 def test_tracker_that_initialises_for_long_is_waited_for_after_connect(make, monkeypatch):
@@ -103,8 +98,8 @@ def test_samples_have_the_time_at_which_they_were_measured(make, faults):
             assert np.all(np.diff(samples.stamp_ns) > 0)
             assert np.abs(running.error_ms(samples)).max() < NEAR
             assert np.median(np.diff(samples.stamp_ns)) == pytest.approx(2e6, rel=2e-3)
-        assert backend.trouble == '' and backend.state.clock.settled
-        assert backend.state.clock.jumps == backend.state.interruptions == 0
+        assert backend.trouble == '' and backend.health.clock.settled
+        assert backend.health.clock.jumps == backend.health.interruptions == 0
 
 
 def test_lost_beam_is_said_found_again_and_its_gap_is_marked(make):
@@ -117,14 +112,14 @@ def test_lost_beam_is_said_found_again_and_its_gap_is_marked(make):
         def found_again():
             parts.append(backend.poll())
             said.append(backend.trouble)
-            return len(backend.state.gaps) >= 1
+            return len(backend.health.gaps) >= 1
 
         until(found_again)
         samples = join_samples(parts)
         assert any('beam lost' in text and 'searches' in text for text in said)
         assert np.all(np.diff(samples.stamp_ns) > 0)
         assert np.abs(running.error_ms(samples)).max() < NEAR
-        for last, first, reason in backend.state.gaps:
+        for last, first, reason in backend.health.gaps:
             assert reason.startswith('beam lost')
             assert {last, first} <= set(samples.stamp_ns.tolist())
             assert first - last > 5e8
@@ -151,7 +146,7 @@ def test_stream_goes_on_after_the_connection_or_the_stream_broke_off(make, fault
         def gone_on():
             samples.append(backend.poll())
             said.add(backend.trouble)
-            return len(backend.state.gaps) >= 1
+            return len(backend.health.gaps) >= 1
 
         until(gone_on)
         samples = join_samples(samples)
@@ -165,11 +160,9 @@ def test_samples_of_a_target_too_fast_and_unknown_packets_are_left_out_and_count
         backend.connect()
         backend.start()
         samples = take(backend, 2500)
-        state = backend.state
         assert np.abs(running.error_ms(samples)).max() < NEAR
-        assert state.left_out['target too fast'] >= 10
-        assert state.left_out['sample status 77'] >= 10
-        assert state.slow_down >= 10 and state.unused >= 1
+        assert backend.left_out['target too fast'] >= 10
+        assert backend.left_out['sample status 77'] >= 10
 
 
 def test_samples_in_millimetres_never_pass(make):
@@ -182,31 +175,12 @@ def test_samples_in_millimetres_never_pass(make):
         def changed():
             parts.append(backend.poll())
             said.add(backend.trouble)
-            return backend.state.connections >= 3
+            return backend.connections >= 3
 
         until(changed)
         samples = join_samples(parts)
         assert np.linalg.norm(samples.xyz, axis=1).max() < 2.0
         assert any('another program has changed the units' in text for text in said)
-
-
-def test_samples_of_a_packet_that_failed_are_left_out_and_counted_by_its_result():
-    state, delivered = SessionState(), []
-    intake = Intake(state, delivered.append)
-    for second, result in enumerate((0, 57)):
-        times = np.arange(3) * 10**6 + second * 10**9
-        xyz = np.full((3, 3), 1.0 + second)
-        packet = Measurements(result, (20.0, 1013.0, 50.0), np.zeros(3, np.int32), times, xyz)
-        intake.take(packet, int(times[-1]))
-    intake.end('')
-    assert join_samples(delivered).xyz.max() == 1.0
-    assert state.left_out == {'environment out of range (status 57)': 3}
-
-
-def test_samples_of_repeated_times_are_among_those_left_out(make, monkeypatch):
-    backend, state = make(1), SessionState(left_out=Counter(fast=2), repeated=3)
-    monkeypatch.setattr(Emscon, 'state', state)
-    assert backend.health.left_out == {'fast': 2, 'time had been there': 3}
 
 
 def test_clock_that_jumps_is_followed(make):
@@ -215,7 +189,7 @@ def test_clock_that_jumps_is_followed(make):
         backend.connect()
         backend.start()
         samples = take(backend, 5000)
-        assert backend.state.clock.jumps >= 1
+        assert backend.health.clock.jumps >= 1
         assert np.all(np.diff(samples.stamp_ns) > 0)
         off = np.abs(running.error_ms(samples))
         assert np.mean(off < NEAR) > 0.8
@@ -236,7 +210,7 @@ def test_tracker_is_told_to_stop_by_a_driver_that_ends(make):
         take(backend, 100)
         stopped = []
         running.tracker._stop, stop = lambda: (stopped.append(1), stop()), running.tracker._stop
-        backend._thread.close()
+        backend.disconnect()
         until(lambda: len(stopped) >= 2)  # by the command, and by the end of the connection
 
 
@@ -247,24 +221,25 @@ def test_unknown_reflector_is_refused_with_those_there_are(make):
             make(running.port, reflector='CCR-1.5').connect()
 
 
-def test_actions_while_no_stream_is_wanted(make):
+def test_operations_while_no_stream_is_wanted(make):
     with emulator() as running:
         backend = make(running.port)
         backend.connect()
-        thread = backend._thread
-        assert thread.do(actions.reflectors).result(5) == ('RRR-0.5in', 'CCR-1.5in', 'TBR-0.5in')
-        assert thread.do(actions.reflector('TBR-0.5in')).result(5) == 'TBR-0.5in'
-        thread.do(actions.bird_bath).result(5)
-        horizontal, vertical = thread.do(actions.two_face_check).result(5)
-        assert horizontal == pytest.approx(12e-6, abs=1e-6)
-        assert vertical == pytest.approx(-8e-6, abs=1e-6)
+
+        def done(name, **own):
+            return backend.operate(name, EmsconConfig(port=running.port, **own)).result(5)
+
+        assert done('list_reflectors') == 'RRR-0.5in, CCR-1.5in, TBR-0.5in'
+        assert done('set_reflector', reflector='TBR-0.5in') == 'TBR-0.5in'
+        done('bird_bath')
+        assert done('two_face_check').startswith('horizontal 12.00 urad, vertical -8.00 urad')
         assert running.tracker.device.face == 1
-        thread.do(actions.find_reflector).result(5)
-        thread.do(actions.clear_errors).result(5)
+        done('find_reflector')
+        done('clear_errors')
         backend.start()
         take(backend, 100)
         with pytest.raises(OtfError, match='is measuring; stop it first'):
-            thread.do(actions.bird_bath).result(5)
+            done('bird_bath')
 
 
 @pytest.mark.parametrize('second', [(0.7 - 6e-6, 1.2 + 4e-6), (0.7 + np.pi, -1.2)])
@@ -272,10 +247,10 @@ def test_angles_of_the_second_face_may_be_those_of_its_circles(second):
     class Still:
         seen = iter([(0.7 + 6e-6, 1.2 - 4e-6), (second[0] % (2 * np.pi), second[1] % (2 * np.pi))])
 
-        async def ask(self, command, *_):
+        def ask(self, command, *_):
             return next(self.seen) if command == codes.Command.GET_DIRECTION else ()
 
-    found = asyncio.run(actions.two_face_check(Still()))
+    found = two_face_check(Still())
     expected = (6e-6, -4e-6) if second[1] > 0 else (3e-6, -2e-6)
     assert found == pytest.approx(expected, abs=1e-12)
 
@@ -283,20 +258,9 @@ def test_angles_of_the_second_face_may_be_those_of_its_circles(second):
 def test_connecting_is_given_up_when_the_process_is_asked_to_end(make):
     with emulator('initialize=60') as running:
         backend = make(running.port)
-        backend.cancelled = lambda: backend.state.phase == INITIALISING
+        backend.cancelled = lambda: backend.initialising
         with pytest.raises(OtfError, match='connecting was stopped'):
             backend.connect()
-
-
-def test_defect_in_what_takes_the_samples_is_said_and_the_stream_tried_again(make, monkeypatch):
-    with emulator() as running:
-        backend = make(running.port)
-        backend.connect()
-        with monkeypatch.context() as broken:
-            broken.setattr(Intake, 'take', lambda *_: {}['nothing'])
-            backend.start()
-            until(lambda: 'internal error' in backend.trouble and 'nothing' in backend.trouble)
-        take(backend, 100)
 
 
 def served(answer):
@@ -350,7 +314,7 @@ def say_nothing(connection):
     ],
 )
 def test_other_servers_are_refused_in_one_line(make, monkeypatch, answer, said):
-    monkeypatch.setattr('otf_tracker_driver.emscon.link.ANSWER_WITHIN', 1.0)
+    monkeypatch.setattr('otf_tracker_driver.backends.emscon_link.ANSWER_WITHIN', 1.0)
     with served(answer) as listening:
         port = listening.getsockname()[1]
         backend = make(port)
@@ -362,13 +326,13 @@ def test_other_servers_are_refused_in_one_line(make, monkeypatch, answer, said):
 @pytest.mark.parametrize(
     ('given', 'said'),
     [
-        ({'host': ''}, 'emscon.host: empty'),
+        ({'host': ''}, 'host: empty'),
         ({'host': 'no.such.host.invalid'}, 'no.such.host.invalid:1: no connection'),
         ({'host': 'a' * 70}, 'no connection'),
         ({}, '127.0.0.1:1: no connection'),
-        ({'interval': 0.0015}, 'emscon.interval: 0.0015 s; trackers take whole milliseconds'),
-        ({'environment': '20,1013'}, 'emscon.environment: .*such as 20.0'),
-        ({'environment': '20,101300,50'}, 'emscon.environment: .*pressure in mbar'),
+        ({'interval': 0.0015}, 'interval: 0.0015 s; trackers take whole milliseconds'),
+        ({'environment': '20,1013'}, 'environment: .*such as 20.0'),
+        ({'environment': '20,101300,50'}, 'environment: .*pressure in mbar'),
     ],
 )
 def test_wrong_parameters_and_unreachable_hosts_are_said_in_one_line(make, given, said):

@@ -14,21 +14,19 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import emulator as emulator_module
 import numpy as np
 import pytest
 from cells import write_machine
 from emulated import DRIFT, cell, emulator
+from emulator import Device, Faults, read_faults
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import load_machine
 from otf_core.model.plan import plan_along
-from otf_tracker_driver.emscon.codes import Command
-from otf_tracker_driver.emulator import cell as cell_module
-from otf_tracker_driver.emulator import measuring
-from otf_tracker_driver.emulator.device import Device
-from otf_tracker_driver.emulator.faults import Faults, read_faults
+from otf_tracker_driver.backends.emscon_link import Command
 
 TRUNNION = Path(__file__).parents[2] / 'bags' / 'trunnion'
 RECORDED = {5: (66, 67, 0.651), 10: (33, 34, 0.321), 20: (16, 17, 0.661)}
@@ -175,7 +173,7 @@ def test_lost_beam_is_told_as_recorded_and_nothing_comes_after():
 
 
 def test_reflector_that_is_moved_by_hand_is_found_again_at_the_next_target(monkeypatch):
-    monkeypatch.setattr(cell_module, 'BY_HAND', 1000)
+    monkeypatch.setattr(emulator_module, 'BY_HAND', 1000)
     machine = load_machine(TRUNNION / 'machine.yaml')
     q = np.zeros((2, 2, 5))
     q[0, 1, 0], q[1, 1, 3] = 0.02, 0.02
@@ -184,7 +182,7 @@ def test_reflector_that_is_moved_by_hand_is_found_again_at_the_next_target(monke
         for own, name in zip(q, ('tool', 'nest-1'), strict=True)
     ]
     plan = plan_along(machine, paths, PlannerConfig())
-    simulated = cell_module.Cell(machine, PlannerConfig(), 1, DRIFT, None, plan)
+    simulated = emulator_module.Cell(machine, PlannerConfig(), 1, DRIFT, None, plan)
     with emulator(simulated=simulated) as running:
         client = Client(running.port)
         started(client)
@@ -228,9 +226,9 @@ def test_packets_hold_as_many_samples_as_recorded_ones(monkeypatch, interval_ms)
     def count(packet):
         sizes[struct.unpack_from('<i', packet, 12)[0]] += 1
 
-    monkeypatch.setattr(measuring, '_until', no_sleep)
-    made = measuring.Measuring(
-        device, cell(), measuring.Drive(), DRIFT, Faults(), random.Random(1), count
+    monkeypatch.setattr(emulator_module, '_until', no_sleep)
+    made = emulator_module.Measuring(
+        device, cell(), emulator_module.Drive(), DRIFT, Faults(), random.Random(1), count
     )
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(made.run())
@@ -253,7 +251,7 @@ def test_faults_are_read_and_mistakes_named():
 
 def run(*arguments):
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, '-m', 'otf_tracker_driver.emulator', *arguments]
+    command = [sys.executable, str(Path(emulator_module.__file__)), *arguments]
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -9,9 +9,8 @@ from other_tracker import RADIUS, TURN, other_tracker, time_of
 
 from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
-from otf_tracker_driver.backends.base import join_samples
+from otf_tracker_driver.backends.base import Beam, Flow, join_samples
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
-from otf_tracker_driver.health import Beam, Flow
 
 PATIENCE = 40.0
 """s"""

@@ -10,8 +10,7 @@ from polled import polled
 from streaming import CARTESIAN, INTERVAL, described, sender
 from test_other_tracker import off
 
-from otf_tracker_driver.stream.description import Source
-from otf_tracker_driver.stream.transport import open_source
+from otf_tracker_driver.backends.lines import Source, open_source
 
 SENT = 20_000
 """Datagrams of a kilobyte, more than any buffer holds."""

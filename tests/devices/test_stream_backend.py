@@ -19,9 +19,14 @@ from streaming import CARTESIAN, SPHERICAL, described, sender
 from otf_core.errors import ConfigError, InputError
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import join_samples
+from otf_tracker_driver.backends.lines import (
+    LONGEST,
+    Lines,
+    Unreadable,
+    read_description,
+    read_point,
+)
 from otf_tracker_driver.backends.stream import Stream, StreamConfig
-from otf_tracker_driver.stream.description import read_description
-from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, read_point
 
 PATIENCE = 20.0
 """s"""
@@ -136,7 +141,7 @@ def test_source_of_datagrams_is_told_to_start_as_soon_as_it_is_heard(make, tmp_p
         backend = make(described(tmp_path, source=f'udp://127.0.0.1:{place[1]}', start='GO'))
         backend.connect()
         backend.start()
-        until(lambda: backend._reader._told)
+        until(lambda: backend.served)
         source.sendto(b'here', place)
         source.settimeout(PATIENCE)
         assert source.recv(100) == b'GO'
@@ -144,7 +149,7 @@ def test_source_of_datagrams_is_told_to_start_as_soon_as_it_is_heard(make, tmp_p
 
 def test_connection_whose_other_end_is_gone_is_noticed(make, tmp_path):
     with connection(make, tmp_path) as (backend, _):
-        probed = backend._reader._transport._socket
+        probed = backend._transport._socket
         assert probed.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
         assert probed.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 3
 

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from streaming import described
 
-from otf_tracker_driver.backends.base import join_samples
-from otf_tracker_driver.stream import reader
-from otf_tracker_driver.stream.description import read_description
-from otf_tracker_driver.stream.transport import Transport
+from otf_tracker_driver.backends import CommonConfig, stream
+from otf_tracker_driver.backends.lines import Transport, read_description
 
 PATIENCE = 20.0
 """s"""
@@ -36,7 +34,7 @@ class Scripted(Transport):
         elif isinstance(step, bytes):
             return step
         else:
-            self.reader.stream(step == 'on')
+            self.reader.start() if step == 'on' else self.reader.stop()
         return None
 
     def send(self, data):
@@ -53,8 +51,9 @@ def scripted(tmp_path, monkeypatch):
 
     def run(*transports, awaited=True, **changes):
         first, *others = transports
-        monkeypatch.setattr(reader, 'open_source', lambda *_: others.pop(0))
-        made.append(reader.Reader(read_description(described(tmp_path, **changes)), first))
+        monkeypatch.setattr(stream, 'open_source', lambda *_: others.pop(0))
+        made.append(stream.Stream(CommonConfig(), stream.StreamConfig()))
+        made[-1].read(read_description(described(tmp_path, **changes)), first)
         for transport in transports:
             transport.reader = made[-1]
             transport.ready.set()
@@ -63,27 +62,27 @@ def scripted(tmp_path, monkeypatch):
 
     yield run
     for one in made:
-        one.close()
+        one.disconnect()
 
 
 def test_defect_of_the_reader_is_not_silence(scripted, monkeypatch):
-    monkeypatch.setattr(reader, 'read_point', lambda *_: 1 / 0)
+    monkeypatch.setattr(stream, 'read_point', lambda *_: 1 / 0)
     run = scripted(Scripted('on', b'1;2;3;4\n'), awaited=False)
     run._thread.join(PATIENCE)
     with pytest.raises(RuntimeError, match='is not read any more'):
-        run.fetch()
+        run.poll()
 
 
 def test_what_waits_for_its_stamp_does_not_come_with_the_next_stream(scripted):
     old, new = b'1.0;10;20;30\n1.1;11;20;30\n', b'9.0;12;20;30\n'
     run = scripted(Scripted('on', old, 'off', b'\n', 'on', new, 'lost'), Scripted())
-    np.testing.assert_allclose(join_samples(run.fetch()).xyz[:, 0], [0.012])
+    np.testing.assert_allclose(run.poll().xyz[:, 0], [0.012])
 
 
 def test_what_waits_for_its_stamp_comes_before_the_gap(scripted):
     first = Scripted('on', b'1.0;10;20;30\n1.1;11;20;30\n', 'lost')
     run = scripted(first, Scripted(b'2.0;12;20;30\n', 'lost'), Scripted())
-    samples = join_samples(run.fetch())
+    samples = run.poll()
     np.testing.assert_allclose(samples.xyz[:, 0], [0.010, 0.011, 0.012])
     assert run.interruptions == 1  # the second one did not go on
     assert [gap[:2] for gap in run.gaps] == [tuple(samples.stamp_ns[1:])]
@@ -98,13 +97,13 @@ def test_object_in_a_datagram_may_have_many_lines(scripted):
     look = {'format': 'json', 'columns': None, 'separator': None, 'stamp': 'host', 'time': None}
     keys = {'x': 'x', 'y': 'y', 'z': 'z'}
     run = scripted(Datagrams('on', pretty.encode(), lines.encode()), keys=keys, **look)
-    np.testing.assert_allclose(join_samples(run.fetch()).xyz[:, 0], [0.001, 0.001, 0.004])
+    np.testing.assert_allclose(run.poll().xyz[:, 0], [0.001, 0.001, 0.004])
 
 
 def test_line_that_began_before_the_stream_is_read_whole(scripted):
     steps = b'7;8;9\n1', 'on', b'2.5;20;30\n4;5;6\n'
     run = scripted(Scripted(*steps), columns={'x': 0, 'y': 1, 'z': 2}, stamp='host', time=None)
-    points = join_samples(run.fetch()).xyz
+    points = run.poll().xyz
     np.testing.assert_allclose(points, [[0.0125, 0.02, 0.03], [0.004, 0.005, 0.006]])
 
 
@@ -117,4 +116,4 @@ def test_line_that_a_serial_line_opens_within_is_left_out(scripted, start, first
     columns = {'x': 0, 'y': 1, 'z': 2}
     steps = 'on', b'1;20;30\n4;5;6\n'
     run = scripted(Serial(*steps), columns=columns, stamp='host', time=None, **changes)
-    assert join_samples(run.fetch()).xyz[0, 0] == pytest.approx(first)
+    assert run.poll().xyz[0, 0] == pytest.approx(first)

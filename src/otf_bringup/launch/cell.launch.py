@@ -3,14 +3,14 @@
 
 ros2 launch otf_bringup cell.launch.py                    simulated cell, real time
 ros2 launch otf_bringup cell.launch.py time_scale:=10.0   the same, ten times as fast
-ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
+ros2 launch otf_bringup cell.launch.py diagnose:=true simulated.effects:=BACKLASH.yaml
 ros2 launch otf_bringup cell.launch.py view:=true         the same with a page in the browser
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=emscon emscon.host:=HOST machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=stream stream.source:=SOURCE.yaml machine_file:=...
 ros2 launch otf_bringup cell.launch.py respawn:=true      nodes that die come back; else all end
 
-Several cells, trackers and machines: docs/graph.md
+Every parameter of the three nodes is an argument of its name. Several cells: docs/graph.md
 """
 
 from contextlib import suppress
@@ -25,74 +25,47 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 from otf_bringup.launching import is_on, refuse_unknown, shut_down_on_exit
-from otf_core.config import PlannerConfig
+from otf_bringup.params_file import infos
 from otf_tracker_driver.backends import BACKENDS
 
 CONFIG = Path(get_package_share_directory('otf_bringup')) / 'config'
-ARGUMENTS = [
-    ('machine_file', str(CONFIG / 'machine.yaml'), 'machine description'),
-    ('params_file', str(CONFIG / 'params.yaml'), 'all other parameters'),
-    ('namespace', '', 'namespace of nodes and topics'),
-    ('output_directory', 'calibrations', 'where results go'),
-    (
-        'path_file',
-        '',
-        'path to drive instead of a created one: CSV x,y,z, plan.json or NC program; with rotary '
-        'axes CSV target,x,y,z,a,c',
-    ),
-    ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
-    ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
-    ('diagnose', 'false', 'diagnose every run after its calibration'),
-    ('view', 'false', 'show the run: markers, numbers for plots, a page for the browser'),
-    ('use_sim_time', 'false', 'stamp states and results with the time of /clock'),
-    ('machine_frame', 'machine', 'frame_id of path, tables and positions'),
-    ('tracker_frame', 'tracker', 'frame_id of the samples'),
-    ('respawn', 'false', 'restart a node that has died; otherwise the end of one node ends all'),
-    ('nodes', 'path_planner,calibrator,tracker_driver', 'which nodes to start'),
-    ('tracker', '', 'namespace of the tracker, if not that of the cell'),
-    ('planner', '', 'namespace of the path planner, if not that of the cell'),
-    ('rate', '', 'samples per second, simulated or of an emScon tracker'),
-]
+NODES, VIEWERS = ('path_planner', 'calibrator', 'tracker_driver'), ('viewer', 'page')
+OWN = {
+    'params_file': (str(CONFIG / 'params.yaml'), 'parameters that no argument gives'),
+    'namespace': ('', 'namespace of nodes and topics'),
+    'view': ('false', 'show the run: markers, numbers for plots, a page for the browser'),
+    'use_sim_time': ('false', 'stamp states and results with the time of /clock'),
+    'respawn': ('false', 'restart a node that has died; otherwise the end of one ends all'),
+    'nodes': (','.join(NODES), 'which nodes to start'),
+    'tracker': ('', 'namespace of the tracker, if not that of the cell'),
+    'planner': ('', 'namespace of the path planner, if not that of the cell'),
+}
+"""Arguments that are no parameters: default and meaning."""
+DEFAULTS = {'machine_file': str(CONFIG / 'machine.yaml'), 'backend': 'simulated'}
+SHORT = {'replay.bag': 'bag'}
+PARAMETERS = {
+    node: {SHORT.get(i.name, i.name): i for i in infos(node)} for node in (*NODES, *VIEWERS)
+}
+"""What each node takes, by the name of the argument."""
 FILES = 'cell.launch.py', 'replay.launch.py'
 RESPAWN_DELAY = 0.3
 """s"""
 AGAIN = '; respawn:=true starts a node again'
-SHORT = {
-    'replay.bag': 'bag',
-    'simulated.truth_tables': 'truth_tables',
-    'simulated.effects': 'effects',
-    'simulated.seed': 'seed',
-}
-"""Parameters of backends whose launch argument leaves out the name of the backend."""
-VIEWERS = ('viewer', 'page')
-KINDS = {'time_scale': float, 'diagnose': bool, 'use_sim_time': bool}
-PLANNER_PARAMETERS = {info.name: info for info in PlannerConfig.infos()}
-BACKEND_PARAMETERS = {
-    f'{name}.{info.name}': info
-    for name, backend in BACKENDS.items()
-    for info in backend.parameters.infos()
-    if f'{name}.{info.name}' not in ('simulated.rate', 'emscon.interval')
-}
-INFOS = {**PLANNER_PARAMETERS, **BACKEND_PARAMETERS}
-
-
-def unit_of(info):
-    """Return the unit of a parameter as descriptions have it: ' [m/s]', or nothing."""
-    return f' [{info.unit}]' if info.unit else ''
 
 
 def generate_launch_description():
-    own = [
-        (
-            SHORT.get(name, name),
-            '',
-            f'{info.meaning}{unit_of(info)} (default: that of params_file)',
+    described = {
+        name: (
+            DEFAULTS.get(name, ''),
+            f'{info.meaning}{f" [{info.unit}]" if info.unit else ""}'
+            f'{"" if name in DEFAULTS else " (default: that of params_file)"}',
         )
-        for name, info in INFOS.items()
-    ]
+        for node in NODES
+        for name, info in PARAMETERS[node].items()
+    }
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, default, text in (*ARGUMENTS, *own)
+        for name, (default, text) in {**described, **OWN}.items()
     ]
     known = [argument.name for argument in declared]
     return LaunchDescription([*declared, OpaqueFunction(function=nodes, args=[known])])
@@ -101,46 +74,33 @@ def generate_launch_description():
 def nodes(context, known):
     """Return the nodes; no planner where the path comes with the samples."""
     given = context.launch_configurations
-    refuse_unknown([*known, 'bag'], context.argv, FILES)
-    backend = BACKENDS.get(given['backend'])
-    parameters_of = {
-        'path_planner': (['machine_file', 'path_file'], further(given, PLANNER_PARAMETERS)),
-        'calibrator': (['machine_file', 'output_directory', 'diagnose'], {}),
-        'tracker_driver': (
-            ['machine_file', 'backend', 'time_scale'],
-            {**further(given, BACKEND_PARAMETERS), **rate(given)},
-        ),
-    }
+    refuse_unknown(known, context.argv, FILES)
     wanted = [name.strip() for name in given['nodes'].split(',')]
     for name in wanted:
-        if name not in parameters_of:
-            raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(parameters_of)}')
+        if name not in NODES:
+            raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(NODES)}')
+    backend = BACKENDS.get(given['backend'])
     if backend and backend.brings_path and 'tracker_driver' in wanted:
-        del parameters_of['path_planner']
+        wanted = [name for name in wanted if name != 'path_planner']
     viewers = VIEWERS if is_on(given, 'view') else ()
-    return [
-        *(node(name, given, *parameters_of[name]) for name in parameters_of if name in wanted),
-        *(node(name, given, [], {}) for name in viewers),
-    ]
+    return [node(name, given) for name in (*wanted, *viewers)]
 
 
-def further(given, infos):
-    """Return the parameters that have been given, by their names in the node."""
-    words = {name: given[SHORT.get(name, name)] for name in infos}
-    return {
-        name: parameter(text, type(infos[name].default)) for name, text in words.items() if text
-    }
-
-
-def rate(given):
-    """Return the parameters of the backends that say how many samples come per second."""
-    if not given['rate']:
-        return {}
-    try:
-        hertz = float(given['rate'])
-        return {'simulated.rate': hertz, 'emscon.interval': 1 / hertz}
-    except (ValueError, ZeroDivisionError):
-        raise RuntimeError(f'rate: {given["rate"]!r}; give samples per second') from None
+def parameters_of(name, given):
+    """Return the parameters of a node that are given; what does not fit the node refuses."""
+    parameters = {'use_sim_time': is_on(given, 'use_sim_time')}
+    for argument, info in PARAMETERS[name].items():
+        text, kind = given.get(argument, ''), type(info.default)
+        if not text:
+            continue
+        plain = ParameterValue(
+            TextSubstitution(text=text), value_type=str if kind is str else None
+        )
+        parameters[info.name] = is_on(given, argument) if kind is bool else plain
+        if kind is float:
+            with suppress(ValueError):
+                parameters[info.name] = float(text)  # YAML takes 1e-5 for text
+    return parameters
 
 
 def elsewhere(given):
@@ -160,30 +120,15 @@ def elsewhere(given):
     ]
 
 
-def parameter(text, kind):
-    """Return the text of a launch argument as a parameter; what does not fit the node refuses."""
-    if kind is float:
-        with suppress(ValueError):
-            return float(text)  # YAML takes 1e-5 for text
-    return ParameterValue(TextSubstitution(text=text), value_type=str if kind is str else None)
-
-
-def node(name, given, names, own):
-    """Return a node that takes parameters from the launch arguments of the same names."""
-    names = [*names, 'use_sim_time', 'machine_frame', 'tracker_frame']
-    parameters = {
-        key: is_on(given, key)
-        if KINDS.get(key) is bool
-        else parameter(given[key], KINDS.get(key, str))
-        for key in names
-    }
+def node(name, given):
+    """Return a node."""
     respawn = is_on(given, 'respawn')
     return Node(
         package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,
         name=name,
         namespace=LaunchConfiguration('namespace'),
-        parameters=[LaunchConfiguration('params_file'), {**parameters, **own}],
+        parameters=[LaunchConfiguration('params_file'), parameters_of(name, given)],
         remappings=elsewhere(given),
         ros_arguments=['--enclave', f'/otf/{name}'],
         output='screen',

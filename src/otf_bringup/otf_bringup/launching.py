@@ -31,7 +31,7 @@ def refuse_unknown(known, words, files):
         if name not in known:
             near = get_close_matches(name, known, 1)
             hint = f'; did you mean {near[0]!r}?' if near else ''
-            raise RuntimeError(f'launch argument {name!r} is unknown{hint} --show-args lists all')
+            raise RuntimeError(f'launch argument {name!r} is unknown{hint}; --show-args lists all')
 
 
 def is_on(given, name):

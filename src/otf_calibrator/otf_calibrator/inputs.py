@@ -4,21 +4,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from otf_calibrator.collector import PathTaken
 from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.parts import PartReception
+from otf_calibrator.run import PathTaken
 from otf_calibrator.session import Session, Settings
 from otf_core.arrays import Array
 from otf_core.bags.bag_signals import topic_of
@@ -37,8 +37,53 @@ from otf_ros.definitions import message_text
 from otf_ros.drain import Drain
 from otf_ros.topic_watch import senders
 
+A = TypeVar('A')
+MOST_MISSED = 1000
+"""Messages in a row that the publisher of the run may lose while there is another one."""
+GONE, GONE_BESIDE = 1.0, 10.0
+"""s; a publisher that was silent for so long has a successor, as a driver that was restarted; the
+same where both have been heard at the same time."""
 SHOWN_TURN = 0.01
 """rad between points of a track that is shown: chords leave 3 um at a radius of 0.25 m."""
+
+
+class PublisherOfRun:
+    """A run has the samples of one publisher, that which was heard first.
+
+    rclpy does not say who sent a message, but the middleware numbers the messages of each
+    publisher. While the graph knows two, a number that does not go on with the run is not of it.
+
+    Parameters
+    ----------
+    present : callable
+        Returns how many publishers the graph knows at this moment.
+    """
+
+    def __init__(self, present: Callable[[], int]) -> None:
+        self._present = present
+        self._last: int | None = None
+        self._heard = 0.0
+        self._other: int | None = None
+        self._beside = False
+
+    def select(self, messages: list[A], numbers: list[int | None], now: float) -> list[A]:
+        """Return the messages of the run; all where the middleware does not number them."""
+        own = []
+        for message, number in zip(messages, numbers, strict=True):
+            last, other = self._last, self._other
+            step = 1 if last is None or number is None else number - last
+            of_other = other is not None and number is not None and 0 < number - other < step
+            goes_on = 0 < step <= MOST_MISSED and not of_other
+            gone = now - self._heard > (GONE_BESIDE if self._beside else GONE)
+            if not goes_on and not gone and self._present() > 1:
+                self._other = number
+                continue
+            if not goes_on:
+                self._other = None
+            self._beside = self._other is not None
+            self._last, self._heard = number, now
+            own.append(message)
+        return own
 
 
 class PathReceiver:
@@ -70,7 +115,8 @@ class PathReceiver:
         self._track = node.create_publisher(Path, 'calibrator/track', qos.PATH)
         node.create_subscription(Path, path, self._receive, qos.PATH)
         # drained: one message a turn would come late beside many samples
-        Drain(node, JointTrajectory, axes, self._receive_parts, qos.PARTS)
+        drain = Drain(node, JointTrajectory, axes, self._receive_parts, qos.PARTS)
+        self.take_turn = drain.take_turn
         self._shown: PartsTrack | None = None
 
     def show(self, places: Mapping[str, Array] | None = None) -> None:

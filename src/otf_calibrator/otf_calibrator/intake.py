@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_calibrator.collector import Collector, PathTaken
-from otf_calibrator.job import Request
-from otf_calibrator.losses import lost_words
 from otf_calibrator.parts import PartReception, PartsCollector
+from otf_calibrator.run import Collector, PathTaken, lost_words
+from otf_calibrator.worker import Request
 from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.bags.cdr import DecodedPoints, decode_axes, decode_path
 from otf_core.bags.journal import Journal

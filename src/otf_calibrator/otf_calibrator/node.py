@@ -11,14 +11,11 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from otf_calibrator.action import CalibrateAction
-from otf_calibrator.diagnostics import tell
-from otf_calibrator.inputs import PathReceiver, listen, status_of
-from otf_calibrator.job import check_files
+from otf_calibrator.inputs import PathReceiver, PublisherOfRun, listen, status_of
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.publishers import PublisherOfRun
-from otf_calibrator.results import OutcomePublisher, places_of
+from otf_calibrator.publish import OutcomePublisher, StatePublisher, diagnose_node, places_of
 from otf_calibrator.session import Session
-from otf_calibrator.state import StatePublisher
+from otf_calibrator.worker import check_files
 from otf_core.config import CalibrationConfig
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import app, convert, qos, services
@@ -59,10 +56,9 @@ class Calibrator(Node):
         check_files(files := self._read_settings()[0])
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
-        topic = self.resolve_topic_name(POINT)
         warn = self.get_logger().warning
         self._session = Session(self._read_settings, warn, wake, lambda: self._drain.empty())
-        self._publisher = PublisherOfRun(lambda: self.count_publishers(topic))
+        self._publisher = PublisherOfRun(lambda: self.count_publishers(POINT))
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
@@ -73,13 +69,9 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
-        tell(
-            self,
-            self._session,
-            lambda: self._read_settings()[0].output_directory,
-            lambda: self._paths.machine.name,
-        )
-        self._action = CalibrateAction(self, self._session, lambda: self._outcomes.results.latest)
+        results = lambda: self._read_settings()[0].output_directory  # noqa: E731
+        diagnose_node(self, self._session, results, lambda: self._paths.machine.name)
+        self._action = CalibrateAction(self, self._session, lambda: self._outcomes.latest)
         create_timer(self, PERIOD, self._look)
         # last: samples may come at once
         self._drain = Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
@@ -99,10 +91,10 @@ class Calibrator(Node):
         self._session.intake.take_gap(serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
+        self._paths.take_turn()  # a part comes before the samples that need it
         used = self._publisher.select(messages, numbers, time.monotonic())
         if len(used) < len(messages):
             self._session.intake.leave_out(len(messages) - len(used), self._watch.second())
-        self._session.collector.missed += self._publisher.missed
         if used:
             self._state.take(used[-1].header.stamp, len(used))
         if used and self._session.take(convert.points_from_messages(used)):
@@ -124,10 +116,10 @@ class Calibrator(Node):
         if started := self._session.start_due():
             self.get_logger().info(started)
         if look := self._session.first_look():
-            self.get_logger().info(self._outcomes.results.publish_sight(look))
+            self._outcomes.publish_sight(look.result())
             self._paths.show(places_of(look))
         if diagnosed := self._session.take_diagnosed():
-            self._outcomes.publish_diagnosis(*diagnosed)
+            self._outcomes.publish_diagnosis(diagnosed)
         self._state.publish(self._session, self._watch.troubles)
         self._action.look()
 

@@ -13,20 +13,24 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
-from otf_calibrator.children import Answer, Diagnosis, internal_error
-from otf_calibrator.collector import Collector
 from otf_calibrator.intake import Batch, Intake
-from otf_calibrator.job import CalibrationOutput, Request, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.run import Collector
+from otf_calibrator.worker import (
+    CalibrationOutput,
+    Diagnosis,
+    Request,
+    Wake,
+    Worker,
+    internal_error,
+)
 from otf_core.calibration.first_sight import (
     FirstSight,
     first_legs,
     first_sight,
-    first_sight_of_parts,
 )
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
-from otf_core.rotary.run_progress import PartsWatcher
 from otf_core.tracking.path_watch import PathWatcher
 
 INTERIM = 'interim result: the run continues, and its samples are still collected'
@@ -74,7 +78,6 @@ class Session:
         self._verdict: Future[bool] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: Diagnosis | None = None
-        self._diagnosed: CalibrationOutput | None = None
         self._last: CalibrationOutput | None = None
         self._asked = (-1, 0)
 
@@ -186,22 +189,23 @@ class Session:
 
     def _begin_first_look(self) -> None:
         collector, path, watcher = self.collector, self.collector.path, self.collector.watcher
+        travelled = collector.travelled
         looks = self._looks[1] if self._looks[0] == collector.run else 0
         if path is None or looks >= MOST_LOOKS:
             return
-        if isinstance(watcher, PartsWatcher) and isinstance(path, PartsTrack):
+        if isinstance(path, PartsTrack) and watcher is not None:
             count = len(watcher.starts)
             if count <= looks:
                 return
             samples = collector.buffer.snapshot(stop=watcher.starts[-1])
-            question = partial(first_sight_of_parts, track=path.first_parts(count))
+            path = path.first_parts(count)
         else:
-            travelled = collector.travelled
             due = travelled > (looks + 1) * LOOK_SHARE * path.length
             if not due or travelled < first_legs(path):
                 return
-            samples, config = collector.buffer.snapshot(), self._settings()[1]
-            question = partial(first_sight, path=path, travelled=travelled, config=config)
+            samples = collector.buffer.snapshot()
+        config = self._settings()[1]
+        question = partial(first_sight, path=path, travelled=travelled, config=config)
         self._looks = collector.run, looks + 1
         self._first_look = self.worker.ask(question, samples)
 
@@ -242,23 +246,17 @@ class Session:
             return False, 'no run is calibrated yet: drive the path, or call calibrator/calibrate'
         if self._last.folder is None:
             return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
-        try:
-            self.diagnosis = Diagnosis(
-                self._last.recording, self._last.request.config, self._last.folder
-            )
-        except OSError as error:
-            return False, f'the diagnosis cannot be started: {error}'
-        self._diagnosed = self._last
+        self.diagnosis = self.worker.diagnose(self._last)
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
-    def take_diagnosed(self) -> tuple[CalibrationOutput, Answer] | None:
-        """Return a run whose diagnosis has ended, and the answer, once."""
-        answer = self.diagnosis.finished() if self.diagnosis else None
-        if answer is None or self.diagnosis is None:
+    def take_diagnosed(self) -> Diagnosis | None:
+        """Return a diagnosis that has ended, once."""
+        diagnosis = self.diagnosis
+        if diagnosis is None or not diagnosis.answer.done():
             return None
+        diagnosis.close()
         self.diagnosis = None
-        assert self._diagnosed is not None, 'since its start'
-        return self._diagnosed, answer
+        return diagnosis
 
     def abandon(self) -> None:
         """Stop a diagnosis under way, if there is one."""
@@ -293,9 +291,8 @@ class Session:
                 self._judged = watcher, watcher.end
             else:
                 watcher.dismiss()
-        if self.judging:
-            return ''  # whatever else ends it, it may end there
-        return collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
+        reason = collector.reason_to_end(now, files.finish_at_stream_end, files.idle_timeout)
+        return '' if self.judging and not collector.stream_over(now) else reason
 
     def _at_the_end(self) -> bool:
         """Return whether the run has ended at a standstill at the end point, once."""

@@ -10,7 +10,13 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.prediction.predict import PredictedErrors, Predictor, check_points
+from otf_core.prediction.predict import (
+    EDGE,
+    PredictedErrors,
+    Predictor,
+    check_points,
+    table_ranges,
+)
 
 
 class Tables:
@@ -69,16 +75,25 @@ class Tables:
         return points
 
     def ask(self, points: Array) -> tuple[PredictedErrors, Array, list[str]]:
-        """Errors at points, X, Y, Z to command (n, 3), and which points lie outside.
+        """Errors at points, X, Y, Z to command (n, 3), and what to know of them.
 
         Raises
         ------
         ConfigError
-            If a position is that of no such machine, or in mm.
+            If a pose lies outside of the axes of the machine.
         """
         machine, corrected = self._predictor.tables.machine, points.copy()
+        q, (low, high) = machine.axis_positions(points), table_ranges(self._predictor.tables)
+        low, high = np.minimum(low, machine.lower), np.maximum(high, machine.upper)
+        out = np.maximum(low - machine.wrapped(q), machine.wrapped(q) - high) > EDGE
+        if out.any():
+            pose, k = (int(i) for i in np.argwhere(out)[0])
+            name, unit = machine.axis_names[k], machine.axes[machine.axis_names[k]].unit
+            raise ConfigError(
+                f'wanted: pose {pose + 1} of {len(q)}: {name} = {q[pose, k]:g} {unit} is outside '
+                f'of its axis, {low[k]:g} to {high[k]:g} {unit}; poses are in m and rad'
+            )
         notes = check_points(self._predictor.tables, points, 'wanted')
-        q = machine.axis_positions(points)
         columns = [machine.point_names.index(a) for a in machine.axis_names]
         corrected[:, columns] = self._predictor.corrected(q)
         return self._predictor.at(q), corrected[:, :3], notes

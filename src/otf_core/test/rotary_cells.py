@@ -49,4 +49,4 @@ def simulated(paths, seed=12, of=None, **options):
     m, config = of or machine(), SimulationConfig(seed=seed, rate=40.0)
     run = simulate(m, plan_of(paths, m), config, **options)
     path = nominal_track(m, run.parts)
-    return Recording(run.samples, path, m, 'simulated', axis_paths=run.parts), run
+    return Recording(run.samples, path, m, 'simulated'), run

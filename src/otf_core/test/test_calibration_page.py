@@ -12,7 +12,7 @@ from core_cells import constant_tables, some_machine
 from html_cells import Page, number, unloading
 
 import otf_core
-from otf_core.calibration.calibrate import calibrate, calibrate_runs
+from otf_core.calibration.calibrate import calibrate, calibrate_recordings
 from otf_core.calibration.views import deviations, diagonals, drift
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
@@ -198,7 +198,7 @@ def test_samples_of_the_page_add_up(page, tables):
 def test_what_was_repaired_is_said_beside_the_data(cell):
     samples = cell.recording.measured(cell.truth)
     read = Recording(samples, cell.path, cell.machine, 'Monday', ('dropped 3 of 200 points',))
-    result = calibrate_runs([read])
+    result = calibrate_recordings([read])
     assert result.runs[0].remarks == read.remarks
     said = Page(calibration_page(result.to_dict())).text
     assert 'While reading Monday: dropped 3 of 200 points.' in said

@@ -17,7 +17,7 @@ from certified import dense_least_squares as dense
 from certified import make_run
 from certified.measured_rows import HERE, pieces_of, read_run, read_samples
 
-from otf_core.calibration.calibrate import assemble
+from otf_core.calibration.assembly import assemble
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.gap_sizes import gap_um, plain_residuals
 from otf_core.diagnosis.engine.residual_rows import build_rows

@@ -20,7 +20,6 @@ from otf_core.model.machine import machine_from_dict
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.pieces.runs import Observed
-from otf_core.rotary.curve_matching import nominal_places
 from otf_core.solving.joint import place_equations
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import solve
@@ -28,6 +27,7 @@ from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
 from otf_core.solving.unknowns import layout, linear_bases, place_block, pose_block
 from otf_core.solving.whitener import Whitener
+from otf_core.tracking.curve_matching import nominal_places
 
 EXPECTED = json.loads((HERE / 'expected.json').read_text(encoding='utf-8'))
 TRUTH = json.loads((HERE / 'truth.json').read_text(encoding='utf-8'))

@@ -122,7 +122,7 @@ def test_coarse_chords_are_said_with_their_sagitta(chord, said):
     found = align(recording.samples, recording.path, CONFIG)
     sagitta = largest_sagitta(Lines.of(found.shape))
     assert sagitta == pytest.approx(chord**2 / 8 / 0.09, rel=0.02)
-    assert ('publish chords of 1 mm or less' in found.remark) == said
+    assert ('publish chords of 1 mm or less' in ' '.join(found.remarks)) == said
 
 
 def test_twenty_thousand_chords_align_in_seconds():

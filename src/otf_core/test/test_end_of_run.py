@@ -11,7 +11,7 @@ from rotary_cells import machine as rotary_machine
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import AxisPath, nominal_track
 from otf_core.model.observation import Samples
-from otf_core.rotary import run_progress, track
+from otf_core.tracking import arc_length, path_watch
 from otf_core.tracking.alignment import align, follow_track
 from otf_core.tracking.path_watch import PathWatcher
 
@@ -128,11 +128,13 @@ def test_work_of_looking_at_parts_is_that_of_the_new_samples(monkeypatch):
     noisy = xyz + 2e-6 * rng.normal(size=xyz.shape)
     samples = Samples(np.arange(len(xyz)) * 2_000_000, noisy)
 
-    watcher, visited, compared = run_progress.PartsWatcher(path, CONFIG), [], []
-    moved, match = track._moved, run_progress.match
-    monkeypatch.setattr(track, '_moved', lambda p, last: visited.append(len(p)) or moved(p, last))
+    watcher, visited, compared = PathWatcher(path, CONFIG), [], []
+    moved, match = arc_length._moved, path_watch.match
     monkeypatch.setattr(
-        run_progress, 'match', lambda *a, **k: compared.append(len(a[0])) or match(*a, **k)
+        arc_length, '_moved', lambda p, last: visited.append(len(p)) or moved(p, last)
+    )
+    monkeypatch.setattr(
+        path_watch, 'match', lambda *a, **k: compared.append(len(a[0])) or match(*a, **k)
     )
     ends = [watcher.look(samples.part(0, k)) for k in range(250, len(xyz) + 1, 250)]
     at_the_end = [k for k, seen in enumerate(ends) if seen.to_the_end]
@@ -150,7 +152,7 @@ def test_parts_shorter_than_the_moves_by_hand_between_them_are_counted():
     both[1][1, machine.column('C')] = 1.0  # takes much longer than its line
     path = nominal_track(machine, [AxisPath(machine.axis_names, q) for q in both])
     assert path.part_lengths == pytest.approx([0.05, 0.05])
-    watcher = run_progress.PartsWatcher(path, CONFIG)
+    watcher = PathWatcher(path, CONFIG)
     for number in (0, 1):
         first, end = (0, *path.ends)[number], path.ends[number]
         a, b = path.points[first], path.points[end - 1]

@@ -28,7 +28,7 @@ LAYERS = (
     ('planning',),
     ('diagnosis',),
     ('calibration',),
-    ('budget', 'contradictions', 'rotary', 'sim'),
+    ('budget', 'contradictions', 'sim'),
     ('inputs', 'solving'),
     ('effects', 'pieces', 'comparison', 'exports', 'fleet'),
     ('bags', 'live', 'noise', 'prediction', 'tracking'),

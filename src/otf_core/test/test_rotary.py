@@ -28,12 +28,12 @@ from otf_core.model.evaluation import evenly_spread
 from otf_core.model.motions import ErrorMotion
 from otf_core.pieces.pieces import LEAST_CHORD
 from otf_core.prediction.predict import predict
-from otf_core.rotary.curve_matching import match, nominal_places, sight_at, split_parts
-from otf_core.rotary.mismatch import check_matched
 from otf_core.sim.drive import drives_of
 from otf_core.solving.tabulate import field_rows, gauge_matrix, projection
 from otf_core.solving.unknowns import over_turn
+from otf_core.tracking.curve_matching import match, nominal_places, sight_at, split_parts
 from otf_core.tracking.curves import NO_PART, Lines, PathShape, shape_of_parts
+from otf_core.tracking.mismatch import check_matched
 
 
 def test_trajectory_survives_its_encoding():
@@ -58,11 +58,11 @@ def test_trajectory_is_what_rosbags_reads():
 
 def test_bag_with_axis_positions_survives_writing(tmp_path):
     recording = recorded()
-    parts = recording.axis_paths
-    write_bag(tmp_path / 'bag', BagContent(recording.samples, None, axis_paths=parts))
+    parts = recording.parts
+    write_bag(tmp_path / 'bag', BagContent(recording.samples, recording.path))
     again = read_recording([tmp_path / 'bag'], machine())
-    assert [p.target for p in again.axis_paths] == [p.target for p in parts]
-    for one, other in zip(again.axis_paths, parts, strict=True):
+    assert [p.target for p in again.parts] == [p.target for p in parts]
+    for one, other in zip(again.parts, parts, strict=True):
         assert np.array_equal(one.positions, other.positions)
     assert np.array_equal(again.samples.xyz, recording.samples.xyz)
 
@@ -71,7 +71,7 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
     recording = recorded()
     rows = np.column_stack([recording.samples.time, recording.samples.xyz])[:400]
     np.savetxt(tmp_path / 's.csv', rows, '%.9f', ',', header='time_s,x_m,y_m,z_m', comments='')
-    parts, axes = recording.axis_paths, list(machine().axis_names)
+    parts, axes = recording.parts, list(machine().axis_names)
     lines = [f'target,{",".join(axes).lower()}']
     lines += [f'{p.target},{",".join(map(repr, q))}' for p in parts for q in p.positions.tolist()]
     (tmp_path / 'path.csv').write_text('\n'.join(lines))
@@ -89,8 +89,8 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
         again = read_recording(
             [tmp_path / 's.csv'], machine(), ReadingOptions(path=tmp_path / file)
         )
-        assert [p.target for p in again.axis_paths] == [p.target for p in parts]
-        for one, other in zip(again.axis_paths, parts, strict=True):
+        assert [p.target for p in again.parts] == [p.target for p in parts]
+        for one, other in zip(again.parts, parts, strict=True):
             assert np.array_equal(one.positions, other.positions)
         with pytest.raises(ConfigError, match='holds positions of rotary axes'):
             read_path(tmp_path / file)
@@ -111,11 +111,11 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
 )
 def test_part_of_another_machine_is_refused(change, words):
     with pytest.raises(InputError, match=words):
-        replace(recorded().axis_paths[0], **change).of(machine())
+        replace(recorded().parts[0], **change).of(machine())
 
 
 def test_positions_in_degrees_are_named():
-    q = recorded().axis_paths[2].positions.copy()
+    q = recorded().parts[2].positions.copy()
     q[:, 3:] = np.degrees(q[:, 3:])
     with pytest.raises(InputError, match=r'axis A by .* rad; is it in degrees'):
         AxisPath(machine().axis_names, q).of(machine())
@@ -129,7 +129,7 @@ def test_places_on_legs_hold_all_corners():
     place = along_legs(q, 0.01, 0.1)
     assert {0.0, 1.0, 2.0} <= set(place.tolist()) and len(place) == 41
     assert np.allclose(position_at(q, np.array([1.5])), [[0.1, 0, 0, 0, 1.5]])
-    assert len(nominal_track(machine(), recorded().axis_paths).points) > 1000
+    assert len(nominal_track(machine(), recorded().parts).points) > 1000
 
 
 def test_periodic_functions_repeat_and_hold_constants():
@@ -192,7 +192,7 @@ def test_a_curve_that_turns_back_has_a_short_chord():
 
 def test_chords_stand_for_curves_and_lines_are_one_chord():
     m, places = machine(), nominal_places(machine())
-    parts = recorded().axis_paths[1:3]
+    parts = recorded().parts[1:3]
     sights = [sight_at(m, p.target, places) for p in parts]
     shape = shape_of_parts(sights, [p.positions for p in parts])
     lines, first = Lines.of(shape), int(np.flatnonzero(shape.part == 1)[0])
@@ -209,29 +209,30 @@ def test_chords_stand_for_curves_and_lines_are_one_chord():
 
 def test_parts_are_told_apart_by_the_broken_beam():
     recording = recorded()
-    parts = split_parts(recording.samples, machine(), recording.axis_paths)
+    parts = split_parts(recording.samples, machine(), recording.parts)
     assert [p.path.target for p in parts] == ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
     assert parts[0].first == 0 and parts[-1].last == len(recording.samples)
     with pytest.raises(InputError, match=r'path has 6 parts, but .* number 4, not 5'):
-        first = recording.axis_paths[0]
+        first = recording.parts[0]
         longer = replace(first, positions=np.concatenate([first.positions, first.positions]))
-        six = [longer.of(machine()), *recording.axis_paths]
+        six = [longer.of(machine()), *recording.parts]
         split_parts(recording.samples, machine(), six)
 
 
 def test_a_recording_that_ended_early_holds_the_first_parts():
     recording = recorded()
-    third = split_parts(recording.samples, machine(), recording.axis_paths)[2]
+    third = split_parts(recording.samples, machine(), recording.parts)[2]
     end = third.first + (third.last - third.first) // 2
-    matched = match(recording.samples.part(0, end), machine(), recording.axis_paths)
+    matched = match(recording.samples.part(0, end), machine(), recording.parts)
     assert [p.path.target for p in matched.parts] == ['tool', 'long', 'nest-1']
     assert [p.target for p in matched.missing] == ['nest-2', 'nest-3']
-    assert 0.3 < matched.driven[2] < 0.7 and max(matched.distance) < 1e-4
-    (note,) = check_matched(recording.samples, matched, recording.axis_paths)
+    assert 0.3 < matched.parts[2].driven < 0.7
+    assert max(part.distance for part in matched.parts) < 1e-4
+    (note,) = check_matched(recording.samples, matched, recording.parts)
     assert note.endswith('not recorded: nest-2, nest-3')
     far = replace(matched, location={**matched.location, 'Z0A': 0.1})
     with pytest.raises(InputError, match=r'axes: A: centre: .* it fits \['):
-        check_matched(recording.samples, far, recording.axis_paths)
+        check_matched(recording.samples, far, recording.parts)
 
 
 def test_tables_predict_the_exact_error_within_second_order():

@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future
 
+import numpy as np
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
 from trajectory_msgs.msg import JointTrajectory
 
-from otf_core.config import Parameters
 from otf_core.errors import OtfError
 from otf_core.model.observation import Samples
 from otf_msgs.msg import CalibratorState, Plan, TrackerStatus
@@ -20,21 +19,76 @@ from otf_ros import app, convert, qos
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.backends.base import NO_SAMPLES, join_samples
-from otf_tracker_driver.listeners import Calibrators
+from otf_tracker_driver.calibrators import Calibrators
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
-from otf_tracker_driver.window import Window
 
 PERIOD = 0.005
 """s; how often the backend is asked for samples."""
-LOOK, LOOK_AGAIN = 0.1, 1.0
-"""s; how often it is looked who listens, before the stream and during it."""
-MOST_AT_ONCE, MOST_PER_SECOND = 5000, 10_000
-"""Samples; what has piled up while the process stood still is published at a pace that subscribers
-can follow: their queues hold 20 000."""
+TYPICAL = 100
+"""Samples whose intervals tell how much time those that wait have taken."""
+CATCH_UP = 1.0
+"""s; time constant with which a backlog is published."""
+LONGEST_STEP = 0.5
+"""s; what a longer pause of this process has delayed is caught up with."""
+MOST_PER_SECOND = 10_000
+"""Samples; the pace of a backlog that subscribers can follow: their queues hold 20 000."""
 STOOD_STILL, FOUND_AGAIN = 5.0, 4.0
 """s; a process that stands still for longer may have been forgotten by the others, as the lease of
 its participant ends after 10 s. What is published before they have found it again is lost."""
+LOOK = 0.1
+"""s; how often it is looked who listens before a stream."""
+
+
+class Pace:
+    """Spreads packets over the time in which they were measured; late by no more than a packet.
+
+    Samples are published in the intervals of their stamps. What has come and is older than a
+    packet is a backlog, which is caught up with, ever faster the longer it is.
+
+    Attributes
+    ----------
+    backlog : float, s
+        Measured time of the samples that are not published, beyond that of the last packet.
+    """
+
+    def __init__(self) -> None:
+        self._pending, self._due_ns = NO_SAMPLES, 0.0
+        self._packet, self._allowed = 0, 0.0
+        self._ticked = self._held_until = time.monotonic()
+        self.backlog = 0.0
+
+    @property
+    def empty(self) -> bool:
+        """True if all that has come is published."""
+        return not len(self._pending)
+
+    def take(self, new: Samples, in_packets: bool) -> Samples:
+        """Take new samples; return what is to be published now, in order."""
+        now = time.monotonic()
+        paused, self._ticked = now - self._ticked, now
+        if paused > STOOD_STILL:
+            self._held_until = now + FOUND_AGAIN
+        if self.empty and len(new):
+            self._due_ns = float(new.stamp_ns[0])
+        pending = self._pending = join_samples([self._pending, new]) if len(new) else self._pending
+        if in_packets and not self.empty:
+            self._packet = len(new) or self._packet
+            steps = np.diff(pending.stamp_ns[:TYPICAL]) if len(pending) > 1 else np.zeros(1)
+            more = max(0, len(pending) - self._packet)
+            self.backlog = more * float(np.median(steps)) * 1e-9
+        if now < self._held_until or self.empty:
+            return NO_SAMPLES
+        step = min(paused, LONGEST_STEP)
+        self._allowed = min(self._allowed + step, LONGEST_STEP)
+        count = min(len(pending), int(self._allowed * MOST_PER_SECOND))
+        if in_packets:
+            self._due_ns = max(self._due_ns, float(pending.stamp_ns[0]))
+            self._due_ns += step * (1 + self.backlog / CATCH_UP) * 1e9
+            count = min(count, int(pending.stamp_ns.searchsorted(self._due_ns, 'right')))
+        self._allowed -= count / MOST_PER_SECOND
+        self._pending = pending.part(count, len(pending))
+        return pending.part(0, count)
 
 
 class Streamer:
@@ -50,7 +104,7 @@ class Streamer:
         self, node: LifecycleNode, status: Status, config: DriverConfig, backend: Backend
     ) -> None:
         self._node, self._status, self._config = node, status, config
-        self._backend = backend
+        self.backend = backend
         backend.cancelled = app.is_ending
         backend.now_ns = lambda: node.get_clock().now().nanoseconds or time.time_ns()
         try:
@@ -65,33 +119,30 @@ class Streamer:
         self._offered = self._offer_path()
         self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
-        self._pending, self._allowed, self._ticked = NO_SAMPLES, 0.0, time.monotonic()
-        self._held_until = 0.0
-        self._calibrators = Calibrators(node, self._points.topic_name, self._on_state)
-        self._window = Window()
+        self._pace, self._looked, self._listening = Pace(), 0.0, 0
+        self._calibrators = Calibrators(node, self._points.topic_name, self._taken)
 
     def _offer_path(self) -> list[Publisher]:
         """Publish the path that comes with the samples, if one does."""
         publishers, now = [], self._node.get_clock().now().to_msg()
-        if self._backend.path is not None:
+        if self.backend.path is not None:
             publishers.append(self._node.create_publisher(Path, 'planner/path', qos.PATH))
-            publishers[-1].publish(convert.path_to_message(self._backend.path, now))
-        if self._backend.parts:
+            publishers[-1].publish(convert.path_to_message(self.backend.path, now))
+        if self.backend.parts:
             publishers.append(
                 self._node.create_publisher(JointTrajectory, 'planner/axes', qos.PARTS)
             )
-            for part in self._backend.parts:
+            for part in self.backend.parts:
                 publishers[-1].publish(convert.axes_to_message(part, now))
         return publishers
 
     def begin(self, plan: Plan | None) -> None:
         """Get ready for a stream from the beginning; it starts when nothing is missing."""
-        self._streaming, self._plan_wanted = False, self._backend.needs_plan
-        self._pending, self._ticked = NO_SAMPLES, time.monotonic()
+        self._streaming, self._plan_wanted = False, self.backend.needs_plan
         self._timer.reset()
         self._status.repeat(True)
         if not self._plan_wanted:
-            self._backend.prepare(None)
+            self.backend.prepare(None)
         elif plan:
             self.take(plan)
 
@@ -100,7 +151,7 @@ class Streamer:
         if not self._plan_wanted:
             return
         try:
-            self._backend.prepare(convert.plan_from_message(plan))
+            self.backend.prepare(convert.plan_from_message(plan))
             self._plan_wanted = False
             self._timer.reset()
         except OtfError as error:
@@ -112,22 +163,17 @@ class Streamer:
         """True if a stream goes on, or begins as soon as nothing is missing."""
         return not self._timer.is_canceled()
 
-    def operate(self, name: str, own: Parameters) -> Future[str]:
-        """Have the source do what an operator asks for; see Backend."""
-        return self._backend.operate(name, own)
-
     def stop(self) -> None:
         """End the stream."""
-        self._streaming = False
+        self._streaming = self._plan_wanted = False
         self._timer.cancel()
         self._status.repeat(False)
-        self._backend.stop()
-        self._plan_wanted = False
+        self.backend.stop()
 
     def release(self) -> None:
         """End the stream and disconnect the backend."""
         self.stop()
-        self._backend.disconnect()
+        self.backend.disconnect()
         self._node.destroy_timer(self._timer)
         self._calibrators.close()
         self._node.destroy_lifecycle_publisher(self._points)
@@ -136,76 +182,60 @@ class Streamer:
 
     def _tick(self) -> None:
         """Publish what the backend has measured since the last tick."""
+        backend, status = self.backend, self._status
         try:
             missing = '' if self._streaming else self._missing()
             if missing:
-                self._status.report(TrackerStatus.IDLE, missing)
+                status.report(TrackerStatus.IDLE, missing)
                 return
             if not self._streaming:
-                self._backend.start()
-                self._status.begin(self._backend)
-                self._streaming, self._window = True, Window(self._calibrators.names)
-            if self._calibrators.look(LOOK_AGAIN):
-                self._window.see(self._calibrators.names, self._status.message.samples_published)
-            self._backend.allowed = self._window.allowed
-            batch = self._due(self._backend.poll())
-            self._status.take(batch)
-            hindrance, trouble = self._backend.hindrance, self._backend.trouble
-            if hindrance and not len(batch):
-                self._status.hinder(hindrance, trouble)
+                backend.start()
+                status.begin(backend)
+                self._streaming, self._pace = True, Pace()
+                self._calibrators.begin()
+            backend.allowed = self._calibrators.allowed()
+            batch = self._pace.take(backend.poll(), backend.in_packets)
+            status.take(batch, self._pace.backlog)
+            self._calibrators.published = status.message.samples_published
+            if backend.hindrance and not len(batch) and self._pace.empty:
+                status.hinder(backend.hindrance, backend.trouble)
             else:
-                remark = f'streaming {self._backend.remark}'.strip()
-                warned = bool(trouble or self._backend.health.warnings)
-                self._status.report(TrackerStatus.STREAMING, trouble or remark, warned)
+                status.stream('' if backend.hindrance else backend.trouble)
         except OtfError as error:
             self.stop()
-            self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
+            status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
             return
         except Exception as error:  # a defect: the status states it before the node ends
             text = f'internal error of the backend: {error!r}; the driver ends'
-            self._status.report(TrackerStatus.FAULT, text)
+            status.report(TrackerStatus.FAULT, text)
             raise
         for message in convert.points_to_messages(batch):
             self._points.publish(message)
-        if self._backend.finished and not len(self._pending):
+        if backend.finished and self._pace.empty:
             self.stop()
-            text = f'all samples published{self._backend.pace_words}; '
+            text = f'all samples published{backend.pace_words}; '
             text += 'deactivate and activate to stream again'
-            self._status.report(TrackerStatus.FINISHED, text)
+            status.report(TrackerStatus.FINISHED, text)
 
     def _missing(self) -> str:
         """State what is not there yet that a stream needs; empty if nothing."""
         if self._plan_wanted:
             return 'waiting for planner/plan'
         wanted = self._config.wait_for_subscribers
-        self._calibrators.look(LOOK)
-        listening = min(self._calibrators.count, self._points.get_subscription_count())
-        if not self._backend.preparing and listening < wanted:
+        if time.monotonic() - self._looked > LOOK:
+            self._looked = time.monotonic()
+            calibrators = self._calibrators.count()
+            self._listening = min(calibrators, self._points.get_subscription_count())
+        listening = self._listening
+        if not self.backend.preparing and listening < wanted:
             return (
                 f'waiting for calibrators that listen to tracker/point: {listening} of '
                 f'{wanted}; with wait_for_subscribers 0 it waits for none'
             )
-        return self._backend.preparing
+        return self.backend.preparing
 
-    def _on_state(self, calibrator: str, message: CalibratorState) -> None:
-        """Let the source go on if a calibrator has taken samples."""
-        status, taken = self._status.message, 0
-        if message.stream_id == status.stream_id:
-            taken = self._backend.count_until(convert.ns_from_time(message.taken))
-        self._window.hear(calibrator, taken, status.samples_published)
-
-    def _due(self, new: Samples) -> Samples:
-        """Take new samples; return what is to be published now, in order."""
-        pending = join_samples([self._pending, new]) if len(self._pending) else new
-        now = time.monotonic()
-        paused = now - self._ticked
-        if paused > STOOD_STILL:
-            self._held_until = now + FOUND_AGAIN
-        self._allowed, self._ticked = (
-            min(self._allowed + MOST_PER_SECOND * paused, MOST_AT_ONCE),
-            now,
-        )
-        count = 0 if now < self._held_until else min(len(pending), int(self._allowed))
-        self._allowed -= count
-        self._pending = pending.part(count, len(pending))
-        return pending.part(0, count)
+    def _taken(self, message: CalibratorState) -> int:
+        """Samples of the stream that a calibrator has taken, or that are lost to it."""
+        if message.stream_id != self._status.message.stream_id:
+            return 0
+        return self.backend.count_until(convert.ns_from_time(message.taken))

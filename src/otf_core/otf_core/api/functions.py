@@ -26,7 +26,7 @@ from otf_core.effects import EVERY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
 from otf_core.errors import ConfigError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
-from otf_core.inputs.recordings import ReadingOptions, driven_path, read_recording
+from otf_core.inputs.recordings import ReadingOptions, path_of_machine, read_recording
 from otf_core.live.stages import Progress
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
@@ -130,10 +130,7 @@ def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) ->
     >>> bool((again.samples.stamp_ns == recording.samples.stamp_ns).all())
     True
     """
-    parts = recording.axis_paths
-    content = bag.BagContent(
-        recording.samples, None if parts else recording.path, axis_paths=parts
-    )
+    content = bag.BagContent(recording.samples, recording.path)
     bag.write_bag(folder, content, overwrite=overwrite)
 
 
@@ -598,10 +595,10 @@ def simulate(
     if truth is not None:
         truth = truth.on(machine)
     run = simulate(machine, driven, config, truth, _effects(effects, machine), place)
-    path, parts = driven_path(() if run.path else run.parts, run.path, machine)
+    path = path_of_machine(() if run.path else run.parts, run.path, machine)
     name = f'simulation of seed {config.seed}'
     return Simulation(
-        Recording(run.samples, path, machine, name, axis_paths=parts),
+        Recording(run.samples, path, machine, name),
         run.truth,
         run.pose,
     )

@@ -9,7 +9,7 @@ import shutil
 import uuid
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import merge
 from itertools import chain
 from pathlib import Path
@@ -35,7 +35,7 @@ from otf_core.bags.sample_order import Screening, sort_by_time, usable_path
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import SkippedLines
 from otf_core.files.writing import unwritable
-from otf_core.model.axis_path import AxisPath
+from otf_core.model.axis_path import AxisPath, PartsTrack
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.sections import SignalSpec
@@ -140,6 +140,8 @@ class BagContent:
 
     Attributes
     ----------
+    path : NominalPath, optional
+        As published; of the track of parts (to be written) their axis positions are.
     samples : Samples
         Stamps strictly increase.
     remarks : tuple of str
@@ -278,10 +280,14 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         raise InputError(f'{folder}: stamps of samples to write have to increase strictly')
     if remarks:
         raise InputError(f'{folder}: samples would not be read as they are: {remarks[0]}')
-    if content.path is not None:
-        usable_path(f'{folder}: path', content.path.points)
-    elif not content.axis_paths:
+    path, parts = content.path, content.axis_paths
+    if isinstance(path, PartsTrack):
+        parts, path = path.parts, None
+    if path is not None:
+        usable_path(f'{folder}: path', path.points)
+    elif not parts:
         raise InputError(f'{folder}: a bag needs a path')
+    content = replace(content, path=path, axis_paths=tuple(parts))
     for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
         if not -(2**31) <= stamp // SECOND_NS < 2**31:
             raise InputError(f'{folder}: stamp {stamp} ns does not fit into a ROS time')

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a solution to the result: uncertainty budget, tables, fit, verdicts.
 
-A solution of any chain gives its rows, unknowns and covariance (``Solved``); what is stated of a
-calibration is worked out here, in one way.
+A solution of any chain gives its rows, unknowns and covariance; what is stated of a calibration is
+worked out here, in one way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,7 @@ from otf_core.effects.stated_effect import RemovedEffects
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine
+from otf_core.model.nodes import SAME_PLACE
 from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.noise_model import NoiseModel, sample_variance
@@ -58,14 +59,16 @@ from otf_core.pieces.finding import (
     words_of,
 )
 from otf_core.pieces.pieces import Pieces
-from otf_core.pieces.runs import Observed, Recording, rigid_pose, run_id
+from otf_core.pieces.runs import Observed, Recording, Run, rigid_pose, run_id
 from otf_core.prediction.calibration_document import DrivenPart, Fit, TargetPlace, Verdicts
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.joint import (
     JointSolution,
+    SolvedRun,
     settle_covariance,
     tables_of,
 )
+from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.residuals import ResidualCheck
 from otf_core.solving.reversal import (
     Choice,
@@ -77,6 +80,7 @@ from otf_core.solving.reversal import (
 from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate, unseen_sizes
 from otf_core.solving.unknowns import place_block
+from otf_core.tracking.mismatch import wrong_lines
 
 COLLINEAR_WITHIN = 1e-3
 """m; targets that are nearer than this to a line lie on it."""
@@ -89,40 +93,11 @@ LARGE_RESIDUAL = 1.5
 """Residual of pieces, in specified noise of single samples, that is worth a warning."""
 
 
-@dataclass(frozen=True)
-class Solved:
-    """What a solution gives to a result.
-
-    Attributes
-    ----------
-    recordings : sequence of Recording
-    parts : sequence of sequence of DrivenPart
-        Of every run.
-    coverage : sequence of float
-        Driven share of every path.
-    joint : JointSolution
-        Of these runs.
-    choice : Choice
-        Of the reversal model.
-    rest : float
-        m/s; slower counts as standstill.
-    """
-
-    recordings: Sequence[Recording]
-    parts: Sequence[Sequence[DrivenPart]]
-    coverage: Sequence[float]
-    joint: JointSolution
-    choice: Choice
-    rest: float
-
-
 def assemble(
-    solved: Solved,
+    solved: ReversalSolution[Run],
     config: CalibrationConfig,
     findings: Sequence[Finding] = (),
     removed: RemovedEffects | None = None,
-    notes: Sequence[str] = (),
-    failed: Sequence[str] = (),
 ) -> CalibrationResult:
     """Work out budget, tables, fit and verdicts of a solution: the result.
 
@@ -132,14 +107,15 @@ def assemble(
         Of the examination of its runs.
     removed : RemovedEffects, optional
         Effects that were taken off the runs.
-    notes, failed : sequence of str
-        Warnings, and quality gates that failed, of which the solution knows.
     """
     limit = config.unidentifiable_above
+    recordings = [run.recording for run in solved.runs]
+    driven = [_driven_parts(*pair) for pair in zip(solved.runs, solved.joint.runs, strict=True)]
     runs, joint, parts, pulls = _settled(solved, limit)
     states = piece_states(runs, joint, tables_of(joint.machine, joint.unknowns, joint.solution))
     check = whole_check(runs, joint, [s.residual for s in joint.runs])
-    still = standstill_freedom([r.samples for r in solved.recordings], runs, solved.rest)
+    speed = solved.runs[0].speed_at_rest(config)
+    still = standstill_freedom([r.samples for r in recordings], runs, speed)
     budget = make_budget(runs, joint, parts, states, still, check)
     if removed is not None:
         budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
@@ -155,29 +131,33 @@ def assemble(
     whole, run = budget.whole, budget.run
     expected, observed = made.covariance_of(whole), made.covariance_of(run)
     tables = with_uncertainty(made.tables, expected, observed)
-    results = _run_results(solved, runs, joint, states, config)
-    fit = _fit(solved, joint, results, check, budget.inflation)
-    findings = (*findings, *check_worth(declared, covariance, sample_noise(runs)))
-    machines = [r.machine for r in solved.recordings]
+    results = _run_results(solved, runs, driven, states, config)
+    fit = _fit(recordings, joint, results, check, budget.inflation)
+    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
+    findings = (
+        *findings,
+        *(Finding('machine.yaml', GATE, words) for words in wrong_lines(lines, tables.machine)),
+        *check_worth(declared, covariance, sample_noise(runs)),
+    )
+    machines = [r.machine for r in recordings]
     warnings = (
         *([typical.warning] if typical else []),
-        *notes,
         *words_of(findings, WARNING),
         *_warnings(fit, declared, limit),
         *_lack_of_fit(runs, joint, grid_u),
         *mixture_warnings(machines, hidden),
     )
-    gates = (*failed, *words_of(findings, GATE), *_failed_gates(fit, tables))
+    gates = (*words_of(findings, GATE), *_failed_gates(fit, tables))
     measurement = measurement_verdict(gates)
     return CalibrationResult(
-        run_id=run_id(solved.recordings, config),
+        run_id=run_id(recordings, config),
         tables=tables,
         covariance=expected,
         covariance_run=observed,
         covariance_change=covariance if declares else None,
         budget=budget,
         runs=tuple(results),
-        targets=_targets(solved, joint, whole, run),
+        targets=_targets(driven, joint, whole, run),
         fit=fit,
         headline=headline_of(VolumetricError(tables, expected), budget, typical),
         reversal=_reversal(solved.choice, tables, joint, whole),
@@ -186,24 +166,38 @@ def assemble(
         table_costs=made.costs,
         prior=unseen_sizes(tables, [n for n in tables.machine.motions if n not in hidden]),
         not_identifiable=hidden,
-        advice=advice_for(machines, solved.parts, hidden),
+        advice=advice_for(machines, driven, hidden),
         typical=typical,
         warnings=warnings,
         failed_gates=gates,
         verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
         config=config,
-        origin=origins(solved.recordings),
+        origin=origins(recordings),
         effects=removed.stated if removed is not None else (),
     )
 
 
+def _driven_parts(run: Run, solved: SolvedRun) -> list[DrivenPart]:
+    """Parts of a run, those that were not recorded last."""
+    parts = []
+    for number, one in enumerate(run.alignment.parts):
+        target, q = one.path.target, solved.system.q[solved.run.pieces.part == number]
+        met = {joint.name for joint in run.sight(target).joints}
+        moves = np.ptp(q, axis=0) > SAME_PLACE if len(q) else np.zeros(q.shape[1], dtype=bool)
+        pairs = zip(run.machine.axis_names, moves.tolist(), strict=True)
+        moved = tuple(axis for axis, own in pairs if own and axis in met)
+        parts.append(DrivenPart(target, len(one.path.positions), one.driven, moved))
+    missing = [DrivenPart(p.target, len(p.positions), 0.0, ()) for p in run.alignment.missing]
+    return parts + missing
+
+
 def _settled(
-    solved: Solved, limit: float
+    solved: ReversalSolution[Run], limit: float
 ) -> tuple[list[Observed], JointSolution, NoiseParts, Array]:
     """Runs, their solution with its covariance, parts of the noise, pulls of typical values."""
     joint = solved.joint
-    pairs = zip(joint.runs, solved.recordings, strict=True)
-    runs = [replace(one.run, machine=recording.machine) for one, recording in pairs]
+    pairs = zip(joint.runs, solved.runs, strict=True)
+    runs = [replace(one.run, machine=run.recording.machine) for one, run in pairs]
     tables = tables_of(joint.machine, joint.unknowns, joint.solution)
     pulls = typical_pulls(runs, joint, lambda some: piece_states(some, joint, tables))
     parts = noise_parts(runs, joint)
@@ -217,11 +211,11 @@ def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: 
 
 
 def _targets(
-    solved: Solved, joint: JointSolution, whole: Array, run: Array
+    driven: Sequence[Sequence[DrivenPart]], joint: JointSolution, whole: Array, run: Array
 ) -> dict[str, TargetPlace]:
     """Places of the reflectors that were seen; none where there is a known one alone."""
     machine, places = joint.machine, {}
-    for name in sorted({part.target for own in solved.parts for part in own}):
+    for name in sorted({part.target for own in driven for part in own}):
         block = joint.unknowns.blocks.get(place_block(name))
         u, u_run = (
             np.zeros(3) if block is None else np.sqrt(np.maximum(np.diag(c[block, block]), 0.0))
@@ -234,27 +228,26 @@ def _targets(
 
 
 def _run_results(
-    solved: Solved,
+    solved: ReversalSolution[Run],
     runs: Sequence[Observed],
-    joint: JointSolution,
+    driven: Sequence[Sequence[DrivenPart]],
     states: Sequence[State],
     config: CalibrationConfig,
 ) -> list[RunResult]:
-    own = zip(solved.recordings, runs, joint.runs, solved.parts, solved.coverage, states,
-              strict=True)  # fmt: skip
+    own = zip(solved.runs, runs, solved.joint.runs, driven, states, strict=True)
     return [
         RunResult(
-            name=Path(recording.name).name,
-            target_offset=recording.machine.target_offset,
-            samples=len(recording.samples),
-            remarks=recording.remarks,
-            rate=1.0 / recording.samples.step,
-            lost=lost_samples(recording.samples),
+            name=Path(whole.name).name,
+            target_offset=whole.machine.target_offset,
+            samples=len(whole.samples),
+            remarks=whole.recording.remarks,
+            rate=1.0 / whole.samples.step,
+            lost=lost_samples(whole.samples),
             T_machine_tracker=one.pose,
             noise=run.noise_and_misfit[0],
             misfit=run.noise_and_misfit[1],
             parts=tuple(parts),
-            coverage=coverage,
+            coverage=whole.alignment.coverage,
             pieces=run.pieces,
             part=run.pieces.part,
             q=one.system.q,
@@ -264,7 +257,7 @@ def _run_results(
             deviation=one.system.deviation,
             residual=one.residual,
         )
-        for recording, run, one, parts, coverage, state in own
+        for whole, run, one, parts, state in own
     ]
 
 
@@ -276,7 +269,7 @@ def _rigidly_aligned(pieces: Pieces, pose: RigidTransform, config: CalibrationCo
 
 
 def _fit(
-    solved: Solved,
+    recordings: Sequence[Recording],
     joint: JointSolution,
     results: Sequence[RunResult],
     check: ResidualCheck,
@@ -287,17 +280,17 @@ def _fit(
         for what in ('aligned', 'residual')
     )
     ratios = []
-    for recording, one in zip(solved.recordings, joint.runs, strict=True):
+    for recording, one in zip(recordings, joint.runs, strict=True):
         noise = NoiseModel.from_spec(recording.machine.tracker)
         ratios.append(one.residual**2 / sample_variance(noise, one.system.shares))
     return Fit(
-        samples=sum(len(r.samples) for r in solved.recordings),
+        samples=sum(len(r.samples) for r in recordings),
         used=sum(r.pieces.used for r in results),
         outliers=sum(r.pieces.outliers for r in results),
         pieces=len(after),
         unknowns=joint.solution.unknowns,
         rank=joint.solution.rank,
-        coverage=min(solved.coverage),
+        coverage=min(r.coverage for r in results),
         path_mae_before=float(before.mean()),
         path_mae_after=float(after.mean()),
         residual_rms=float(np.sqrt(np.mean(after**2))),

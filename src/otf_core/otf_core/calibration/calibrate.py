@@ -1,38 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From recordings to error tables: align, reduce, examine, solve, state uncertainty."""
+"""From recordings to error tables: follow the path, reduce, examine, solve, state uncertainty.
+
+Every recording of every chain takes this way (``solve_recordings``):
+
+1. ``runs.follow`` finds the pose of the tracker, the places of the reflectors and the leg of every
+   sample, part by part. Where three linear axes carry one target past the tracker, legs are lines
+   in its frame; else they are curves of places that are improved together with the pose.
+2. ``runs.reduce_recording`` averages samples over pieces of legs, or over stops, to ``Run``.
+3. ``examine`` looks for contradictions, and repairs offsets and steps of runs on lines.
+4. The solver chooses functions and reversal, and solves. Samples on curves are reduced once more
+   at the places and errors that the first solution found, and solved again.
+5. ``assembly.assemble`` states tables, budget and verdicts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.calibration import assembly
-from otf_core.calibration.assembly import Solved
-from otf_core.calibration.axis_calibration import calibrate_axes
+from otf_core.calibration.assembly import assemble
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
+from otf_core.contradictions.part_steps import LEAST, find_steps
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch
-from otf_core.effects.stated_effect import RemovedEffects
+from otf_core.errors import InputError
 from otf_core.live.stages import Progress, silent
-from otf_core.model.machine import TOOL, Machine
-from otf_core.model.nodes import SAME_PLACE
+from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.finding import (
+    GATE,
     WARNING,
     Finding,
 )
-from otf_core.pieces.methods import PREPARATIONS, Preparation
-from otf_core.pieces.runs import Recording, Run, prepare_runs
-from otf_core.prediction.calibration_document import DrivenPart
-from otf_core.solving.joint import SolvedRun
-from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
-from otf_core.threads import one_thread
+from otf_core.pieces.runs import (
+    Recording,
+    Run,
+    located_tables,
+    prepare_runs,
+    reduce_recording,
+)
+from otf_core.solving.joint import (
+    Start,
+    UnsettledError,
+    find_identifiable_blocks,
+    solve_robustly,
+    unknowns_of,
+)
+from otf_core.solving.model_choice import ReversalSolution, choose_shapes, solve_with_reversal
+from otf_core.solving.reversal import choose_reversal
+from otf_core.threads import limit_to_one_thread
 
 
 def calibrate(
@@ -42,17 +64,22 @@ def calibrate(
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
-    """Calibrate one run on the fly; see ``calibrate_runs``."""
-    return calibrate_runs([Recording(samples, path, machine)], config, progress)
+    """Calibrate one run on the fly; see ``calibrate_recordings``."""
+    return calibrate_recordings([Recording(samples, path, machine)], config, progress)
 
 
-def calibrate_runs(
+@limit_to_one_thread
+def calibrate_recordings(
     recordings: Sequence[Recording],
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
-    prepare: Preparation = prepare_runs,
+    method: str = OTF,
+    *,
+    same_station: bool = False,
 ) -> CalibrationResult:
-    """Calibrate on the fly: only deviations perpendicular to the path are used.
+    """Calibrate a machine of any chain, on the fly or from its stops.
+
+    On the fly, only deviations perpendicular to the path are used.
 
     Parameters
     ----------
@@ -61,8 +88,10 @@ def calibrate_runs(
         places, feeds and target offsets add to what can be seen.
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
-    prepare : callable, optional
-        One of ``methods.PREPARATIONS``.
+    method : str
+        'otf', or 'standstill': only the stops at the corners.
+    same_station : bool
+        The tracker was not moved between the recordings.
 
     Raises
     ------
@@ -74,39 +103,8 @@ def calibrate_runs(
     Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
     """
     config, progress = config or CalibrationConfig(), progress or silent
-    with one_thread():
-        solved = solve_recordings(recordings, config, progress, prepare)
-        return assemble(solved.solution, config, solved.findings)
-
-
-def calibrate_recordings(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig | None = None,
-    progress: Progress | None = None,
-    method: str = OTF,
-    *,
-    same_station: bool = False,
-) -> CalibrationResult:
-    """Calibrate a machine of any chain, on the fly or from its stops.
-
-    Parameters
-    ----------
-    recordings, config, progress
-        As of ``calibrate_runs``.
-    method : str
-        'otf', or 'standstill': only the stops at the corners.
-    same_station : bool
-        The tracker was not moved between the recordings.
-
-    Raises
-    ------
-    InputError
-        If samples and path do not belong together or determine nothing.
-    """
-    config, progress = config or CalibrationConfig(), progress or silent
-    if recordings[0].axis_paths:
-        return calibrate_axes(recordings, config, progress, method, same_station=same_station)
-    return calibrate_runs(recordings, config, progress, PREPARATIONS[method])
+    solved = solve_recordings(recordings, config, progress, method, same_station=same_station)
+    return assemble(solved.solution, config, solved.findings)
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class ExaminedRecordings:
     ----------
     runs : list of Run
         Repaired where ``contradictions`` could repair them, with all their pieces.
-    nodes : mapping of axis to ndarray, m
+    nodes : mapping of axis to ndarray, m and rad
         Table nodes.
     findings : tuple of Finding
         Contradictions, and what was repaired, of all runs.
@@ -140,65 +138,83 @@ class SolvedRecordings(ExaminedRecordings):
     solution: ReversalSolution[Run]
 
 
+@limit_to_one_thread
 def solve_recordings(
     recordings: Sequence[Recording],
     config: CalibrationConfig,
     progress: Progress = silent,
-    prepare: Preparation = prepare_runs,
+    method: str = OTF,
     *,
+    same_station: bool = False,
     repair: bool = True,
 ) -> SolvedRecordings:
-    """Align, reduce to pieces, examine and solve.
+    """Follow, reduce to pieces, examine and solve.
 
     Parameters
     ----------
-    recordings, config, progress, prepare
-        As of ``calibrate_runs``.
+    recordings, config, progress, method, same_station
+        As of ``calibrate_recordings``.
     repair : bool
         Repair what can be repaired, see ``contradictions.examine``.
     """
     progress('aligning', 0.0)
     check_recordings(recordings)
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
-    runs, nodes = prepare(recordings, config)
+    runs, nodes = prepare_runs(recordings, config, method, progress, same_station=same_station)
 
     progress('solving', 0.0)
+    remarks = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    if pitch:
+        remarks.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
+    remarks += [Finding('path', WARNING, text) for r in runs for text in r.alignment.remarks]
     runs, contradictions = examine(runs, nodes, config, repair=repair)
-
-    solution = solve_with_reversal(runs, nodes, config, progress)
+    if any(run.shape is None for run in runs):
+        runs, solution, steps = _solve_on_curves(runs, nodes, config, progress, method)
+    else:
+        solution, steps = solve_with_reversal(runs, nodes, config, progress), []
 
     left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
-    repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
-    if pitch:
-        repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
-    return SolvedRecordings(runs, nodes, (*repairs, *contradictions, *left_out), solution)
+    return SolvedRecordings(runs, nodes, (*remarks, *contradictions, *steps, *left_out), solution)
 
 
-def assemble(
-    solved: ReversalSolution[Run],
-    config: CalibrationConfig,
-    findings: Sequence[Finding] = (),
-    removed: RemovedEffects | None = None,
-) -> CalibrationResult:
-    """Work out the result of a solution, see ``assembly.assemble``."""
-    runs, joint = solved.runs, solved.joint
-    return assembly.assemble(
-        Solved(
-            recordings=[r.recording for r in runs],
-            parts=[[_part_of(r, s)] for r, s in zip(runs, joint.runs, strict=True)],
-            coverage=[r.alignment.coverage for r in runs],
-            joint=joint,
-            choice=solved.choice,
-            rest=config.standstill_speed,
-        ),
-        config,
-        findings,
-        removed,
-        tuple(r.alignment.remark for r in runs if r.alignment.remark),
-    )
+def _solve_on_curves(
+    runs: list[Run], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress,
+    method: str,
+) -> tuple[list[Run], ReversalSolution[Run], list[Finding]]:  # fmt: skip
+    """Solve twice: the second time at places that the first tables give.
 
-
-def _part_of(run: Run, solved: SolvedRun) -> DrivenPart:
-    moved = np.ptp(solved.system.q, axis=0) > SAME_PLACE
-    axes = tuple(a for a, own in zip(run.machine.axis_names, moved.tolist(), strict=True) if own)
-    return DrivenPart(TOOL, len(run.path.points), run.alignment.coverage, axes)
+    Returns
+    -------
+    runs : list of Run
+        With all their pieces at these places.
+    steps : list of Finding
+        Reflectors that were re-seated, and moves of the tracker.
+    """
+    machine = runs[0].machine
+    located = located_tables(machine, nodes, runs[0].alignment.location)
+    try:
+        shapes = choose_shapes(runs, nodes, config, progress, located)
+    except UnsettledError as error:
+        moved = find_steps(error.joint, LEAST)
+        raise InputError(moved[0] if moved else str(error)) from None
+    unknowns = unknowns_of(runs, shapes.bases)
+    plain = kept, joint = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
+    choice, unknowns = choose_reversal(kept, joint, config)
+    start = Start.after(machine, joint)
+    again = []
+    for run, found in zip(kept, joint.runs, strict=True):
+        followed = run.alignment.moved(found.pose, joint.places)
+        reduced = reduce_recording(run.recording, followed, nodes, config, method, start.tables)
+        own = {name: joint.places[name] for name in run.places}
+        again.append(
+            replace(run, alignment=followed, pieces=reduced.pieces, pose=found.pose,
+                    places=own, base=reduced.base)
+        )  # fmt: skip
+    runs = again
+    if further := unknowns.blocks.keys() - joint.unknowns.blocks.keys():
+        seen = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
+        start = replace(start, accepted=(*start.accepted, *(n for n in seen if n in further)))
+    solved = solve_robustly(runs, unknowns, config, progress, start)
+    # not before: places that are 0.1 mm off along the path look like a step
+    steps = [Finding('steps', GATE, words) for words in find_steps(solved[1])]
+    return runs, ReversalSolution(*solved, choice, plain), steps

@@ -16,8 +16,8 @@ from otf_core.model.axis_path import PartsTrack
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.curve_matching import match
 from otf_core.tracking.alignment import align
+from otf_core.tracking.curve_matching import match
 
 MAX_SAMPLES = 500
 """Samples, evenly spread, whose distance from the path is evaluated."""
@@ -69,6 +69,8 @@ def first_sight(
     ----------
     samples : Samples
         May be in the order of their arrival.
+    path : NominalPath
+        Or the track of the parts that were driven.
     travelled : float
         Length driven so far, m.
 
@@ -78,6 +80,12 @@ def first_sight(
         If the samples do not follow the path, or do not yet determine the place of the tracker;
         says why.
     """
+    if isinstance(path, PartsTrack):
+        matched = match(
+            samples.in_order(), path.machine, path.parts, quick=True, in_any_order=False
+        )
+        distance = float(np.mean([part.distance for part in matched.parts]))
+        return FirstSight(matched.T_machine_tracker, distance, matched.places)
     beginning = NominalPath(driven_part(path, travelled))
     alignment = align(samples.in_order(), beginning, config)
     if alignment.coverage < MIN_FOLLOWED_SHARE:
@@ -91,9 +99,3 @@ def first_sight(
     if distance > config.match_tolerance:
         raise InputError(f'the target is {1e3 * distance:.3g} mm from the path on average')
     return FirstSight(alignment.T_machine_tracker, distance)
-
-
-def first_sight_of_parts(samples: Samples, track: PartsTrack) -> FirstSight:
-    """Compare the parts that were driven first with their path; otherwise as ``first_sight``."""
-    matched = match(samples.in_order(), track.machine, track.parts, quick=True, in_any_order=False)
-    return FirstSight(matched.pose, float(np.mean(matched.distance)), matched.places)

@@ -29,7 +29,8 @@ import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array
-from otf_core.calibration.calibrate import ExaminedRecordings, assemble, solve_recordings
+from otf_core.calibration.assembly import assemble
+from otf_core.calibration.calibrate import ExaminedRecordings, solve_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, Shape, State
@@ -390,7 +391,7 @@ def calibrate_with_file(
     ConfigError
         If the file names what cannot be taken off.
     InputError
-        As ``calibrate_runs``.
+        As ``calibrate_recordings``.
     """
     config = config or CalibrationConfig()
     progress = progress or silent

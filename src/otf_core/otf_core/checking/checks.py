@@ -15,16 +15,16 @@ from otf_core.arrays import Array, Index
 from otf_core.bags.bag_reading import ReceivedPoints, path_of
 from otf_core.bags.rosbag2_metadata import AXES
 from otf_core.bags.sample_order import Screening, sort_by_time
-from otf_core.calibration.axis_calibration import calibrate_axes
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
 from otf_core.errors import InputError
 from otf_core.files.text_table import SkippedLines
-from otf_core.inputs.recordings import AS_IT_IS, ReadingOptions, driven_path, open_reading
+from otf_core.inputs.recordings import AS_IT_IS, ReadingOptions, open_reading, path_of_machine
 from otf_core.live.stages import silent
-from otf_core.model.axis_path import AxisPath
+from otf_core.model.axis_path import AxisPath, PartsTrack
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
@@ -177,8 +177,8 @@ def _followed(seen: CheckedRecording, refused: _Refusals) -> CheckedRecording:
         return _calibrated(seen, machine, refused)
     if machine is not None and (seen.parts or path is not None):
         with refused.of('path', name):
-            path, parts = driven_path(seen.parts, path, machine)
-            if parts:
+            path = path_of_machine(seen.parts, path, machine)
+            if isinstance(path, PartsTrack):
                 return _calibrated(seen, machine, refused)
     if path is None:
         with refused.of('stamps', name):
@@ -207,10 +207,9 @@ def _calibrated(seen: CheckedRecording, machine: Machine, refused: _Refusals) ->
     """Calibrate what was driven in parts."""
     assert seen.samples is not None
     with refused.of('run', seen.name):
-        check_samples(seen.samples, None)
-        path, parts = driven_path(seen.parts, seen.path, machine)
-        recording = Recording(seen.samples, path, machine, seen.name, axis_paths=parts)
-        return replace(seen, result=calibrate_axes([recording], seen.config, silent))
+        path = path_of_machine(seen.parts, seen.path, machine)
+        recording = Recording(seen.samples, path, machine, seen.name)
+        return replace(seen, result=calibrate_recordings([recording], seen.config, silent))
     return seen
 
 

@@ -71,20 +71,22 @@ MIN_DRIVEN_SHARE = 0.8
 """Share of the range of an axis that is to be driven."""
 
 
-def check_driven_range(model: Model) -> list[Finding]:
+def check_driven_range(runs: Sequence[Run]) -> list[Finding]:
     """State which axes were driven over a part of their range only."""
-    machine, q = model.rows.machine, model.rows.q
-    low, high = q.min(axis=0), q.max(axis=0)
-    size = machine.upper - machine.lower
-    short = [k for k in range(3) if high[k] - low[k] < MIN_DRIVEN_SHARE * size[k]]
+    machine, short = runs[0].machine, []
+    for k, (name, axis) in enumerate(machine.axes.items()):
+        q = np.concatenate([run.pieces.q[:, k] for run in runs])
+        low, high, size = float(q.min()), float(q.max()), axis.max - axis.min
+        if high - low >= MIN_DRIVEN_SHARE * size:
+            continue
+        scale, unit = (np.degrees(1.0), 'deg') if axis.rotary else (1e3, 'mm')
+        short.append(
+            f'{name} over {scale * (high - low):.0f} of {scale * size:.0f} {unit} '
+            f'({100 * (high - low) / size:.0f} %, {scale * low:.0f} to {scale * high:.0f} {unit})'
+        )
     if not short:
         return []
-    parts = ', '.join(
-        f'{machine.axis_names[k]} over {1e3 * (high[k] - low[k]):.0f} of {1e3 * size[k]:.0f} mm '
-        f'({100 * (high[k] - low[k]) / size[k]:.0f} %, {1e3 * low[k]:.0f} to '
-        f'{1e3 * high[k]:.0f} mm)'
-        for k in short
-    )
+    parts = ', '.join(short)
     return [Finding('driven range', WARNING, (
         f'only part of the range was driven: {parts}; the tables end there, and beyond them '
         f'nothing is known: drive the whole range, or state the range in use in machine.yaml'
@@ -252,19 +254,27 @@ def outlying(samples: Samples) -> tuple[float, float]:
     return share, float(np.median(third[far]) * THIRD_DIFFERENCE_SIGMA / 3.0)
 
 
-def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
-    """Compare noise as measured and as specified, run by run; runs alike are reported once."""
-    findings = [f for run in model.runs if (f := _check(model, run, config)) is not None]
+def check_noise_level(
+    runs: Sequence[Run], ratio: float, config: CalibrationConfig
+) -> list[Finding]:
+    """Compare noise as measured and as specified, run by run; runs alike are reported once.
+
+    Parameters
+    ----------
+    ratio : float
+        Residual over noise.
+    """
+    findings = [f for run in runs if (f := _check(run, ratio, config)) is not None]
     return findings[:1]
 
 
-def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
+def _check(run: Run, ratio: float, config: CalibrationConfig) -> Finding | None:
     spec = run.machine.tracker
-    level, where = measured_noise(run.recording.samples, config.standstill_speed)
+    level, where = measured_noise(run.samples, run.speed_at_rest(config))
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
-    name = f'{run.recording.name}: ' if run.recording.name else ''
+    name = f'{run.name}: ' if run.name else ''
     above = max(ratios) > MAX_NOISE_RATIO
-    share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
+    share, size = outlying(run.samples) if above else (0.0, 0.0)
     if share > WARNING_OUTLIER_SHARE:
         return Finding('outliers', GATE if share > GATE_OUTLIER_SHARE else WARNING, (
             f'{name}about {100 * share:.0f} % of the samples are outliers of about '
@@ -273,7 +283,7 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
         ))  # fmt: skip
     if above:
         kind = 'larger'
-    elif min(ratios) < MIN_NOISE_RATIO and model.fit.ratio < OVERSTATED_NOISE_RATIO:
+    elif min(ratios) < MIN_NOISE_RATIO and ratio < OVERSTATED_NOISE_RATIO:
         kind = 'smaller'
     else:
         return None
@@ -329,6 +339,9 @@ def examine(
 ) -> tuple[list[Run], tuple[Finding, ...]]:
     """Examine runs for contradictions, and repair what can be repaired.
 
+    Runs on curves are examined for driven range and noise; what moved in them is found once they
+    are solved, see ``part_steps``.
+
     Parameters
     ----------
     nodes : mapping of axis to ndarray, m
@@ -350,6 +363,10 @@ def examine(
     """
     alone: list[Model] = []
     findings: list[Finding] = []
+    if any(run.shape is None for run in runs):
+        findings += check_driven_range(runs)
+        findings += check_noise_level(runs, np.inf, config)
+        return list(runs), tuple(findings)
     for run in runs:
         model = Model.of([run])
         if not check_chain(model):  # its misfit is taken for a step otherwise
@@ -357,8 +374,8 @@ def examine(
         alone.append(model)
     whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
     findings += check_chain(whole) or check_one_machine(whole, alone)
-    findings += check_driven_range(whole)
-    findings += check_noise_level(whole, config)
+    findings += check_driven_range(whole.runs)
+    findings += check_noise_level(whole.runs, whole.fit.ratio, config)
     return list(whole.runs), tuple(findings)
 
 

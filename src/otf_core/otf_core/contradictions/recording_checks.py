@@ -19,6 +19,7 @@ from otf_core.arrays import Array
 from otf_core.bags.sample_order import stamp_words
 from otf_core.errors import InputError
 from otf_core.files.text_table import unit_hint, unit_words
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -91,7 +92,8 @@ def check_stamps(recordings: Sequence[Recording]) -> None:
     """Refuse stamps that do not ascend or that belong to two streams; InputError states why."""
     for recording in recordings:
         with errors_of(recording.name):
-            check_samples(recording.samples, recording.path)
+            on_lines = not isinstance(recording.path, PartsTrack)
+            check_samples(recording.samples, recording.path if on_lines else None)
 
 
 def check_samples(samples: Samples, path: NominalPath | None) -> None:
@@ -203,10 +205,14 @@ MAX_OUTSIDE = 1e-3
 
 
 def check_path_in_machine(recordings: Sequence[Recording]) -> None:
-    """Refuse a path that the machine cannot drive; InputError states why."""
+    """Refuse a path that the machine cannot drive; InputError states why.
+
+    Axis positions were asked when they were given to the machine, see ``AxisPath.of``.
+    """
     for recording in recordings:
-        with errors_of(recording.name):
-            check_path(recording.path, recording.machine)
+        if not isinstance(recording.path, PartsTrack):
+            with errors_of(recording.name):
+                check_path(recording.path, recording.machine)
 
 
 def check_path(path: NominalPath, machine: Machine) -> None:

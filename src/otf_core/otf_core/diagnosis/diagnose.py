@@ -17,11 +17,10 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import Aside
-from otf_core.calibration.axis_calibration import assemble_axes, solve_axes
+from otf_core.calibration.assembly import assemble
 from otf_core.calibration.calibrate import (
     ExaminedRecordings,
     SolvedRecordings,
-    assemble,
     solve_recordings,
 )
 from otf_core.calibration.calibration_result import CalibrationResult
@@ -66,6 +65,7 @@ from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
+from otf_core.model.axis_path import PartsTrack
 from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.pieces.finding import Finding, incomplete_path
@@ -118,11 +118,11 @@ def diagnose(
     Raises
     ------
     InputError
-        As ``calibrate_runs``.
+        As ``calibrate_recordings``.
     """
     config = config or CalibrationConfig()
     progress = progress or silent
-    if recordings[0].axis_paths:
+    if isinstance(recordings[0].path, PartsTrack):
         return _diagnose_axes(
             recordings, exclude, config, progress, own, same_station=same_station
         )
@@ -163,8 +163,8 @@ def _diagnose_axes(
     """
     machine = recordings[0].machine
     without = replace(config, reversal='none')
-    solved = solve_axes(recordings, without, progress, same_station=same_station)
-    plain = assemble_axes(solved, without)
+    solved = solve_recordings(recordings, without, progress, same_station=same_station)
+    plain = assemble(solved.solution, without, solved.findings)
     progress('diagnosing', 0.0)
     rows = rows_of_axes(solved, without)
     offered = catalogue(machine)
@@ -497,7 +497,7 @@ def calibrate_with_effects(
     ConfigError
         If the file names what cannot be taken off, or for another method.
     InputError
-        As ``calibrate_runs``.
+        As ``calibrate_recordings``.
     """
     if method != 'otf':
         raise ConfigError(

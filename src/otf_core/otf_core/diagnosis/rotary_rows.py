@@ -8,14 +8,14 @@ places of the tracker and of the targets, location errors and motions are projec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from scipy import linalg
 
 from otf_core.arrays import Array
-from otf_core.calibration.axis_calibration import SolvedAxes
+from otf_core.calibration.calibrate import SolvedRecordings
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.residual_rows import NOISE_RANGE, Rows
 from otf_core.noise.noise_model import NoiseModel
@@ -26,7 +26,7 @@ from otf_core.noise.standstill import (
     noise_model,
     standstill_noise,
 )
-from otf_core.pieces.runs import Observed, Recording
+from otf_core.pieces.runs import Recording
 from otf_core.solving.joint import SolvedRun, tables_of
 from otf_core.solving.residuals import fold_of, leg_numbers
 from otf_core.solving.sensitivity import piece_state
@@ -34,26 +34,17 @@ from otf_core.solving.solution import free_columns, identifiable_blocks
 from otf_core.solving.whitener import Whitener
 
 
-@dataclass(frozen=True)
-class ObservedRecording(Observed):
-    """A run with the recording that its noise is looked up in."""
-
-    recording: Recording | None = None
-
-
-def rows_of_axes(found: SolvedAxes, config: CalibrationConfig) -> Rows:
+def rows_of_axes(found: SolvedRecordings, config: CalibrationConfig) -> Rows:
     """Set up the rows of recordings that were solved without reversal."""
-    recordings, joint, nodes = found.recordings, found.joint, found.nodes
+    joint, nodes = found.solution.joint, found.nodes
+    recordings = [run.recording for run in found.solution.runs]
     limit, speed = config.unidentifiable_above, config.rest_speed
     observed = [
-        ObservedRecording(
-            **{
-                **{f.name: getattr(solved.run, f.name) for f in fields(Observed)},
-                'machine': recording.machine,
-                'noise': _floor(recording, speed, solved),
-                'fitted': None,
-                'recording': recording,
-            }
+        replace(
+            solved.run,
+            machine=recording.machine,
+            noise=_floor(recording, speed, solved),
+            fitted=None,
         )
         for recording, solved in zip(recordings, joint.runs, strict=True)
     ]

@@ -156,7 +156,7 @@ def read_recording(
     signals = read_signals(sources[0], declared)
     name = str(sources[0])
     with errors_of(name):
-        path, parts = driven_path(content.axis_paths, content.path, used)
+        path = path_of_machine(content.axis_paths, content.path, used)
     return Recording(
         content.samples,
         path,
@@ -165,7 +165,6 @@ def read_recording(
         content.remarks,
         signals,
         left_out=content.left_out,
-        axis_paths=parts,
     )
 
 
@@ -180,10 +179,10 @@ def _check_missing_axes(path: NominalPath, machine: Machine) -> None:
             )
 
 
-def driven_path(
+def path_of_machine(
     axis_paths: Sequence[AxisPath], path: NominalPath | None, machine: Machine
-) -> tuple[NominalPath, tuple[AxisPath, ...]]:
-    """Path, and the parts whose track it is, unless three linear axes carry one target past it.
+) -> NominalPath:
+    """Track of the parts that were published; the path of the tool where they are one of it.
 
     Raises
     ------
@@ -208,5 +207,5 @@ def driven_path(
         )
     from_bed = machine.tracker.link == BED and machine.chain.table_side
     if machine.axis_names != LINEAR or from_bed or [p.target for p in parts] != [TOOL]:
-        return nominal_track(machine, parts), parts
-    return path if path is not None else NominalPath(parts[0].positions), ()
+        return nominal_track(machine, parts)
+    return path if path is not None else NominalPath(parts[0].positions)

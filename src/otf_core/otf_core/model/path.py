@@ -74,6 +74,11 @@ class NominalPath:
         """Length of every leg, shape (n - 1,), m."""
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=0), axis=1))
 
+    @property
+    def part_lengths(self) -> list[float]:
+        """Length of every part, m: one target in view from one end to the other is one."""
+        return [self.length]
+
     @cached_property
     def directions(self) -> NDArray[np.float64]:
         """Unit travel direction of every leg, shape (n - 1, 3); zero for a repeated point."""

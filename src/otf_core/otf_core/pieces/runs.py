@@ -21,24 +21,30 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.blocks import BLOCK
-from otf_core.config import CalibrationConfig
+from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import SkippedLines
-from otf_core.model.axis_path import AxisPath
+from otf_core.live.stages import Progress, silent
+from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
 from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import TOOL, Machine
+from otf_core.model.motions import AXES
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
+from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.noise.noise_model import Misfit, NoiseModel, noise_and_misfit
-from otf_core.noise.standstill import noise_model
+from otf_core.noise.standstill import noise_model, standstill_noise
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, FollowedTrack, align, line_step
+from otf_core.pieces.stops import GENTLE, align_stops, find_stops, reduce_to_stops
+from otf_core.tracking.alignment import Alignment, FollowedTrack, Part, align, line_step
+from otf_core.tracking.curve_matching import match
 from otf_core.tracking.curves import Lines, PathShape
 from otf_core.tracking.leg_starts import leg_starts
 from otf_core.tracking.matching import OFF_PATH
+from otf_core.tracking.mismatch import check_matched
 from otf_core.tracking.no_match import check_partial
 
 
@@ -65,7 +71,8 @@ class Observed:
     first_ns : int, ns
         Stamp from which the times of the pieces count.
     shape : PathShape, optional
-        Corner points and curves of the path as driven, where it is one of three linear axes.
+        Corner points and curves of the path as driven, where three linear axes carry one target
+        past the tracker.
     targets : tuple of str
         Target of every part.
     places : mapping of target to ndarray, shape (3,), m
@@ -131,6 +138,9 @@ class Recording:
 
     Attributes
     ----------
+    path : NominalPath
+        Of the target on three linear axes; else the track of all parts, see
+        ``axis_path.nominal_track``.
     machine : Machine
         The same machine in all runs; its target offset and tracker may differ.
     name : str
@@ -144,8 +154,6 @@ class Recording:
         nothing.
     left_out : tuple of SkippedLines
         Lines of a text that are not samples, by reason.
-    axis_paths : tuple of AxisPath
-        Parts that were driven, of a machine with rotary axes; ``path`` is their track then.
 
     Examples
     --------
@@ -164,7 +172,13 @@ class Recording:
     signals: Mapping[str, Signal] = field(default_factory=dict)
     seen: FollowedTrack | None = None
     left_out: tuple[SkippedLines, ...] = ()
-    axis_paths: tuple[AxisPath, ...] = ()
+
+    @property
+    def parts(self) -> tuple[AxisPath, ...]:
+        """What was driven: as many parts as the path has, one of three linear axes without any."""
+        if isinstance(self.path, PartsTrack):
+            return self.path.parts
+        return (AxisPath(AXES, self.path.points),)
 
 
 @contextmanager
@@ -192,45 +206,22 @@ class Run(Observed):
         See ``Recording``.
     """
 
-    shape: PathShape
     samples: Samples
     path: NominalPath
     alignment: Alignment
     read: tuple[str, ...] = ()
     left_out: tuple[SkippedLines, ...] = ()
 
-    @classmethod
-    def of(
-        cls,
-        recording: Recording,
-        alignment: Alignment,
-        pieces: Pieces,
-        pose: RigidTransform,
-        noise: NoiseModel,
-    ) -> Run:
-        """Put together what was found in a recording."""
-        return cls(
-            machine=recording.machine,
-            shape=alignment.shape,
-            pieces=pieces,
-            pose=pose,
-            noise=noise,
-            name=recording.name,
-            samples=recording.samples,
-            path=recording.path,
-            alignment=alignment,
-            signals=recording.signals,
-            first_ns=int(recording.samples.stamp_ns[0]),
-            read=tuple(recording.remarks),
-            left_out=recording.left_out,
-        )
+    def speed_at_rest(self, config: CalibrationConfig) -> float:
+        """Speed below which the target counts as standing still, m/s."""
+        return config.rest_speed if self.shape is None else config.standstill_speed
 
     @cached_property
     def leg_starts(self) -> Array | None:
         """When every line began from rest, s since the recording; NaN where it is not seen."""
-        if self.pieces.standstill:
+        if self.pieces.standstill or self.shape is None:
             return None
-        lines = Lines.of(self.alignment.shape)
+        lines = Lines.of(self.shape)
         return self.late + leg_starts(self.samples, self.pose, self.alignment.leg, lines)
 
     @property
@@ -261,12 +252,13 @@ def _described(machine: Machine) -> dict[str, float | str]:
     return {'chain': str(machine.chain), **keys}
 
 
-def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Array]:
-    """Part of the axis ranges that the driven legs cover.
+def _covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Array]:
+    """Part of the axis ranges that the driven legs cover, where axes move the reflector in view.
 
     Returns
     -------
-    low, high : ndarray, shape (3,), m
+    low, high : ndarray, shape (k,), m and rad
+        Infinite for an axis that moves none.
 
     Raises
     ------
@@ -274,6 +266,8 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
         If the path leaves the ranges of the machine.
     """
     machine, corners = recording.machine, alignment.corners
+    if alignment.shape.sights:
+        return _driven_range(machine, alignment)
     path_low, path_high = corners.min(axis=0), corners.max(axis=0)
     low, high = _extremes(recording.samples.xyz, alignment, path_low + SNAP, path_high - SNAP)
     low = np.where(low < path_low + SNAP, path_low, low)
@@ -286,7 +280,20 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
             f'path: leaves the range of axis {machine.axis_names[int(np.argmax(outside))]} by '
             f'{1e3 * outside.max():.1f} mm; do bag and machine description belong together?'
         )
-    return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
+    return low, high
+
+
+def _driven_range(machine: Machine, alignment: Alignment) -> tuple[Array, Array]:
+    """Lowest and highest position (k,) of every axis in the parts that it moves."""
+    low = np.full(len(machine.axis_names), np.inf)
+    high = -low
+    for part, sight in zip(alignment.parts, alignment.shape.sights, strict=True):
+        for k in (machine.column(joint.name) for joint in sight.joints):
+            axis, q = machine.axes[machine.axis_names[k]], part.path.positions[:, k]
+            whole = axis.endless and np.ptp(q) > 6.0
+            q = np.array([axis.min, axis.max]) if whole else axis.wrapped(q)
+            low[k], high[k] = min(low[k], q.min()), max(high[k], q.max())
+    return low, high
 
 
 def _extremes(xyz: Array, alignment: Alignment, below: Array, above: Array) -> tuple[Array, Array]:
@@ -307,10 +314,12 @@ def _extremes(xyz: Array, alignment: Alignment, below: Array, above: Array) -> t
     return low, high
 
 
-def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
+def _common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
     """Table nodes over all that runs cover, from their ranges (low, high)."""
-    low, high = zip(*ranges, strict=True)
-    return table_nodes(machine, np.min(low, axis=0), np.max(high, axis=0))
+    low, high = np.min([r[0] for r in ranges], axis=0), np.max([r[1] for r in ranges], axis=0)
+    zero, unmoved = np.clip(0.0, machine.lower, machine.upper), ~np.isfinite(low)
+    low, high = np.where(unmoved, zero, low), np.where(unmoved, zero, high)
+    return table_nodes(machine, np.maximum(low, machine.lower), np.minimum(high, machine.upper))
 
 
 def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
@@ -334,34 +343,88 @@ def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) 
     return pose
 
 
+def follow(
+    recording: Recording,
+    config: CalibrationConfig,
+    method: str = OTF,
+    known: Alignment | None = None,
+) -> Alignment:
+    """Find the pose of the tracker, the places of the reflectors and the leg of every sample.
+
+    Where three linear axes carry one target past the tracker, the path is lines on which samples
+    have one projection (``alignment.align``); else it is curves of places that are not known
+    before (``curve_matching.match``).
+
+    Parameters
+    ----------
+    known : Alignment, optional
+        Of another recording from the same place of the tracker.
+
+    Raises
+    ------
+    InputError
+        If samples and path do not belong together; says why.
+    """
+    samples, machine, path, parts = (
+        recording.samples, recording.machine, recording.path, recording.parts,
+    )  # fmt: skip
+    if isinstance(path, PartsTrack):
+        matched = match(samples, machine, parts, known)
+        return replace(matched, remarks=check_matched(samples, matched, parts))
+    if method == STANDSTILL:
+        found = align_stops(samples, path, config)
+    else:
+        found = align(samples, path, config, recording.seen)
+        check_partial(
+            samples, path, found.T_machine_tracker, found.coverage, config.match_tolerance
+        )
+    return replace(found, parts=(Part(parts[0], 0, len(samples), found.coverage),))
+
+
 def prepare_runs(
-    recordings: Sequence[Recording], config: CalibrationConfig
+    recordings: Sequence[Recording],
+    config: CalibrationConfig,
+    method: str = OTF,
+    progress: Progress = silent,
+    *,
+    same_station: bool = False,
 ) -> tuple[list[Run], dict[str, Array]]:
-    """Align and reduce recordings for a common set of table nodes.
+    """Follow and reduce recordings for a common set of table nodes.
+
+    Parameters
+    ----------
+    method : str
+        'otf', or 'standstill': only the stops at the corners.
+    same_station : bool
+        The tracker was not moved between the recordings.
 
     Returns
     -------
-    nodes : mapping of axis to ndarray, m
+    nodes : mapping of axis to ndarray, m and rad
     """
     check_same_machine(recordings)
-    alignments, ranges = [], []
-    for recording in recordings:
+    machine, ranges = recordings[0].machine, []
+    if any(isinstance(one.path, PartsTrack) for one in recordings):  # then all are on curves
+        tracks = [nominal_track(one.machine, one.parts) for one in recordings]
+        recordings = [replace(r, path=p) for r, p in zip(recordings, tracks, strict=True)]
+    followed: list[Alignment] = []
+    for k, recording in enumerate(recordings, start=1):
         with errors_of(recording.name):
-            samples, path = recording.samples, recording.path
-            alignments.append(aligned := align(samples, path, config, recording.seen))
-            check_partial(
-                samples,
-                path,
-                aligned.T_machine_tracker,
-                aligned.coverage,
-                config.match_tolerance,
-            )
-            ranges.append(covered_range(alignments[-1], recording))
-    nodes = common_nodes(recordings[0].machine, ranges)
+            known = followed[0] if same_station and followed else None
+            followed.append(follow(recording, config, method, known))
+            ranges.append(_covered_range(followed[-1], recording))
+        progress('aligning', k / (len(recordings) + 1))
+    nodes = _common_nodes(machine, ranges)
+    tables = located_tables(machine, nodes, followed[0].location)
+    places: dict[str, Array] = {}
+    for one in reversed(followed):  # those of the first recording that saw them
+        places |= {p.path.target: one.places[p.path.target] for p in one.parts if one.places}
     runs = []
-    for recording, alignment in zip(recordings, alignments, strict=True):
+    for recording, alignment in zip(recordings, followed, strict=True):
         with errors_of(recording.name):
-            runs.append(reduce_recording(recording, alignment, nodes, config))
+            run = reduce_recording(recording, alignment, nodes, config, method, tables)
+        own = {name: places[name] for name in run.base}
+        runs.append(replace(run, places=own, same_station=same_station))
     return runs, nodes
 
 
@@ -370,21 +433,70 @@ def reduce_recording(
     alignment: Alignment,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
+    method: str = OTF,
+    tables: ErrorTables | None = None,
 ) -> Run:
-    """Reduce an aligned recording to pieces for given table nodes."""
-    samples, machine = recording.samples, recording.machine
-    spacing = tuple(nodes[a] for a in machine.axis_names)
-    pieces = reduce_to_pieces(samples, alignment, spacing, config)
-    pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
-    noise = noise_model(samples, machine.tracker, config.standstill_speed)
-    return Run.of(recording, alignment, pieces, pose, noise)
+    """Reduce a recording that was followed to pieces, or stops, for given table nodes.
+
+    Parameters
+    ----------
+    tables : ErrorTables, optional
+        Errors that are taken off before the closest places on curves are looked for.
+    """
+    samples, machine, sights = recording.samples, recording.machine, alignment.shape.sights
+    if method == STANDSTILL:
+        pieces = reduce_to_stops(samples, alignment, config)
+    else:
+        spacing = tuple(nodes[a] for a in machine.axis_names)
+        pieces = reduce_to_pieces(samples, alignment, spacing, config, tables)
+    pose = alignment.T_machine_tracker
+    still = None
+    if sights and method == STANDSTILL:
+        still = standstill_noise(samples, find_stops(samples, config, GENTLE).span)
+    speed = config.rest_speed if sights else config.standstill_speed
+    targets = tuple(part.path.target for part in alignment.parts)
+    return Run(
+        machine=machine,
+        pieces=pieces,
+        pose=pose if sights else rigid_pose(pieces, pose, config),
+        noise=still.noise if still else noise_model(samples, machine.tracker, speed),
+        name=recording.name,
+        signals=recording.signals,
+        first_ns=int(samples.stamp_ns[0]),
+        shape=None if sights else alignment.shape,
+        targets=targets,
+        base={name: alignment.places[name] for name in targets if alignment.places},
+        samples=samples,
+        path=recording.path,
+        alignment=alignment,
+        read=tuple(recording.remarks),
+        left_out=recording.left_out,
+    )
+
+
+def located_tables(
+    machine: Machine, nodes: Mapping[str, Array], location: Mapping[str, float]
+) -> ErrorTables | None:
+    """Tables of rotary axes whose lines lie elsewhere, and nothing else; None without any."""
+    if not location:
+        return None
+    motions: dict[str, MotionTable] = {}
+    for motion in machine.motions:
+        zero = np.zeros(len(nodes[motion.axis]))
+        motions[motion] = MotionTable(nodes[motion.axis], zero, zero)
+    return ErrorTables(
+        machine,
+        motions,
+        {n: ScalarError() for n in machine.squareness},
+        {n: ScalarError(location[n]) for n in machine.location},
+    )
 
 
 def run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     """Return the identifier of a calibration: a digest of its recordings and parameters."""
     digest = hashlib.sha256()
     for r in recordings:
-        driven = [p.positions for p in r.axis_paths] or [r.path.points]
+        driven = [part.positions for part in r.parts]
         for part in (r.samples.stamp_ns, r.samples.xyz, *driven):
             digest.update(np.ascontiguousarray(part).reshape(-1).data)
         digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())

@@ -40,7 +40,7 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     Recording
         Samples off the path are left out.
     """
-    samples, legs = run.samples, Legs(run.shape.corners)
+    samples, legs = run.samples, Legs(run.alignment.corners)
     on = run.alignment.leg != OFF_PATH
     leg = run.alignment.leg[on]
     along = np.clip(legs.along(pose.apply(samples.xyz[on]), leg), 0.0, legs.length[leg])

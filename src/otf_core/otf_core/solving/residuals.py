@@ -55,7 +55,7 @@ def sample_state(
     run: Run, pose: RigidTransform, tables: ErrorTables | None, nodes: dict[str, Array]
 ) -> State:
     """State of the samples in the pieces of a run."""
-    samples, legs, index = run.samples, Legs(run.shape.corners), run.pieces.samples
+    samples, legs, index = run.samples, Legs(run.alignment.corners), run.pieces.samples
     leg = run.alignment.leg[index].astype(np.int64)
     points = pose.apply(samples.xyz[index])
     q = legs.at(legs.along(points, leg), leg)

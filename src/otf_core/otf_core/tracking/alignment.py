@@ -13,7 +13,8 @@ moments up to the second.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,17 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
-from otf_core.tracking.curves import Lines, PathShape, largest_sagitta, straight_shape
+from otf_core.tracking.curves import (
+    Lines,
+    PathShape,
+    largest_sagitta,
+    shape_of_parts,
+    straight_shape,
+)
 from otf_core.tracking.driving_order import (
     FORWARD,
     OFF_PATH,
@@ -142,8 +150,31 @@ MIN_GAIN_MIRRORED = 0.1
 
 
 @dataclass(frozen=True)
+class Part:
+    """One part of a run as it was measured.
+
+    Attributes
+    ----------
+    path : AxisPath
+        As driven, in the order of the axes of the machine.
+    first, last : int
+        Its samples.
+    driven : float
+        Share of the path that was driven.
+    distance : float
+        m; median distance of the samples from the curve, where a curve was matched.
+    """
+
+    path: AxisPath
+    first: int
+    last: int
+    driven: float = 1.0
+    distance: float = 0.0
+
+
+@dataclass(frozen=True)
 class Alignment:
-    """Pose of the tracker and the leg of every sample.
+    """Pose of the tracker, places of the reflectors and the leg of every sample.
 
     Attributes
     ----------
@@ -158,6 +189,20 @@ class Alignment:
         True if the track ends at the end of the path.
     curves : PathShape, optional
         Which legs are chords of curves; none without it.
+    parts : tuple of Part
+        Empty where the machine is not known.
+    missing : tuple of AxisPath
+        Parts of the path that were not recorded.
+    places : mapping of target to ndarray, shape (3,), m
+        Where reflectors were found.
+    location : mapping of name to float, m and rad
+        Rough location errors of the rotary axes.
+    as_planned : bool
+        Legs were driven forward and in order.
+    followed : float
+        Share of the track that lies within ``match_tolerance`` of the path.
+    remarks : tuple of str
+        What the reader of a result should know of the driven path.
     published : ndarray of int64, shape (m,), optional
         Leg of the published path of every leg, ``OFF_PATH`` for connecting moves; the same
         numbers without it.
@@ -170,22 +215,38 @@ class Alignment:
     last_leg_driven: bool
     curves: PathShape | None = None
     published: Index | None = None
+    parts: tuple[Part, ...] = ()
+    missing: tuple[AxisPath, ...] = ()
+    places: Mapping[str, Array] = field(default_factory=dict)
+    location: Mapping[str, float] = field(default_factory=dict)
+    as_planned: bool = True
+    followed: float = 1.0
+    remarks: tuple[str, ...] = ()
 
     @property
     def shape(self) -> PathShape:
         """Corner points and curves."""
         return self.curves or straight_shape(self.corners)
 
-    @property
-    def remark(self) -> str:
-        """What the reader of a result should know of the driven path; empty if nothing."""
-        sagitta = largest_sagitta(Lines.of(self.shape))
-        if sagitta < MIN_SAGITTA_REMARK:
-            return ''
-        return (
-            f'curves are published as chords of up to {1e6 * sagitta:.2g} um sagitta and taken as '
-            f'driven along these chords: publish chords of 1 mm or less'
+    def moved(self, pose: RigidTransform, places: Mapping[str, Array]) -> Alignment:
+        """The same with the tracker and the reflectors of parts elsewhere."""
+        known = {**self.places, **places}
+        pairs = zip(self.shape.sights, self.parts, strict=True)
+        sights = [replace(sight, place=known[part.path.target]) for sight, part in pairs]
+        shape = shape_of_parts(sights, [part.path.positions for part in self.parts])
+        return replace(
+            self, T_machine_tracker=pose, corners=shape.corners, curves=shape, places=known
         )
+
+
+def _remarks(shape: PathShape) -> tuple[str, ...]:
+    sagitta = largest_sagitta(Lines.of(shape))
+    if sagitta < MIN_SAGITTA_REMARK:
+        return ()
+    return (
+        f'curves are published as chords of up to {1e6 * sagitta:.2g} um sagitta and taken as '
+        f'driven along these chords: publish chords of 1 mm or less',
+    )
 
 
 def _refine(match: Match, driven: Driven, config: CalibrationConfig) -> RigidTransform:
@@ -316,6 +377,7 @@ def align(
         known.to_the_end,
         driven.shape,
         driven.published,
+        remarks=_remarks(driven.shape),
     )
 
 

@@ -31,20 +31,21 @@ ENDS, GRID = (0.0, 0.3), (0.0, 0.1, 0.2, 0.3)
 def run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
-    def driven(machine, rows, head):
+    def driven(machine, rows, head, *options, out='bag'):
         (tmp_path / 'm.yaml').write_text(yaml.safe_dump(machine))
         lines = [head, *(','.join(map(str, row)) for row in rows)]
         (tmp_path / 'p.csv').write_text('\n'.join(lines) + '\n')
-        return cli.main(
-            ['simulate', '--machine', 'm.yaml', '--path', 'p.csv', '--out', 'bag', '--seed', '2']
-        )
+        words = ['--machine', 'm.yaml', '--path', 'p.csv', '--out', out, '--rate', '100']
+        return cli.main(['simulate', *words, *(options or ('--seed', '2'))])
 
     return driven
 
 
-def share_left():
-    """Mean error that the tables of the folder leave, by that of the machine."""
-    assert cli.main(['calibrate', 'bag', '--machine', 'm.yaml', '--out', 'cal']) in (0, 4)
+def share_left(*bags):
+    """Mean error that the tables of recordings leave, by that of the machine."""
+    bags = bags or ('bag',)
+    words = ['--machine', 'm.yaml', '--out', 'cal', '--overwrite']
+    assert cli.main(['calibrate', *bags, *words]) in (0, 4)
     true = otf_core.load_tables('bag/truth_tables.json').tables
     found = otf_core.load_tables('cal/error_tables.json').tables
     q = lattice(true.machine)
@@ -69,6 +70,10 @@ def test_two_reflectors_in_one_run_of_three_linear_axes(run):
                 rows.append((target, *corner[:k], ends, *corner[k:]))
     assert run(TWO, rows, 'target,x,y,z') == 0
     assert share_left() < 0.05
+    of_tool = [row[1:] for row in rows if row[0] == 'tool']
+    same_machine = ('--tables', 'bag/truth_tables.json', '--seed', '3')
+    assert run(TWO, of_tool, 'x,y,z', *same_machine, out='one') == 0  # of the tool alone
+    assert share_left('bag', 'one') < 0.05
 
 
 def test_a_path_along_an_axis_that_is_not_there_is_refused(run, capsys):

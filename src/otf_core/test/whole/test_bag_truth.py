@@ -27,7 +27,7 @@ from certified.truth import (
 from scipy import stats
 
 from otf_core.bags.bag import read_bag
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import load_machine
 from otf_core.pieces.runs import Recording, prepare_runs
@@ -64,7 +64,7 @@ def case(request):
     content, machine = read_bag(folder / 'bag'), load_machine(folder / 'machine.yaml')
     recording = Recording(content.samples, content.path, machine)
     runs, nodes = prepare_runs([recording], config)
-    result = calibrate_runs([recording], config, prepare=lambda *_: (runs, nodes))
+    result = calibrate_recordings([recording], config)
     truth = json.loads((folder / 'truth.json').read_text(encoding='utf-8'))
     run = {'machine': truth['machine'], 'not_identifiable': list(result.not_identifiable)}
     pieces = Pieces(*(getattr(runs[0].pieces, field.name) for field in fields(Pieces)))

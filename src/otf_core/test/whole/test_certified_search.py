@@ -17,7 +17,8 @@ from scipy.optimize import minimize
 from scipy.stats import Covariance, multivariate_normal
 from test_certified import CONFIG, EXPECTED, RUN, SEEN, recording
 
-from otf_core.calibration.calibrate import assemble, calibrate_runs
+from otf_core.calibration.assembly import assemble
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.gap_sizes import simulated_residual_um
 from otf_core.diagnosis.engine.residual_rows import build_rows
@@ -85,7 +86,7 @@ def found():
 
 
 def test_noise_and_roughness_suffice_to_compute_the_tables_anew(found):
-    result = calibrate_runs([recording('samples.csv')], CONFIG)
+    result = calibrate_recordings([recording('samples.csv')], CONFIG)
     assert list(result.not_identifiable) == RUN['not_identifiable']
     assert result.table_costs[1].grid < 1e-15  # straight between the nodes
     wanted = dense.calibration(

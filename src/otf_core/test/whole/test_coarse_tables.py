@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core_cells import error_of, record, small_plan, some_machine, some_pose
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.pieces.runs import Recording
@@ -25,7 +25,7 @@ def test_pitch_may_be_the_whole_range(axes, reversal):
     driven = record(machine, small_plan(machine, passes=2), rate=60.0)
     pose = some_pose(machine, np.random.default_rng(7))
     run = Recording(driven.measured(truth, seed=4, pose=pose), driven.path, machine)
-    found = calibrate_runs([run], CalibrationConfig(piece_length=0.024, reversal=reversal))
+    found = calibrate_recordings([run], CalibrationConfig(piece_length=0.024, reversal=reversal))
     assert found.fit.path_mae_after < 0.1 * found.fit.path_mae_before
     points = lattice(machine)
     true = error_of(truth, points)

@@ -24,7 +24,7 @@ from contradiction_cells import (
 from nature import Extra, judge
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions import quick_model, tracker_moves
 from otf_core.contradictions.table_checks import check_worth
@@ -233,11 +233,11 @@ def test_a_drive_that_lags_is_no_tracker_that_moved(chain):
 
 def test_tables_are_right_though_the_tracker_moved():
     truth = cell(4)
-    result = calibrate_runs(
+    result = calibrate_recordings(
         [stepped(recorded(4), (3e-4, 4e-4, 0.0), turn=(0.0, 1e-3, 0.0))], CONFIG
     )
     left = judge(truth, result.tables)
-    at_best = judge(truth, calibrate_runs([recorded(4)], CONFIG).tables)
+    at_best = judge(truth, calibrate_recordings([recorded(4)], CONFIG).tables)
     assert left.left_percent < at_best.left_percent + 3
     assert any('tracker or target moved' in w for w in result.warnings)
     assert result.failed_gates == ()
@@ -254,8 +254,8 @@ def test_a_beam_found_again_with_a_shift_is_corrected():
     assert asked(plain) == ()
     (found,) = asked(shifted)
     assert (found.check, found.severity) == ('found again', 'warning')
-    left = judge(cell(5), calibrate_runs([shifted], CONFIG).tables)
-    at_best = judge(cell(5), calibrate_runs([plain], CONFIG).tables)
+    left = judge(cell(5), calibrate_recordings([shifted], CONFIG).tables)
+    at_best = judge(cell(5), calibrate_recordings([plain], CONFIG).tables)
     assert left.left_percent < at_best.left_percent + 5
 
 
@@ -276,7 +276,7 @@ def test_noise_that_wanders_is_no_step():
 
 
 def test_tables_as_uncertain_as_the_errors_fail():
-    result = calibrate_runs([recorded()], CONFIG)
+    result = calibrate_recordings([recorded()], CONFIG)
     volume = VolumetricError(result.tables, result.covariance_run)
     error = np.sqrt(np.mean(volume.length**2))
     u = np.sqrt(np.median(volume.u_size**2))

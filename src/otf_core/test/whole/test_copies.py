@@ -12,7 +12,7 @@ from contradiction_cells import recorded, stepped
 from core_cells import some_machine
 from effect_cells import applied, some_plan
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
 from otf_core.pieces.runs import Recording
@@ -29,7 +29,7 @@ def alone(*recordings):
 
     def work():
         try:
-            found.append(calibrate_runs(recordings, CONFIG))
+            found.append(calibrate_recordings(recordings, CONFIG))
         except InputError as error:
             found.append(error)
 
@@ -55,7 +55,7 @@ def lost_motion():
 ], ids=['as it is', 'repaired where the tracker moved', 'with a reversal'])  # fmt: skip
 def test_tables_are_those_without_copies_bit_by_bit(make, runs, reversal):
     recording = make()
-    here, there = calibrate_runs([recording], CONFIG), alone(recording)
+    here, there = calibrate_recordings([recording], CONFIG), alone(recording)
     assert (len(here.runs), here.reversal.model) == (runs, reversal)
     assert here.warnings == there.warnings and here.reversal.evidence == there.reversal.evidence
     assert here.covariance.tobytes() == there.covariance.tobytes()
@@ -70,7 +70,7 @@ def test_runs_are_refused_in_the_same_words():
     one = recorded()
     other = replace(recorded(seed=2), name='run 2')
     with pytest.raises(InputError) as raised:
-        calibrate_runs([one, other], CONFIG)
+        calibrate_recordings([one, other], CONFIG)
     assert str(raised.value) == str(alone(one, other))
 
 
@@ -80,6 +80,6 @@ def test_contradictions_are_reported_before_a_solution_that_fails(monkeypatch):
 
     monkeypatch.setattr('otf_core.calibration.calibrate.solve_with_reversal', fails)
     with pytest.raises(InputError, match='not of one machine'):
-        calibrate_runs([recorded(), replace(recorded(seed=2), name='run 2')], CONFIG)
+        calibrate_recordings([recorded(), replace(recorded(seed=2), name='run 2')], CONFIG)
     with pytest.raises(np.linalg.LinAlgError, match='singular'):
-        calibrate_runs([recorded()], CONFIG)
+        calibrate_recordings([recorded()], CONFIG)

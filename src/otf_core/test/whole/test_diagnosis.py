@@ -10,7 +10,7 @@ import pytest
 from core_cells import some_machine
 from nameless_effects import BallPassage, Jolt
 
-from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
+from otf_core.calibration.calibrate import calibrate_recordings, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis import diagnose as diagnosis
 from otf_core.diagnosis.diagnose import diagnose
@@ -140,7 +140,7 @@ def test_what_was_found_can_be_simulated(folder, growing):
 
 
 def test_diagnosis_stands_on_the_calibration_that_the_user_gets(with_backlash):
-    given = calibrate_runs([recording('backlash')])
+    given = calibrate_recordings([recording('backlash')])
     assert with_backlash.calibration.plain.run_id == given.run_id
     assert same_tables(with_backlash.calibration.plain.tables, given.tables)
 

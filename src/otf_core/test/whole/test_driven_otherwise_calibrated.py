@@ -10,7 +10,7 @@ import pytest
 from nature import Cell, judge
 from programs import arc, drive, helix, programs, record, rounded, without
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.inputs.nc_program import read_program
@@ -26,7 +26,7 @@ PROGRAMS = programs(P)
 @pytest.fixture(scope='module')
 def once():
     """The run driven as planned: white and coloured noise, 50 Hz."""
-    return calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
+    return calibrate_recordings([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
 
 
 @pytest.fixture(scope='module')
@@ -41,7 +41,7 @@ def as_planned(once):
      'a leg aborted, half driven back'],
 )  # fmt: skip
 def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_planned):
-    run = calibrate_runs([record(CELL, drive(PROGRAMS[name], FEED, rate=RATE), rate=RATE)])
+    run = calibrate_recordings([record(CELL, drive(PROGRAMS[name], FEED, rate=RATE), rate=RATE)])
     found = judge(CELL, run.tables, run.covariance)
     assert as_planned.left_percent < 1.5
     # another draw of the noise: a quarter of 60 node values' scatter
@@ -51,7 +51,9 @@ def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_plann
 
 
 def test_a_second_lap_is_worth_its_samples(once, as_planned):
-    twice = calibrate_runs([record(CELL, drive(PROGRAMS['twice'], FEED, rate=RATE), rate=RATE)])
+    twice = calibrate_recordings(
+        [record(CELL, drive(PROGRAMS['twice'], FEED, rate=RATE), rate=RATE)]
+    )
     found = judge(CELL, twice.tables, twice.covariance)
     assert found.left_percent < as_planned.left_percent
     assert found.within_2u_percent > 75
@@ -66,7 +68,7 @@ def test_a_second_lap_is_worth_its_samples(once, as_planned):
 def test_smooth_corners_are_left_out_as_far_as_they_reach(reach, tolerance, exclusion, as_planned):
     recording = record(CELL, drive(rounded(P, reach), FEED, rate=RATE), rate=RATE)
     config = CalibrationConfig(match_tolerance=tolerance, corner_exclusion=exclusion)
-    run = calibrate_runs([recording], config)
+    run = calibrate_recordings([recording], config)
     found = judge(CELL, run.tables, run.covariance)
     assert found.left_percent < 1.35 * as_planned.left_percent
     assert not run.failed_gates
@@ -82,7 +84,7 @@ def test_smooth_corners_twice_with_the_beam_lost():
     path = rounded(P, 0.02)
     q = drive(np.concatenate([path, path[1:]]), FEED, rate=RATE)
     recording = without(record(CELL, q, rate=RATE), (0.1, 0.12), (0.45, 0.47), (0.8, 0.82))
-    run = calibrate_runs([recording])
+    run = calibrate_recordings([recording])
     assert judge(CELL, run.tables).left_percent < 1.5
     assert not run.failed_gates
 
@@ -108,7 +110,7 @@ def circles(chord, radius=0.09):
 
 def left(driven, published):
     recording = record(CELL, drive(driven, 0.15, rate=CURVE_RATE), published, rate=CURVE_RATE)
-    run = calibrate_runs([recording])
+    run = calibrate_recordings([recording])
     assert not run.failed_gates
     return run, judge(CELL, run.tables, run.covariance)
 
@@ -144,7 +146,7 @@ def test_circles_alone_give_tables_where_they_were_driven():
     path = circles(1e-3)
     cell = Cell(3, size=(0.3, 0.25, 0.2), pitch=0.05, form='polygon', path=path, passes=1)
     recording = record(cell, drive(path, 0.15, rate=CURVE_RATE), path, rate=CURVE_RATE)
-    run = calibrate_runs([recording])
+    run = calibrate_recordings([recording])
     found = judge(cell, run.tables, run.covariance)
     assert found.left_percent < 10
     assert found.within_2u_percent > 75

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 from rotary_cells import machine, parts, plan_of
 
-from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.config import CalibrationConfig, SimulationConfig
-from otf_core.live.stages import silent
+from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.config import SimulationConfig
 from otf_core.model.axis_path import nominal_track
 from otf_core.model.chain import displacement
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
-from otf_core.rotary.curve_matching import match
 from otf_core.sim.cell import simulate
 from otf_core.solving.tabulate import remove_rigid_motions
+from otf_core.tracking.curve_matching import match
 from otf_core.tracking.curves import Lines
 
 PUBLISHED = [part.of(machine()) for part in parts()]
@@ -56,12 +55,11 @@ def test_every_sample_is_where_the_axes_were(name):
     run, published = driven(program), PUBLISHED[:3]
     found = match(run.samples, machine(), published)
     assert found.coverage == pytest.approx(coverage, abs=0.05)
-    assert max(found.distance) < 5e-5
-    aligned = found.aligned()
-    on = aligned.leg >= 0
+    assert max(part.distance for part in found.parts) < 5e-5
+    on = found.leg >= 0
     assert on.mean() > 0.9
-    lines, leg = Lines.of(aligned.shape), aligned.leg[on].astype(np.int64)
-    points = found.pose.apply(run.samples.xyz[on])
+    lines, leg = Lines.of(found.shape), found.leg[on].astype(np.int64)
+    points = found.T_machine_tracker.apply(run.samples.xyz[on])
     along = np.clip(lines.along(points, leg), 0.0, lines.length[leg])
     away = np.linalg.norm(points - lines.at(along, leg), axis=1)
     assert np.median(away) < 5e-5 and away.max() < 2e-3
@@ -88,8 +86,8 @@ def test_tables_are_as_good_as_those_of_the_run_driven_as_planned():
             keep[middle : middle + 200] = False
         samples = Samples(run.samples.stamp_ns[keep], run.samples.xyz[keep])
         path = nominal_track(m, PUBLISHED)
-        recording = Recording(samples, path, m, name, axis_paths=tuple(PUBLISHED))
-        result = calibrate_axes([recording], CalibrationConfig(), silent)
+        recording = Recording(samples, path, m, name)
+        result = calibrate_recordings([recording])
         assert not result.failed_gates
         odd = any('not driven as planned' in w for w in result.warnings)
         assert odd == (name == 'otherwise')

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core_cells import record, small_plan, some_machine, some_pose
 
-from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
+from otf_core.calibration.calibrate import calibrate_recordings, solve_recordings
 from otf_core.calibration.lack_of_fit import MIN_REPEATED_LINES, LackOfFit, find_lack_of_fit
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
@@ -61,7 +61,11 @@ def test_what_repeats_is_measured_and_what_does_not_is_not():
 
 def test_a_calibration_says_what_it_leaves_in_every_pass():
     said = [
-        [w for w in calibrate_runs([recording(s)], COARSE).warnings if 'in every pass over' in w]
+        [
+            w
+            for w in calibrate_recordings([recording(s)], COARSE).warnings
+            if 'in every pass over' in w
+        ]
         for s in (nothing, sag)
     ]
     assert [len(one) for one in said] == [0, 1]

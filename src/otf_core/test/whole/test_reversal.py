@@ -18,7 +18,7 @@ from core_cells import (
 )
 from effect_cells import applied, some_plan
 
-from otf_core.calibration.calibrate import calibrate, calibrate_runs
+from otf_core.calibration.calibrate import calibrate, calibrate_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
@@ -26,7 +26,6 @@ from otf_core.exports.terms import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
 from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.calibration import write_calibration
@@ -229,7 +228,7 @@ def test_stops_show_backlash_by_their_direction_of_approach():
         machine, plan, SimulationConfig(seed=31, rate=60), None, [applied('backlash', **BACKLASH)]
     )
     recording = Recording(run.samples, plan.path, machine)
-    result = calibrate_runs([recording], prepare=prepare_stops)
+    result = calibrate_recordings([recording], method='standstill')
     assert result.reversal.model == 'constant'
     for axis in AXES:
         table = result.reversal.motions[f'E{axis}{axis}']

@@ -17,7 +17,7 @@ def run_with(tmp_path, effects, seed=31):
     m = machine()
     config = SimulationConfig(seed=seed, rate=50.0)
     run = simulate(m, plan_of(parts(), dwell=0.5), config, effects=effects)
-    write_bag(tmp_path / 'bag', BagContent(run.samples, None, axis_paths=run.parts))
+    write_bag(tmp_path / 'bag', BagContent(run.samples, None))
     yaml, out = str(BAG / 'machine.yaml'), tmp_path / 'out'
     assert main(['diagnose', str(tmp_path / 'bag'), '--machine', yaml, '--out', str(out)]) == 0
     return json.loads((out / 'gap.json').read_text(encoding='utf-8'))

@@ -10,11 +10,10 @@ import pytest
 from cli_cells import run
 from rotary_cells import BAG, machine, parts, recorded, simulated, truth
 
-from otf_core.calibration.axis_calibration import calibrate_axes
-from otf_core.config import CalibrationConfig, PlannerConfig
+from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.config import PlannerConfig
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.errors import InputError
-from otf_core.live.stages import silent
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.chain import Sight, displacement
 from otf_core.model.evaluation import evenly_spread
@@ -25,13 +24,13 @@ from otf_core.planning.facings import facing_chains
 from otf_core.planning.line_of_sight import default_tracker_place
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.reports.calibration import write_calibration
-from otf_core.rotary.curve_matching import match, split_parts
 from otf_core.solving.tabulate import remove_rigid_motions
+from otf_core.tracking.curve_matching import match, split_parts
 
 
 @cache
 def calibrated():
-    return calibrate_axes([recorded()], CalibrationConfig(), silent)
+    return calibrate_recordings([recorded()])
 
 
 def left(found, true, q):
@@ -75,7 +74,7 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
     recording = replace(recorded(), machine=declared)
     plain, samples = calibrated(), recording.samples
     wrong = replace(recording, samples=replace(samples, xyz=(1.0 + size) * samples.xyz))
-    result = calibrate_axes([wrong], CalibrationConfig(), silent)
+    result = calibrate_recordings([wrong])
     budget, rows = result.budget, result.budget.rows
     assert np.allclose(budget.covariance, rows @ budget.whole @ rows.T + np.diag(budget.straight))
     assert 'tracker scale' not in result.typical.missing and 'air' in result.typical.missing
@@ -143,7 +142,7 @@ def circles_only(tilted):
             rows += [[0, 0, 0, x, 0] for x in (-0.5, 1.6, -0.5)]
             q = np.array(rows, dtype=float)
         paths.append(AxisPath(m.axis_names, q, part.target))
-    return calibrate_axes([simulated(paths, 11)[0]], CalibrationConfig(), silent)
+    return calibrate_recordings([simulated(paths, 11)[0]])
 
 
 def test_circles_alone_do_not_show_the_angular_positioning():
@@ -166,10 +165,26 @@ def test_path_that_shows_little_ends_with_what_it_shows():
     q = np.zeros((3, 5))
     q[:, 3] = (-0.3, 0.3, -0.3)
     parts = [AxisPath(machine().axis_names, q, f'nest-{k}') for k in (1, 2, 3)]
-    result = calibrate_axes([simulated(parts)[0]], CalibrationConfig(), silent)
+    result = calibrate_recordings([simulated(parts)[0]])
     assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.not_identifiable)
     assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.not_identifiable)
     assert set(result.advice) == set(result.not_identifiable) and all(result.advice.values())
+    (text,) = [w for w in result.warnings if w.startswith('driven range: ')]
+    assert 'X over 0 of' in text and 'A over 28 of 120 deg' in text
+
+
+def test_bad_samples_of_a_part_are_left_out_and_said():
+    samples = recorded().samples
+    xyz, part = samples.xyz.copy(), split_parts(samples, machine(), recorded().parts)[0]
+    middle = (part.first + part.last) // 2
+    xyz[middle : middle + 200] += 3e-5  # a beam that was disturbed for longer
+    spoiled = replace(recorded(), samples=replace(samples, xyz=xyz), name='spoiled')
+    result = calibrate_recordings([spoiled])
+    (text,) = [w for w in result.warnings if w.startswith('left out: ')]
+    assert 'spoiled: ' in text and 'in whole pieces of the path' in text
+    assert not result.failed_gates
+    with pytest.raises(InputError, match='of its samples are those of'):
+        calibrate_recordings([recorded(), recorded()])
 
 
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
@@ -178,7 +193,7 @@ def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
     recording = replace(recorded(), machine=replace(m, axes=axes))
     words = r'fits where C turns the other way; write C: direction: \[0.0, 0.0, 1.0\]'
     with pytest.raises(InputError, match=words):
-        calibrate_axes([recording], CalibrationConfig(), silent)
+        calibrate_recordings([recording])
 
 
 def test_centre_and_a_length_that_are_wrong_fail_the_gate():
@@ -187,7 +202,7 @@ def test_centre_and_a_length_that_are_wrong_fail_the_gate():
     x, y, z = m.targets['long'].place
     long = replace(m.targets['long'], place=(x, y, z + 3e-5), u=0.0)
     wrong = replace(m, axes=axes, stated_targets={**m.stated_targets, 'long': long})
-    result = calibrate_axes([replace(recorded(), machine=wrong)], CalibrationConfig(), silent)
+    result = calibrate_recordings([replace(recorded(), machine=wrong)])
     assert result.verdicts.exit_code == 4
     length, centre = result.failed_gates[0], result.failed_gates[-1]
     assert "target 'long'" in length and 'u: 3e-05' in length
@@ -204,7 +219,7 @@ def test_places_off_by_ten_millimetres_still_converge():
         for n, t in m.stated_targets.items()
     }
     off = replace(m, stated_targets=targets)
-    found = match(recorded().samples, off, recorded().axis_paths)
+    found = match(recorded().samples, off, recorded().parts)
     for name in ('nest-1', 'nest-2', 'nest-3'):
         assert np.abs(found.places[name] - calibrated().targets[name].place).max() < 1e-4
 
@@ -244,7 +259,7 @@ def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
         AppliedEffect(EVERY['backlash'], {'B_C': -4e-5, 'held': 1.0}),
     ]
     recording, _ = simulated(parts(), effects=effects)
-    reversal = calibrate_axes([recording], CalibrationConfig(), silent).reversal
+    reversal = calibrate_recordings([recording]).reversal
     assert reversal.model == 'tables' and reversal.evidence['decided_by'] == 'held-out lines'
     assert list(reversal.motions) == ['ECC']
     table = reversal.motions['ECC']
@@ -256,9 +271,7 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
     plain, run = simulated(parts())
     lag = AppliedEffect(EVERY['servo_mismatch'], {'T_C': 2e-4})
     recording, _ = simulated(parts(), effects=[lag])
-    without, result = (
-        calibrate_axes([r], CalibrationConfig(), silent) for r in (plain, recording)
-    )
+    without, result = (calibrate_recordings([r]) for r in (plain, recording))
     assert not without.reversal.motions and not without.lags
     # driven at one feed the axis might as well reverse: the other one is named beside it
     found = result.reversal
@@ -280,7 +293,7 @@ def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
 def with_tracker_moved(part, size):
     """The recorded run with the tracker moved before a part."""
     samples = recorded().samples
-    first = split_parts(samples, machine(), recorded().axis_paths)[part].first
+    first = split_parts(samples, machine(), recorded().parts)[part].first
     xyz = samples.xyz.copy()
     xyz[first:] += size * (np.array([0.6, -0.3, 0.5]) + np.cross([0.7, -1.0, 0.3], xyz[first:]))
     return replace(recorded(), samples=replace(samples, xyz=xyz))
@@ -288,13 +301,13 @@ def with_tracker_moved(part, size):
 
 def test_tracker_that_moved_a_little_between_parts_is_named():
     moved = with_tracker_moved(1, 6e-5)
-    (text,) = calibrate_axes([moved], CalibrationConfig(), silent).failed_gates
+    (text,) = calibrate_recordings([moved]).failed_gates
     assert 'from part 2 on' in text and 'the tracker has moved' in text
 
 
 def test_step_of_the_tracker_that_keeps_a_solution_from_converging_is_named():
     with pytest.raises(InputError, match=r'from part 4 on .* the tracker has moved'):
-        calibrate_axes([with_tracker_moved(3, 2.5e-4)], CalibrationConfig(), silent)
+        calibrate_recordings([with_tracker_moved(3, 2.5e-4)])
 
 
 def test_facings_of_a_reflector_are_one_nest_to_the_solution():
@@ -306,7 +319,7 @@ def test_facings_of_a_reflector_are_one_nest_to_the_solution():
     paths = [p for p in parts() if m.targets[p.target].link == 't']
     paths += [p.path for p in parts_of(m, chains, PlannerConfig())]
     recording, run = simulated(paths, 21, m, tracker_place=default_tracker_place(m))
-    result = calibrate_axes([recording], CalibrationConfig(), silent)
+    result = calibrate_recordings([recording])
     assert not result.failed_gates
     assert left(result.tables, run.truth, evenly_spread(m.lower, m.upper, 400)) < 0.1
     for nest in (n for n, t in m.targets.items() if t.nest == n):
@@ -331,7 +344,7 @@ def test_reflector_that_was_reseated_is_named():
         moved[shift] = sight.nominal(q) @ run.pose.rotation
     xyz[last:] += moved[6e-5] - moved[0.0]
     other = replace(recording, samples=replace(samples, xyz=xyz))
-    result = calibrate_axes([other], CalibrationConfig(), silent)
+    result = calibrate_recordings([other])
     assert any("target 'nest-1': in part 3 it lies 10" in w for w in result.failed_gates)
-    good = calibrate_axes([recording], CalibrationConfig(), silent)
+    good = calibrate_recordings([recording])
     assert not good.failed_gates

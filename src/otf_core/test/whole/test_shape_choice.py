@@ -7,8 +7,7 @@ from nature import LETTERS, NAMES, Cell
 from nature_forms import DENSE, Curve
 from standstill_points import edge_points, spread_points
 
-from otf_core.config import CalibrationConfig
-from otf_core.pieces.methods import prepare_stops
+from otf_core.config import OTF, STANDSTILL, CalibrationConfig
 from otf_core.pieces.runs import prepare_runs
 from otf_core.solving.model_choice import (
     INTERVALS,
@@ -31,8 +30,8 @@ def small(form='waves', **settings):
     return Cell(3, size=SIZE, pitch=0.05, form=form, **({'path': 'short', 'passes': 1} | settings))
 
 
-def chosen(cell, prepare=prepare_runs, rate=60.0):
-    runs, nodes = prepare([cell.recording(rate)], CONFIG)
+def chosen(cell, method=OTF, rate=60.0):
+    runs, nodes = prepare_runs([cell.recording(rate)], CONFIG, method)
     found = choose_shapes(runs, nodes, CONFIG, no_progress)
     moved = found.runs[0].pose.apply(runs[0].pieces.xyz) - runs[0].pose.apply(runs[0].pieces.xyz)
     assert 1e-7 < np.abs(moved).max() < 1e-3  # the pose of the first solution is where to go on
@@ -80,7 +79,7 @@ def test_twelve_waves_over_an_axis_call_for_finer_splines():
 def test_stops_find_smooth_motions_smooth():
     machine = some_machine()
     points = np.concatenate([edge_points(machine, 40), spread_points(machine, 60)])
-    found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)[2]
+    found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), STANDSTILL)[2]
     assert max(found.evidence.values()) == 0.0
     assert found.evidence['straight between nodes'] < 0.0
     assert {b.degree for b in found.bases.values()} == {CUBIC}

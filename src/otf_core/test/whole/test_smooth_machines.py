@@ -7,7 +7,7 @@ from core_cells import CONTRACT_CHAINS, zero_tables
 from nature import Cell, judge, judge_field, table_rows
 from nature_forms import nodes_of
 
-from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.model.tables import MotionTable
 
@@ -40,7 +40,7 @@ def ordinary_least_squares(cell, run):
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
 def test_smooth_errors_are_found_better_than_by_least_squares_and_as_well_as_stated(chain):
     cell = small(chain)
-    result = calibrate_runs([cell.recording(100.0)], CONFIG)
+    result = calibrate_recordings([cell.recording(100.0)], CONFIG)
     found = judge(cell, result.tables, result.covariance_run)
     assert found.before_um > 30.0
     assert found.left_percent < 1.2
@@ -54,7 +54,7 @@ def test_more_samples_do_not_make_it_worse():
     cell = small('w-Y-b-X-Z-t')
     left = []
     for rate in (20.0, 500.0):
-        result = calibrate_runs([cell.recording(rate)], CONFIG)
+        result = calibrate_recordings([cell.recording(rate)], CONFIG)
         left.append(judge(cell, result.tables, result.covariance_run).left_um)
     # another draw of the noise: some 25 free components, so 14 % of the length either time
     assert left[1] <= 1.15 * left[0]

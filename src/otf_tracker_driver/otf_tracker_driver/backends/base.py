@@ -3,19 +3,19 @@
 
 Life of a backend: connect, then any number of streams (prepare, start, poll until finished or
 stop), then disconnect. All calls come from one thread. ``poll`` returns whatever has been measured
-since the call before, so a tracker that sends packets of hundreds of samples fits as well as one
-that sends them singly; a real device would read its socket in a thread of its own and hand over
-what has arrived. How to add one: docs/add-a-backend.md.
+since the call before. Known samples derive from ``paced.PacedBackend``, devices that are read in a
+thread from ``live.LiveBackend``. How to add one: docs/add-a-backend.md.
 """
 
 from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_tracker_driver.health import Health, Hindrance
+from otf_tracker_driver.clock import ClockState
 
 OPERATIONS = (
     'list_reflectors',
@@ -65,6 +65,112 @@ def check_common(common: CommonConfig, changed: Collection[str]) -> None:
         load_machine(common.machine_file)
 
 
+class Unreachable(InputError):
+    """The source is not there, or not ready yet; the same attempt may succeed later."""
+
+
+class Beam(IntEnum):
+    """Where the beam is; numbers as in TrackerStatus."""
+
+    UNKNOWN = 0
+    ON_TARGET = 1
+    LOST = 2
+    SEARCHING = 3
+
+
+class Flow(IntEnum):
+    """Why samples do not flow though a stream is under way; numbers as in TrackerStatus."""
+
+    STARTING = 4
+    WAITING_FOR_CLOCK = 5
+    BEAM_BROKEN = 6
+    SILENT = 7
+    NO_CONNECTION = 8
+
+
+ORDINARY = frozenset({Flow.STARTING, Flow.WAITING_FOR_CLOCK})
+"""What every stream passes through."""
+
+
+class Hindrance(NamedTuple):
+    """What keeps samples from flowing.
+
+    Attributes
+    ----------
+    text : str
+        One sentence on why, and on what is done about it.
+    since : float, s
+        Of ``time.monotonic``: when the last sample came, or the stream was asked for.
+    restarts : int
+        Times that the measurement was started, or the source opened, again since then.
+    """
+
+    kind: Flow
+    text: str
+    since: float
+    restarts: int = 0
+
+    @property
+    def trouble(self) -> str:
+        """The text, if this is not what every stream passes through."""
+        return '' if self.kind in ORDINARY else self.text
+
+
+class Gap(NamedTuple):
+    """The stream broke off and went on.
+
+    Attributes
+    ----------
+    last_ns, first_ns : int, ns
+        Stamps of the last sample before and of the first one after it.
+    """
+
+    last_ns: int
+    first_ns: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Health:
+    """State of a source; the defaults are those of one that cannot tell.
+
+    Attributes
+    ----------
+    device : str
+        What is connected, in words.
+    hardware : str
+        The same as a name that does not change while it is connected.
+    clock : ClockState or None
+        None if the samples bring their stamps as they are.
+    by_host : bool
+        Samples are stamped on arrival.
+    environment : tuple of float or None
+        Temperature, C; pressure, mbar; relative humidity, %.
+    connections, interruptions : int
+        Connections made; times that the stream broke off and went on.
+    warnings : tuple of str
+        What is not as it was asked for, and can be used all the same.
+    left_out : mapping of str to int
+        Samples that were left out, by reason.
+    unreadable : int
+        Packets or lines that made no sense.
+    """
+
+    connected: bool = True
+    device: str = ''
+    hardware: str = ''
+    beam: Beam = Beam.UNKNOWN
+    clock: ClockState | None = None
+    by_host: bool = False
+    environment: tuple[float, float, float] | None = None
+    connections: int = 0
+    interruptions: int = 0
+    warnings: tuple[str, ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    unreadable: int = 0
+    gaps: tuple[Gap, ...] = ()
+
+
 class Backend(ABC):
     """A source of tracker samples.
 
@@ -93,6 +199,8 @@ class Backend(ABC):
         What is worth saying about the stream when it starts.
     allowed : int or None
         Samples of the stream that may be handed out by now, if the source can wait; None: all.
+    in_packets : bool
+        True if many samples come at once, which the driver then spreads over their time.
     cancelled : callable
         Tells whether ``connect`` shall give up.
     now_ns : callable
@@ -102,6 +210,7 @@ class Backend(ABC):
     parameters: ClassVar[type[Parameters]]
     brings_path: ClassVar[bool] = False
     needs_plan: ClassVar[bool] = False
+    in_packets: ClassVar[bool] = False
     rate: float = 0.0
     expected: int = 0
     allowed: int | None = None

@@ -12,8 +12,16 @@ import numpy as np
 
 from otf_core.config import Parameters
 from otf_core.model.observation import Samples
-from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig
-from otf_tracker_driver.health import Beam, Flow, Gap, Health, Hindrance
+from otf_tracker_driver.backends.base import (
+    NO_SAMPLES,
+    Backend,
+    Beam,
+    CommonConfig,
+    Flow,
+    Gap,
+    Health,
+    Hindrance,
+)
 
 BROKEN = 1.9
 """s; so long a beam is broken where a reflector is moved by hand; shorter gaps are losses."""

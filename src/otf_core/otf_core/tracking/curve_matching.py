@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otf_core.arrays import Array, Index
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.axis_path import BREAK, AxisPath, driven_length, position_at
@@ -25,11 +25,16 @@ from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
-from otf_core.pieces.methods import find_stops, stop_pieces
-from otf_core.pieces.pieces import Pieces
-from otf_core.rotary.track import LONGEST, MOST, STEP, Track, assign_places, by_length
-from otf_core.tracking.alignment import Alignment, driven_share_of
-from otf_core.tracking.curves import Lines, lines_of_part, places_of_chords, shape_of_parts
+from otf_core.tracking.alignment import Alignment, Part, driven_share_of
+from otf_core.tracking.arc_length import (
+    LONGEST,
+    MOST,
+    STEP,
+    TravelledTrack,
+    assign_places,
+    by_length,
+)
+from otf_core.tracking.curves import Lines, lines_of_part, shape_of_parts
 from otf_core.tracking.driving_order import (
     OFF_PATH,
     assign_legs,
@@ -62,131 +67,12 @@ WIDEST, NARROWEST = 0.15, 0.03
 """m; arc length about the expected one within which a track is matched, first and last."""
 LEAST_OFF = 3e-6
 """m; nearer points count alike."""
-AT_STOP = 1.5e-3
-"""m; stops are this near their corners."""
-GENTLE = 0.05
-"""s; left out at both ends of a stop: a reflector near a rotary axis starts and stops so gently
-that its speed does not show it."""
 NEAR = 2e-4
 """m; change of pose and places below which samples keep their legs."""
 OFF_CURVE, OFF_RATIO = 4e-4, 8.0
 """m, and ratio to the median of its part: a sample further from its curve was driven elsewhere."""
 JUMP = 1e-2
 """m; what is passed at once was not seen."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of a run as it was measured.
-
-    Attributes
-    ----------
-    path : AxisPath
-        In the order of the axes of the machine.
-    first, last : int
-        Its samples.
-    """
-
-    path: AxisPath
-    first: int
-    last: int
-
-
-@dataclass(frozen=True)
-class MatchedRun:
-    """A run whose samples have places on the nominal curves.
-
-    Attributes
-    ----------
-    pose : RigidTransform
-        Tracker to the link that it stands on.
-    places : mapping of target to ndarray, shape (3,), m
-    place : ndarray, shape (n,)
-        Legs done in its part, of every sample; NaN where it belongs to none.
-    part : ndarray of int64, shape (n,)
-        Part of every sample; -1 for none.
-    location : mapping of name to float, m and rad
-        Rough location errors of the rotary axes.
-    distance : tuple of float
-        m; median distance of the samples from the curve, for every part.
-    driven : tuple of float
-        Share of the curve that was driven, for every part.
-    missing : tuple of AxisPath
-        Parts of the path that were not recorded.
-    as_planned : bool
-        Legs were driven forward and in order.
-    coverage : float
-        Driven share of the path.
-    followed : float
-        Share of the track that lies within ``match_tolerance`` of the curves.
-    """
-
-    machine: Machine
-    parts: tuple[Part, ...]
-    pose: RigidTransform
-    places: Mapping[str, Array]
-    place: Array
-    part: Index
-    location: Mapping[str, float]
-    distance: tuple[float, ...]
-    driven: tuple[float, ...]
-    missing: tuple[AxisPath, ...] = ()
-    as_planned: bool = True
-    coverage: float = 1.0
-    followed: float = 1.0
-
-    def sight(self, target: str) -> Sight:
-        """A target at the place that is known of it now."""
-        return sight_at(self.machine, target, self.places)
-
-    def aligned(self) -> Alignment:
-        """The same by the chords of the tracks of all parts."""
-        positions = [p.path.positions for p in self.parts]
-        shape = shape_of_parts([self.sight(p.path.target) for p in self.parts], positions)
-        leg = np.full(len(self.place), OFF_PATH, dtype=np.int32)
-        for number, part in enumerate(self.parts):
-            assert shape.part is not None
-            first, own = np.flatnonzero(shape.part == number)[0], slice(part.first, part.last)
-            at = places_of_chords(positions[number])
-            chord = np.searchsorted(at, self.place[own], side='right') - 1
-            chord = first + np.clip(chord, 0, len(at) - 2)
-            leg[own] = np.where(np.isnan(self.place[own]), OFF_PATH, chord)
-        return Alignment(self.pose, shape.corners, leg, self.coverage, not self.missing, shape)
-
-    def reduce_to_stops(self, samples: Samples, config: CalibrationConfig) -> Pieces:
-        """Average the stops at the corners.
-
-        Raises
-        ------
-        InputError
-            If a part has none.
-        """
-        stops, positions = (
-            find_stops(samples, config, GENTLE),
-            [p.path.positions for p in self.parts],
-        )
-        sights = [self.sight(p.path.target) for p in self.parts]
-        shape = shape_of_parts(sights, positions, corners_alone=True)
-        corners, at = self.pose.apply(stops.xyz), np.full(len(stops.xyz), OFF_PATH)
-        first = np.cumsum([0, *(len(q) for q in positions)])
-        for k, (a, b) in enumerate(stops.span.tolist()):
-            number, own = int(self.part[a]), self.place[a:b]
-            own = own[np.isfinite(own)]
-            if number < 0 or not len(own):
-                continue
-            place = float(np.median(own))
-            low = first[number] + max(0, int(place) - 2)
-            near = shape.corners[low : min(first[number + 1], first[number] + int(place) + 4)]
-            away = np.linalg.norm(near - corners[k], axis=1)
-            if away.min() < AT_STOP:
-                at[k] = low + int(away.argmin())
-        for number, part in enumerate(self.parts):
-            if not np.any((at >= first[number]) & (at < first[number + 1])):
-                raise InputError(
-                    f"part {number + 1} ('{part.path.target}'): no stop lies at a corner of its "
-                    f'path; use the method otf for a run without stops'
-                )
-        return stop_pieces(samples, shape, stops, at)
 
 
 def sight_at(machine: Machine, target: str, places: Mapping[str, Array]) -> Sight:
@@ -211,7 +97,9 @@ def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -
         gaps = np.diff(samples.stamp_ns)[ends - 1]
         ends = np.sort(ends[np.argsort(gaps)[-MOST_BREAKS:]])
     marks = [0, *ends.tolist(), len(samples)]
-    lengths = [Track.of(samples, a, b).length if b - a > 50 else 0.0 for a, b in pairwise(marks)]
+    lengths = [
+        TravelledTrack.of(samples, a, b).length if b - a > 50 else 0.0 for a, b in pairwise(marks)
+    ]
     chords = [float(np.linalg.norm(samples.xyz[e] - samples.xyz[e - 1])) for e in ends]
     nominal = [
         float(lines_of_part(Sight.of_target(machine, p.target), p.positions).run[-1])
@@ -268,7 +156,7 @@ class _Following:
     """A part while it is matched."""
 
     part: Part
-    track: Track
+    track: TravelledTrack
     reach: Array
 
 
@@ -302,22 +190,19 @@ def match(
     samples: Samples,
     machine: Machine,
     paths: Sequence[AxisPath],
-    pose: RigidTransform | None = None,
-    places: Mapping[str, Array] | None = None,
+    known: Alignment | None = None,
     *,
     quick: bool = False,
     in_any_order: bool = True,
-) -> MatchedRun:
+) -> Alignment:
     """Find driving order, pose, places of reflectors and the place of every sample.
 
     Parameters
     ----------
     paths : sequence of AxisPath
         Parts in driving order, axes as of the machine.
-    pose : RigidTransform, optional
-        Where it is known already.
-    places : mapping of target to ndarray, optional
-        The same.
+    known : Alignment, optional
+        With pose and places as they are known already.
     quick : bool
         Coarser and with fewer rounds: enough to tell whether it fits at all.
     in_any_order : bool
@@ -328,19 +213,20 @@ def match(
     InputError
         If track and path do not belong together.
     """
-    known = dict(places) if places is not None else nominal_places(machine)
+    pose = known.T_machine_tracker if known else None
+    places = dict(known.places) if known else nominal_places(machine)
     refused: InputError | None = None
-    best: MatchedRun | None = None
+    best: Alignment | None = None
     try:
-        start = _start_by_lengths(samples, machine, paths, known, pose)
-        best = _matched(samples, machine, paths, start, known, quick=quick)
+        start = _start_by_lengths(samples, machine, paths, places, pose)
+        best = _matched(samples, machine, paths, start, places, quick=quick)
     except InputError as error:
         refused = error
     if in_any_order and (best is None or best.followed < MIN_SHARE_AS_PLANNED):
-        found = _start_by_order(samples, machine, paths, known, pose)
+        found = _start_by_order(samples, machine, paths, places, pose)
         if found is not None:
-            other = _matched(samples, machine, paths, found, known, quick=True)
-            again = _start_by_order(samples, machine, paths, other.places, other.pose)
+            other = _matched(samples, machine, paths, found, places, quick=True)
+            again = _start_by_order(samples, machine, paths, other.places, other.T_machine_tracker)
             if again is not None:
                 other = _matched(samples, machine, paths, again, other.places, quick=quick)
             if best is None or other.followed > best.followed:
@@ -359,7 +245,7 @@ def _matched(
     places: Mapping[str, Array],
     *,
     quick: bool,
-) -> MatchedRun:
+) -> Alignment:
     """Improve pose, places of reflectors and places of samples together."""
     following, tracks = [], [f.track for f in start.following]
     for f in start.following:
@@ -378,12 +264,13 @@ def _matched(
         pose, known, location = _refined(machine, following, pose, known, rounds, location, band)
         matched = _placed(samples, machine, following, pose, known, location)
     travel = np.array([driven_length(machine, p.positions) for p in paths])
-    own = [driven_length(machine, p.path.positions) for p in matched.parts]
-    seen = np.bincount(start.published, matched.driven * np.array(own), len(paths))
-    shares = np.minimum(seen / travel, 1.0)
+    own = [p.driven * driven_length(machine, p.path.positions) for p in matched.parts]
+    shares = np.minimum(np.bincount(start.published, own, len(paths)) / travel, 1.0)
+    missing = tuple(p for k, p in enumerate(paths) if k not in start.published)
     return replace(
         matched,
-        missing=tuple(p for k, p in enumerate(paths) if k not in start.published),
+        missing=missing,
+        last_leg_driven=not missing,
         as_planned=start.as_planned,
         coverage=float(shares @ travel / travel.sum()) if start.as_planned else start.coverage,
     )
@@ -401,7 +288,7 @@ def _start_by_lengths(
     following = []
     for part in parts:
         curve = lines_of_part(sight_at(machine, part.path.target, places), part.path.positions)
-        track = Track.of(samples, part.first, part.last)
+        track = TravelledTrack.of(samples, part.first, part.last)
         if track.length < 0.02:
             raise InputError(
                 f"part '{part.path.target}': the reflector moves by only "
@@ -446,7 +333,8 @@ def _start_by_order(
             path = replace(path, positions=position_at(path.positions, d.places))
         first = d.first - _standing(samples.xyz[min(before, d.first) : d.first + 1][::-1])
         last = min(d.last, after) + _standing(samples.xyz[d.last - 1 : max(after, d.last)])
-        own, curve = Track.of(samples, first, last), lines_of_part(sights[d.part], path.positions)
+        own = TravelledTrack.of(samples, first, last)
+        curve = lines_of_part(sights[d.part], path.positions)
         place = np.interp(own.time, time[knots[:, 0].astype(np.int64)], knots[:, 1])
         reach = np.maximum.accumulate(np.interp(place, curve.shape.places, curve.run))
         following.append(_Following(Part(path, first, last), own, reach))
@@ -466,7 +354,7 @@ def _standing(xyz: Array) -> int:
     return int(np.argmax(away)) - 1 if away.any() else len(xyz) - 1
 
 
-def _finer(one: _Following, track: Track) -> _Following:
+def _finer(one: _Following, track: TravelledTrack) -> _Following:
     """The same part by more places of its track."""
     fine = track.resampled(max(STEP, track.length / MOST))
     return _Following(one.part, fine, np.interp(fine.reach, one.track.reach, one.reach))
@@ -646,11 +534,16 @@ def _placed(
     pose: RigidTransform,
     places: Mapping[str, Array],
     location: Mapping[str, float],
-) -> MatchedRun:
+) -> Alignment:
+    """Chords of all samples, with everything at its place."""
     actual = apply_location_errors(machine, location)
-    place, number = np.full(len(samples), np.nan), np.full(len(samples), -1, dtype=np.int64)
-    distance, driven, near = [], [], []
-    time = samples.time
+    shape = shape_of_parts(
+        [sight_at(machine, f.part.path.target, places) for f in following],
+        [f.part.path.positions for f in following],
+    )
+    leg = np.full(len(samples), OFF_PATH, dtype=np.int32)
+    parts, near, time = [], [], samples.time
+    assert shape.part is not None
     for k, f in enumerate(following):
         own = slice(f.part.first, f.part.last)
         curve = _curve(actual, f, places)
@@ -658,15 +551,14 @@ def _placed(
         off = np.linalg.norm(pose.apply(f.track.xyz) - _at_run(curve, f.reach), axis=1)
         limit = max(OFF_CURVE, OFF_RATIO * float(np.median(off)))
         on = np.interp(time[own], f.track.time, off) < limit
-        there = np.interp(reach, curve.run, curve.shape.places)
-        place[own], number[own] = np.where(on, there, np.nan), k
-        distance.append(float(np.median(off)))
+        first, (chord, _) = np.flatnonzero(shape.part == k)[0], curve.chord_at(reach)
+        leg[own] = np.where(on, first + chord, OFF_PATH)
         near.append(off < CalibrationConfig.match_tolerance)
         step, moved = np.diff(f.reach), np.diff(f.track.reach)
         seen = near[-1][1:] & near[-1][:-1] & (step < LONGEST * moved + JUMP)
-        driven.append(float(step[seen].sum() / curve.run[-1]))
-    parts = tuple(f.part for f in following)
-    return MatchedRun(
-        machine, parts, pose, places, place, number, location, tuple(distance), tuple(driven),
-        followed=float(np.mean(np.concatenate(near))),
+        share = float(step[seen].sum() / curve.run[-1])
+        parts.append(replace(f.part, driven=share, distance=float(np.median(off))))
+    return Alignment(
+        pose, shape.corners, leg, 1.0, True, shape, parts=tuple(parts), places=places,
+        location=location, followed=float(np.mean(np.concatenate(near))),
     )  # fmt: skip

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods that reduce recordings: on the fly, and at standstill.
+"""Reduction of recordings to their stops.
 
 Standstill calibration (Montavon et al., Lamdamap 2019; paper, Table 1): the machine stops at every
 corner point. Stops are recognised in the samples, matched to the points in driving order by their
@@ -10,31 +10,21 @@ the beam; the same equations are solved as on the fly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.config import OTF, STANDSTILL, CalibrationConfig
+from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.observation import Samples
 from otf_core.model.path import MIN_LEG, NominalPath, leg_bounds, sides_of_travel
-from otf_core.noise.standstill import find_standstills, noise_model
+from otf_core.noise.standstill import find_standstills
 from otf_core.pieces.pieces import Pieces
-from otf_core.pieces.runs import (
-    Recording,
-    Run,
-    check_same_machine,
-    common_nodes,
-    covered_range,
-    errors_of,
-    prepare_runs,
-)
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.curves import STANDS, PathShape
+from otf_core.tracking.curves import STANDS, PathShape, shape_of_parts
 from otf_core.tracking.matching import OFF_PATH, find_match
 from otf_core.tracking.measured_track import Track
 
@@ -44,6 +34,11 @@ MIN_STOPS = 4
 """Fewer stops do not determine the tracker pose."""
 SAME_PLACE, SAME_STOP = 1e-4, 0.5
 """m and s; successive standstills that lie closer together are one stop."""
+AT_STOP = 1.5e-3
+"""m; stops of parts are this near their corners."""
+GENTLE = 0.05
+"""s; left out at both ends of a stop: a reflector near a rotary axis starts and stops so gently
+that its speed does not show it."""
 
 
 @dataclass(frozen=True)
@@ -159,18 +154,14 @@ def _rough_pose(stops: Stops, points: Array, tolerance: float) -> RigidTransform
     return match.pose
 
 
-def align_stops(
-    samples: Samples, path: NominalPath, config: CalibrationConfig
-) -> tuple[Alignment, Stops, Index]:
+def align_stops(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Alignment:
     """Find the tracker's pose and the point of every stop.
 
     Returns
     -------
-    alignment : Alignment
+    Alignment
         ``corners`` are the points of the path; ``leg`` holds the point of every sample in a
         stop; ``coverage`` is the share of points with a stop.
-    point : ndarray of int64, shape (k,)
-        Point of every stop or ``OFF_PATH``.
 
     Raises
     ------
@@ -189,14 +180,48 @@ def align_stops(
     for (first, last), point in zip(stops.span, matched, strict=True):
         leg[first:last] = point
     coverage = len(np.unique(matched[use])) / len(points)
-    return (
-        Alignment(pose, points, leg, coverage, bool(matched.max() == len(points) - 1)),
-        stops,
-        matched,
-    )
+    return Alignment(pose, points, leg, coverage, bool(matched.max() == len(points) - 1))
 
 
-def stop_pieces(samples: Samples, shape: PathShape, stops: Stops, point: Index) -> Pieces:
+def reduce_to_stops(samples: Samples, alignment: Alignment, config: CalibrationConfig) -> Pieces:
+    """Average the stops at the corners of the path.
+
+    Raises
+    ------
+    InputError
+        If a part has none.
+    """
+    shape = alignment.shape
+    if not shape.sights:
+        stops = find_stops(samples, config)
+        point = alignment.leg[stops.span[:, 0]].astype(np.int64)
+        return _stop_pieces(samples, shape, stops, point)
+    stops = find_stops(samples, config, GENTLE)
+    positions = [part.path.positions for part in alignment.parts]
+    at_corners = shape_of_parts(shape.sights, positions, corners_alone=True)
+    places, at = alignment.T_machine_tracker.apply(stops.xyz), np.full(len(stops.xyz), OFF_PATH)
+    first = np.cumsum([0, *(len(q) for q in positions)])
+    for k, (a, b) in enumerate(stops.span.tolist()):
+        chord = alignment.leg[a:b]
+        chord = chord[chord != OFF_PATH]
+        if not len(chord):
+            continue
+        number, place = int(shape.part_of_corners[chord[0]]), int(np.median(shape.places[chord]))
+        low = first[number] + max(0, place - 2)
+        near = at_corners.corners[low : min(first[number + 1], first[number] + place + 4)]
+        away = np.linalg.norm(near - places[k], axis=1)
+        if away.min() < AT_STOP:
+            at[k] = low + int(away.argmin())
+    for number, part in enumerate(alignment.parts):
+        if not np.any((at >= first[number]) & (at < first[number + 1])):
+            raise InputError(
+                f"part {number + 1} ('{part.path.target}'): no stop lies at a corner of its "
+                f'path; use the method otf for a run without stops'
+            )
+    return _stop_pieces(samples, at_corners, stops, at)
+
+
+def _stop_pieces(samples: Samples, shape: PathShape, stops: Stops, point: Index) -> Pieces:
     """Return the stops at points of the path as pieces, each with a leg number of its own.
 
     Their direction is that of approach from the point before; zero, as unknown, at the first of a
@@ -247,32 +272,3 @@ def stop_pieces(samples: Samples, shape: PathShape, stops: Stops, point: Index) 
         piece=np.repeat(np.arange(count), samples_of),
         stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),
     )
-
-
-def prepare_stops(
-    recordings: Sequence[Recording], config: CalibrationConfig
-) -> tuple[list[Run], dict[str, Array]]:
-    """Align and average stops for a common set of table nodes; see ``runs.prepare_runs``."""
-    check_same_machine(recordings)
-    aligned, pieces, ranges = [], [], []
-    for recording in recordings:
-        with errors_of(recording.name):
-            alignment, stops, point = align_stops(recording.samples, recording.path, config)
-            aligned.append(alignment)
-            pieces.append(stop_pieces(recording.samples, alignment.shape, stops, point))
-            ranges.append(covered_range(alignment, recording))
-    nodes = common_nodes(recordings[0].machine, ranges)
-    runs = []
-    for recording, alignment, part in zip(recordings, aligned, pieces, strict=True):
-        with errors_of(recording.name):
-            samples, spec = recording.samples, recording.machine.tracker
-            noise = noise_model(samples, spec, config.standstill_speed)
-        runs.append(Run.of(recording, alignment, part, alignment.T_machine_tracker, noise))
-    return runs, nodes
-
-
-Preparation = Callable[
-    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
-]
-"""From recordings to runs reduced to pieces, and the table nodes."""
-PREPARATIONS: Mapping[str, Preparation] = {OTF: prepare_runs, STANDSTILL: prepare_stops}

@@ -6,21 +6,18 @@ from __future__ import annotations
 import time
 
 from otf_core.errors import OtfError
-from otf_msgs.msg import TrackerStatus
 from otf_ros import app
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.timers import create_timer
-from otf_tracker_driver.errors import Unreachable
+from otf_tracker_driver.backends.base import Unreachable
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 
 FIRST_PAUSE = 1.0
 """s; between attempts, doubled each time."""
-LONG = 1e6
-"""s; period of a timer that is given another one before it runs."""
 
 
-class Waiting:
+class AutoStart:
     """Configures and activates a node, at once if ``auto_start``, or when its source is there.
 
     Once the node was configured by hand, people decide what happens.
@@ -33,12 +30,12 @@ class Waiting:
 
     def __init__(self, node: SteadyLifecycleNode, status: Status, config: DriverConfig) -> None:
         self._node, self._status, self._longest = node, status, config.longest_retry
-        self._timer = create_timer(node, LONG, self._attempt, autostart=False)
+        self._timer = create_timer(node, FIRST_PAUSE, self._attempt, autostart=False)
         self._attempts, self._pause = 0, min(FIRST_PAUSE, self._longest)
         self._since, self._going = time.monotonic(), config.auto_start
         self._error: OtfError | None = None
 
-    def start(self) -> None:
+    def begin(self) -> None:
         """Begin, if the node shall start by itself.
 
         Raises
@@ -49,23 +46,26 @@ class Waiting:
         if self._going:
             self._attempt()
 
-    def refused(self, error: OtfError) -> None:
-        """Determine that the node cannot be configured, and what comes next."""
-        self._error = error
-        if self._may_pass:
-            self._status.wait(f'{error}; {self._plan}', self._since)
-        else:
-            text = f'{error}; correct it and configure again'
-            self._status.report(TrackerStatus.FAULT, text)
+    def stop(self) -> None:
+        """Try no more."""
+        self._going = False
+        self._timer.cancel()
 
-    @property
+    def refused(self, error: OtfError) -> None:
+        """Say why the node cannot be configured, and what comes next."""
+        self._error = error
+        if not self._may_pass():
+            self._status.fault(f'{error}; correct it and configure again')
+            return
+        text = (
+            f'{error}; {self._attempts} attempt{"s" if self._attempts > 1 else ""} in '
+            f'{time.monotonic() - self._since:.0f} s, the next one in {self._pause:.0f} s; '
+            f'configure to try at once'
+        )
+        self._status.wait(text, self._since)
+
     def _may_pass(self) -> bool:
         return self._going and self._longest > 0 and isinstance(self._error, Unreachable)
-
-    def _again(self, pause: float) -> None:
-        """Attempt it after a pause, s."""
-        self._timer.timer_period_ns = round(pause * 1e9)
-        self._timer.reset()
 
     def _attempt(self) -> None:
         """Configure and activate, or get ready to try again."""
@@ -79,22 +79,9 @@ class Waiting:
             return
         if self._error is None:
             self._node.trigger_activate()
-        elif self._may_pass:
-            self._again(self._pause)
+        elif self._may_pass():
+            self._timer.timer_period_ns = round(self._pause * 1e9)
+            self._timer.reset()
             self._pause = min(2 * self._pause, self._longest)
         else:
             raise self._error
-
-    def stop(self) -> None:
-        """Try no more."""
-        self._going = False
-        self._timer.cancel()
-
-    @property
-    def _plan(self) -> str:
-        """What was tried and what comes next, in words."""
-        lasted = time.monotonic() - self._since
-        return (
-            f'{self._attempts} attempt{"s" if self._attempts > 1 else ""} in {lasted:.0f} s, the '
-            f'next one in {self._pause:.0f} s; configure to try at once'
-        )

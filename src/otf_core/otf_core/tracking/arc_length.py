@@ -31,7 +31,7 @@ LONGEST = 3
 
 
 @dataclass(frozen=True)
-class Track:
+class TravelledTrack:
     """Where the reflector was, by the arc length that it has travelled.
 
     Attributes
@@ -49,7 +49,7 @@ class Track:
     reach: Array
 
     @classmethod
-    def of(cls, samples: Samples, first: int, last: int) -> Track:
+    def of(cls, samples: Samples, first: int, last: int) -> TravelledTrack:
         """Track of the samples from one up to another."""
         every = max(1, round(PERIOD / max(samples.step, 1e-6)))
         count = (last - first) // every
@@ -64,11 +64,11 @@ class Track:
         """Arc length, m."""
         return float(self.reach[-1])
 
-    def resampled(self, step: float) -> Track:
+    def resampled(self, step: float) -> TravelledTrack:
         """The same at equal steps of arc length."""
         reach = np.arange(0.0, self.length + 0.5 * step, step)
         xyz = np.stack([np.interp(reach, self.reach, own) for own in self.xyz.T], axis=1)
-        return Track(xyz, np.interp(reach, self.reach, self.time), reach)
+        return TravelledTrack(xyz, np.interp(reach, self.reach, self.time), reach)
 
 
 def _moved(xyz: Array, last: Array) -> Index:
@@ -100,7 +100,7 @@ class GrowingLength:
         self._length = 0.0
 
     def up_to(self, samples: Samples) -> float:
-        """Arc length up to the last sample, as ``Track.of`` has it, m.
+        """Arc length up to the last sample, as ``TravelledTrack.of`` has it, m.
 
         Parameters
         ----------
@@ -119,13 +119,15 @@ class GrowingLength:
         return self._length
 
 
-def by_length(track: Track, length: float) -> Array:
+def by_length(track: TravelledTrack, length: float) -> Array:
     """Arc length on a curve of every place of a track that ends where the curve does, (k,)."""
     share = length / max(track.length, 1e-9)
     return track.reach * (share if 0.9 < share < 1.1 else 1.0)
 
 
-def assign_places(track: Track, curve: Lines, points: Array, band: float, start: Array) -> Array:
+def assign_places(
+    track: TravelledTrack, curve: Lines, points: Array, band: float, start: Array
+) -> Array:
     """Assign places of a track to places of a curve, in order.
 
     Parameters

@@ -19,7 +19,8 @@ from otf_core.errors import InputError, OtfError
 from otf_core.model.axis_path import BREAK, AxisPath
 from otf_core.model.machine import BED, TABLE, Chain, Machine
 from otf_core.model.observation import Samples
-from otf_core.rotary.curve_matching import MatchedRun, match
+from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.curve_matching import match
 from otf_core.tracking.matching import MIN_SHARE_AS_PLANNED
 
 SUSPECT = 2.5e-4
@@ -41,7 +42,9 @@ TILT = 3e-3
 """rad; the same of its direction."""
 
 
-def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath]) -> list[str]:
+def check_matched(
+    samples: Samples, matched: Alignment, paths: Sequence[AxisPath]
+) -> tuple[str, ...]:
     """Refuse what does not fit and say why; return what is to be noted.
 
     Raises
@@ -54,9 +57,9 @@ def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPat
         explained = _explained(samples, matched, paths, OFF)
         if explained:
             raise InputError(f'samples do not follow the path as planned; {explained}')
-    worst = int(np.argmax(matched.distance))
-    if matched.distance[worst] > SUSPECT:
-        given = matched.distance[worst]
+    off = [part.distance for part in matched.parts]
+    worst, given = int(np.argmax(off)), max(off)
+    if given > SUSPECT:
         explained = _explained(samples, matched, paths, BETTER * given) or _moved_tracker(
             samples, matched, given
         )
@@ -64,17 +67,21 @@ def check_matched(samples: Samples, matched: MatchedRun, paths: Sequence[AxisPat
             raise InputError(
                 f'the track is {1e3 * given:.2f} mm off the curve that the axes drive; {explained}'
             )
-        if matched.distance[worst] > REFUSED:
+        if given > REFUSED:
             raise InputError(
                 f"part {worst + 1} ('{matched.parts[worst].path.target}'): the track is "
-                f'{1e3 * matched.distance[worst]:.2f} mm off the curve that the axes drive; '
+                f'{1e3 * given:.2f} mm off the curve that the axes drive; '
                 f'{_parts_words(samples, paths)}check chain, direction and centre of the rotary '
                 f'axes, and link and place of the targets and of the tracker'
             )
     far = {n: (v, True) for n, v in matched.location.items() if abs(v) > UNSOLVABLE}
     if far:
-        raise InputError('; '.join(wrong_lines(far, matched.machine)))
+        raise InputError('; '.join(wrong_lines(far, _machine(matched))))
     return _notes(matched)
+
+
+def _machine(matched: Alignment) -> Machine:
+    return matched.shape.sights[0].machine
 
 
 def _parts_words(samples: Samples, paths: Sequence[AxisPath]) -> str:
@@ -90,15 +97,16 @@ def _parts_words(samples: Samples, paths: Sequence[AxisPath]) -> str:
 
 
 def _explained(
-    samples: Samples, matched: MatchedRun, paths: Sequence[AxisPath], best: float
+    samples: Samples, matched: Alignment, paths: Sequence[AxisPath], best: float
 ) -> str:
     """Words on the change under which the track fits as planned, nearer than ``best``, m."""
     words = ''
-    for machine, driven, said in _alternatives(matched.machine, paths):
+    for machine, driven, said in _alternatives(_machine(matched), paths):
         with suppress(OtfError):
             other = match(samples, machine, driven, quick=True, in_any_order=False)
-            if max(other.distance) < best and other.followed > MIN_SHARE_AS_PLANNED:
-                best, words = max(other.distance), said
+            off = max(part.distance for part in other.parts)
+            if off < best and other.followed > MIN_SHARE_AS_PLANNED:
+                best, words = off, said
                 if best < 0.5 * SUSPECT:
                     break
     return words
@@ -162,18 +170,18 @@ def _other_orders(
         )
 
 
-def _moved_tracker(samples: Samples, matched: MatchedRun, given: float) -> str:
+def _moved_tracker(samples: Samples, matched: Alignment, given: float) -> str:
     """Words where parts fit one by one, but not with one pose of the tracker."""
     poses = []
     for part in matched.parts:
         own = samples.part(part.first, part.last)
         try:
-            alone = match(own, matched.machine, [part.path], quick=True, in_any_order=False)
+            alone = match(own, _machine(matched), [part.path], quick=True, in_any_order=False)
         except OtfError:
             return ''
-        if max(alone.distance) > BETTER * given:
+        if alone.parts[0].distance > BETTER * given:
             return ''
-        poses.append(alone.pose)
+        poses.append(alone.T_machine_tracker)
     points = samples.xyz[:: max(1, len(samples) // 200)]
     apart = [float(np.abs(p.apply(points) - poses[0].apply(points)).max()) for p in poses]
     moved = next((k for k, d in enumerate(apart) if d > SUSPECT), None)
@@ -186,9 +194,9 @@ def _moved_tracker(samples: Samples, matched: MatchedRun, given: float) -> str:
     )
 
 
-def _check_names(matched: MatchedRun) -> None:
+def _check_names(matched: Alignment) -> None:
     """Refuse names of targets that lie where others are stated."""
-    machine = matched.machine
+    machine = _machine(matched)
     seen = {p.path.target for p in matched.parts if machine.targets[p.path.target].link == TABLE}
     for one, other in combinations(sorted(seen), 2):
         stated = {n: np.array(machine.targets[n].place) for n in (one, other)}
@@ -205,7 +213,7 @@ def _check_names(matched: MatchedRun) -> None:
             )
 
 
-def _notes(matched: MatchedRun) -> list[str]:
+def _notes(matched: Alignment) -> tuple[str, ...]:
     notes = []
     if not matched.as_planned:
         notes.append(
@@ -220,14 +228,14 @@ def _notes(matched: MatchedRun) -> list[str]:
             f'recorded: {names}'
         )
     for name in sorted({p.path.target for p in matched.parts}):
-        target = matched.machine.targets[name]
+        target = _machine(matched).targets[name]
         off = float(np.linalg.norm(matched.places[name] - np.array(target.place)))
         if target.u > 0.0 and target.link == TABLE and off > max(FAR * target.u, CENTRE):
             notes.append(
                 f"target '{name}' lies {1e3 * off:.1f} mm from the place in machine.yaml, which "
                 f'states u = {1e3 * target.u:g} mm'
             )
-    return notes
+    return tuple(notes)
 
 
 def wrong_lines(location: dict[str, tuple[float, bool]], machine: Machine) -> list[str]:

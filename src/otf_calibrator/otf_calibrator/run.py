@@ -8,6 +8,10 @@ not end a run while the driver says that its stream goes on, or the path is not 
 Samples and status come on different topics, so nothing here depends on which of the two comes
 first.
 
+The driver states how many samples it has published, and the stamp of the last of them. Samples
+arrive in their order: once that one or a later one is there, those before it that are not are
+lost, however many more are on their way.
+
 Stamps that jump back begin a run only if the clock before has fallen silent: single wrong stamps
 and a second tracker do not.
 """
@@ -15,20 +19,24 @@ and a second tracker do not.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from otf_calibrator.losses import LATE, Restarts, Stream
 from otf_core.bags.sample_order import Clock, Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import PartsTrack
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
-from otf_core.rotary.run_progress import PartsWatcher, watcher_of
+from otf_core.model.provenance import moment
 from otf_core.tracking.path_watch import NEARLY as DRIVEN
 from otf_core.tracking.path_watch import PathWatcher
 
+LATE = 2.0
+"""s; samples that have not arrived so long after the end of their stream are lost."""
+LOOKED_AT = 500
+"""Last samples before a restart whose rate counts."""
 SILENT = 0.5
 """s; trackers that stream at once take turns faster: a clock so long unheard has stopped."""
 SAME_RUN = 600.0
@@ -46,6 +54,98 @@ BEGUN = 0.05
 """The same before the state speaks of the next run instead of the last result."""
 SAME_PATH = 1e-6
 """m; paths that differ by less are the same."""
+
+
+@dataclass
+class Stream:
+    """One stream of the driver as status and samples tell; all zero without any status.
+
+    Attributes
+    ----------
+    before : int
+        Samples published before it was heard of, of which nobody here knows.
+    missing : int
+        Samples that have not arrived although later ones have.
+    """
+
+    name: str = ''
+    before: int = 0
+    received: int = 0
+    announced: int = 0
+    missing: int = 0
+    finished: bool = False
+    ended: bool = False
+    ended_at: float = 0.0
+    heard: float = 0.0
+    told: float = 0.0
+    _by_stamp: bool = False
+    _stated: tuple[int, int] | None = None
+
+    def announce(self, published: int, last_ns: int) -> None:
+        """Process the number of published samples and the stamp of the last, ns; 0: not stated."""
+        self.announced, self._by_stamp = published, bool(last_ns)
+        self._stated = (published, last_ns) if last_ns else None
+
+    def count(self, newest_ns: int | None) -> None:
+        """Count what is missing, given the newest stamp that has arrived, ns."""
+        if self._stated and newest_ns is not None and newest_ns >= self._stated[1]:
+            of_these = self.received - (newest_ns > self._stated[1])
+            self.missing = max(self.missing, self._stated[0] - self.before - of_these)
+            self._stated = None
+
+    @property
+    def outstanding(self) -> int:
+        """Samples that were announced and have not arrived."""
+        return max(0, self.announced - self.before - self.received)
+
+    @property
+    def gone(self) -> int:
+        """Those of them that will not, as far as is known at this moment."""
+        return self.missing if self._by_stamp and not self.ended else self.outstanding
+
+    def over(self, now: float) -> bool:
+        """Return whether no further sample of this stream is to be expected."""
+        late = now - max(self.ended_at, self.heard) > LATE
+        return self.ended and (late or not self.outstanding)
+
+    def lost(self, now: float) -> int:
+        """Samples that were published and will not arrive."""
+        return self.outstanding if self.over(now) else self.missing
+
+
+class Restarts:
+    """Gaps in the stamps where driver or calibrator were restarted during a run.
+
+    Attributes
+    ----------
+    remarks : list of str
+        Each of them in words.
+    """
+
+    def __init__(self) -> None:
+        self.remarks: list[str] = []
+        self._expected = False
+
+    def expect(self) -> None:
+        """Expect a gap before the next sample, which is the first after a restart."""
+        self._expected = True
+
+    def sample(self, stamp_ns: int, buffer: SampleBuffer) -> None:
+        """Measure the gap between a sample with stamp in ns and the samples before it."""
+        if not self._expected:
+            return
+        self._expected = False
+        before = buffer.snapshot(max(0, len(buffer) - LOOKED_AT))
+        last, step = int(before.stamp_ns.max()), before.in_order().step_ns
+        if step and stamp_ns - last > 1.5 * step:
+            at = moment(last) or f'stamp {1e-9 * last:.3f} s'
+            gap = 1e-9 * (stamp_ns - last)
+            self.remarks.append(f'driver or calibrator restarted at {at}: gap of {gap:.2f} s')
+
+
+def lost_words(count: int) -> str:
+    """State how many samples were lost."""
+    return f'{count} samples were lost on the way'
 
 
 class PathTaken(Enum):
@@ -82,8 +182,6 @@ class Collector:
         Number of the run; it changes with every new run and every new path.
     publishers : int
         Number of publishers of samples that the graph knows.
-    missed : int
-        Samples of the run that the numbers of their messages leave out.
     restarts : Restarts
         What the stamps leave out where driver or calibrator were started again.
     watcher : PathWatcher or None
@@ -105,7 +203,6 @@ class Collector:
         self.taken = False
         self.run = 0
         self.publishers = 1
-        self.missed = 0
         self.restarts = Restarts()
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
@@ -134,7 +231,7 @@ class Collector:
 
     def count_lost(self, now: float) -> int:
         """Count the samples of the run that are lost, without those that may still arrive."""
-        return max(0, self._lost_before + self._stream.lost(now), self.missed)
+        return max(0, self._lost_before + self._stream.lost(now))
 
     @property
     def published(self) -> int:
@@ -169,6 +266,10 @@ class Collector:
     def over(self, now: float) -> bool:
         """Return whether the run can have no further samples."""
         return self.taken or (self._stream.over(now) and not self.undecided(now))
+
+    def stream_over(self, now: float) -> bool:
+        """Return whether the driver has finished its stream, and nothing of it is outstanding."""
+        return self._stream.finished and self._stream.over(now)
 
     def goes_on(self, now: float) -> bool:
         """Return whether more samples of the run are to be expected at once."""
@@ -220,7 +321,7 @@ class Collector:
         """Return the path without the parts that were not driven, and a remark on these."""
         path, watcher = self.path, self.watcher
         assert path is not None, 'asked before'
-        if not isinstance(path, PartsTrack) or not isinstance(watcher, PartsWatcher):
+        if not isinstance(path, PartsTrack) or watcher is None:
             return path, ()
         count = len(path.parts)
         if watcher.in_last_part:
@@ -337,7 +438,7 @@ class Collector:
         """Return why the run is complete, in words; empty if it is not."""
         if self.taken or self.path is None or not len(self.buffer) or self.undecided(now):
             return ''
-        if at_stream_end and self._stream.finished and self._stream.over(now):
+        if at_stream_end and self.stream_over(now):
             return 'the stream has ended'
         idle = now - self._heard
         stream = self._stream
@@ -412,7 +513,6 @@ class Collector:
     def _forget(self) -> None:
         self.buffer.clear()
         self.screening, self.remarks, self.restarts = Screening(), [], Restarts()
-        self.missed = 0
         if not self._stream.name:
             self._stream = Stream()
         self._lost_before = -self._stream.gone
@@ -422,7 +522,7 @@ class Collector:
 
     def _watch(self) -> None:
         self.run += 1
-        self.watcher = watcher_of(self.path, self._config()) if self.path else None
+        self.watcher = PathWatcher(self.path, self._config()) if self.path else None
         if self.watcher is None:
             return
         samples = self.buffer.snapshot()
