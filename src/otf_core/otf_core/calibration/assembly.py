@@ -133,12 +133,7 @@ def assemble(
     tables = with_uncertainty(made.tables, expected, observed)
     results = _run_results(solved, runs, driven, states, config)
     fit = _fit(recordings, joint, results, check, budget.inflation)
-    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
-    findings = (
-        *findings,
-        *(Finding('machine.yaml', GATE, words) for words in wrong_lines(lines, tables.machine)),
-        *check_worth(declared, covariance, sample_noise(runs)),
-    )
+    findings = (*findings, *_findings_of_tables(declared, covariance, runs))
     machines = [r.machine for r in recordings]
     warnings = (
         *([typical.warning] if typical else []),
@@ -148,7 +143,6 @@ def assemble(
         *mixture_warnings(machines, hidden),
     )
     gates = (*words_of(findings, GATE), *_failed_gates(fit, tables))
-    measurement = measurement_verdict(gates)
     return CalibrationResult(
         run_id=run_id(recordings, config),
         tables=tables,
@@ -170,11 +164,23 @@ def assemble(
         typical=typical,
         warnings=warnings,
         failed_gates=gates,
-        verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
+        verdicts=Verdicts(measurement_verdict(gates), judge(tables, expected, budget, hidden)),
         config=config,
         origin=origins(recordings),
         effects=removed.stated if removed is not None else (),
     )
+
+
+def _findings_of_tables(
+    tables: ErrorTables, covariance: Array, runs: Sequence[Observed]
+) -> list[Finding]:
+    """What the tables contradict: lines of rotary axes elsewhere, errors below their u."""
+    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
+    wrong = wrong_lines(lines, tables.machine)
+    return [
+        *(Finding('machine.yaml', GATE, words) for words in wrong),
+        *check_worth(tables, covariance, sample_noise(runs)),
+    ]
 
 
 def _driven_parts(run: Run, solved: SolvedRun) -> list[DrivenPart]:
