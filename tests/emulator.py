@@ -30,7 +30,8 @@ from otf_core.config import ParameterInfo, Parameters, PlannerConfig, Simulation
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.plan import Plan
-from otf_core.model.tables import ErrorTables, load_tables
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.calibration_document import load_tables
 from otf_tracker_driver.backends import emscon_link as codes
 from otf_tracker_driver.backends.emscon_link import (
     ANSWER,
