@@ -18,6 +18,7 @@ from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
     OBSERVED,
+    Budget,
     NoiseParts,
     make_budget,
     noise_parts,
@@ -114,11 +115,7 @@ def assemble(
     runs, joint, parts, pulls = _settled(solved, limit)
     states = piece_states(runs, joint, tables_of(joint.machine, joint.unknowns, joint.solution))
     check = whole_check(runs, joint, [s.residual for s in joint.runs])
-    speed = solved.runs[0].speed_at_rest(config)
-    still = standstill_freedom([r.samples for r in recordings], runs, speed)
-    budget = make_budget(runs, joint, parts, states, still, check)
-    if removed is not None:
-        budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
+    budget = _declared_budget(solved, runs, joint, parts, states, check, config, removed)
     # what a machine does not declare changes no table: nodes and gates go by what is stated
     stated = budget.whole
     grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, stated)
@@ -169,6 +166,25 @@ def assemble(
         origin=origins(recordings),
         effects=removed.stated if removed is not None else (),
     )
+
+
+def _declared_budget(
+    solved: ReversalSolution[Run],
+    runs: Sequence[Observed],
+    joint: JointSolution,
+    parts: NoiseParts,
+    states: Sequence[State],
+    check: ResidualCheck,
+    config: CalibrationConfig,
+    removed: RemovedEffects | None,
+) -> Budget:
+    """The budget without typical values."""
+    samples = [run.recording.samples for run in solved.runs]
+    still = standstill_freedom(samples, runs, solved.runs[0].speed_at_rest(config))
+    budget = make_budget(runs, joint, parts, states, still, check)
+    if removed is None:
+        return budget
+    return with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
 
 
 def _findings_of_tables(
