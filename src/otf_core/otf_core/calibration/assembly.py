@@ -18,6 +18,7 @@ from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
     OBSERVED,
+    Budget,
     NoiseParts,
     make_budget,
     noise_parts,
@@ -114,11 +115,7 @@ def assemble(
     runs, joint, parts, pulls = _settled(solved, limit)
     states = piece_states(runs, joint, tables_of(joint.machine, joint.unknowns, joint.solution))
     check = whole_check(runs, joint, [s.residual for s in joint.runs])
-    speed = solved.runs[0].speed_at_rest(config)
-    still = standstill_freedom([r.samples for r in recordings], runs, speed)
-    budget = make_budget(runs, joint, parts, states, still, check)
-    if removed is not None:
-        budget = with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
+    budget = _declared_budget(solved, runs, joint, parts, states, check, config, removed)
     # what a machine does not declare changes no table: nodes and gates go by what is stated
     stated = budget.whole
     grid_u = mean_grid_uncertainty(joint.machine, joint.unknowns, stated)
@@ -133,12 +130,7 @@ def assemble(
     tables = with_uncertainty(made.tables, expected, observed)
     results = _run_results(solved, runs, driven, states, config)
     fit = _fit(recordings, joint, results, check, budget.inflation)
-    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
-    findings = (
-        *findings,
-        *(Finding('machine.yaml', GATE, words) for words in wrong_lines(lines, tables.machine)),
-        *check_worth(declared, covariance, sample_noise(runs)),
-    )
+    findings = (*findings, *_findings_of_tables(declared, covariance, runs))
     machines = [r.machine for r in recordings]
     warnings = (
         *([typical.warning] if typical else []),
@@ -148,7 +140,6 @@ def assemble(
         *mixture_warnings(machines, hidden),
     )
     gates = (*words_of(findings, GATE), *_failed_gates(fit, tables))
-    measurement = measurement_verdict(gates)
     return CalibrationResult(
         run_id=run_id(recordings, config),
         tables=tables,
@@ -170,11 +161,42 @@ def assemble(
         typical=typical,
         warnings=warnings,
         failed_gates=gates,
-        verdicts=Verdicts(measurement, judge(tables, expected, budget, hidden)),
+        verdicts=Verdicts(measurement_verdict(gates), judge(tables, expected, budget, hidden)),
         config=config,
         origin=origins(recordings),
         effects=removed.stated if removed is not None else (),
     )
+
+
+def _declared_budget(
+    solved: ReversalSolution[Run],
+    runs: Sequence[Observed],
+    joint: JointSolution,
+    parts: NoiseParts,
+    states: Sequence[State],
+    check: ResidualCheck,
+    config: CalibrationConfig,
+    removed: RemovedEffects | None,
+) -> Budget:
+    """The budget without typical values."""
+    samples = [run.recording.samples for run in solved.runs]
+    still = standstill_freedom(samples, runs, solved.runs[0].speed_at_rest(config))
+    budget = make_budget(runs, joint, parts, states, still, check)
+    if removed is None:
+        return budget
+    return with_source(budget, EFFECTS, budget.inflation * removed.of_unknowns)
+
+
+def _findings_of_tables(
+    tables: ErrorTables, covariance: Array, runs: Sequence[Observed]
+) -> list[Finding]:
+    """What the tables contradict: lines of rotary axes elsewhere, errors below their u."""
+    lines = {name: (v.value, v.identifiable) for name, v in tables.location.items()}
+    wrong = wrong_lines(lines, tables.machine)
+    return [
+        *(Finding('machine.yaml', GATE, words) for words in wrong),
+        *check_worth(tables, covariance, sample_noise(runs)),
+    ]
 
 
 def _driven_parts(run: Run, solved: SolvedRun) -> list[DrivenPart]:

@@ -34,6 +34,7 @@ from otf_core.prediction.calibration_document import (
     OPEN,
     PASS,
     UNKNOWN,
+    LimitVerdict,
     PackedCovariance,
     tables_from_dict,
 )
@@ -290,14 +291,8 @@ def limit_row(one: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def limit_lines(content: Content) -> list[str]:
     """Limits that are not proven to be kept, a line each."""
-    lines = []
-    for one in content.limits.values():
-        what, value, wide, limit, unit, state = limit_row(one)
-        if state.words != PASS:
-            size = f'{value} +/- {wide} {unit}' if wide else f'{value} {unit}'.strip()
-            size = 'the data do not show it' if state.words == UNKNOWN else size
-            lines.append(f'{what}: {size}, limit {limit} {unit}: {state.words}')
-    return lines
+    judged = (LimitVerdict.from_dict(one) for one in content.limits.values())
+    return [one.words for one in judged if one.state != PASS]
 
 
 def warnings(doc: Mapping[str, Any]) -> list[str]:
@@ -594,15 +589,11 @@ def why_reversal(evidence: Mapping[str, Any]) -> Iterator[str]:
         if decided := evidence.get('decided_by'):
             yield f'Decided by {decided}.'
         return
-    for model in (key.removeprefix('gain_') for key in evidence if key.startswith('gain_')):
-        yield (f'Model {model}: gain over the best simpler model on {evidence["lines"]} held-out '
-               f'lines {evidence[f"gain_{model}"]:.1f} +/- {evidence[f"scatter_{model}"]:.1f}; '
-               f'{evidence["needed"]:g} times the scatter is needed.')  # fmt: skip
-    if 'rival' in evidence:
-        yield (
-            f'But {evidence["rival"]} explains these legs better: an error that changes sign '
-            f'with the direction of travel and grows with the feed; see otf diagnose.'
-        )
+    yield (
+        f'Gain of all that was chosen, or of the best that was not, over no reversal on '
+        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
+        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
+    )
 
 
 def iso_row(content: Content, axis: str) -> tuple[str, ...]:

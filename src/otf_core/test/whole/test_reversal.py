@@ -30,6 +30,7 @@ from otf_core.pieces.runs import Recording
 from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.calibration_page import calibration_page
+from otf_core.reports.rendering import typeset
 from otf_core.sim.cell import simulate
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.solution import identifiable_blocks
@@ -249,4 +250,4 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
             content, axis, content.tables.motions[f'E{axis}{axis}'].position
         )
         assert found.value == pytest.approx(exported.mean(), abs=1e-12)
-        assert f'{axis} {found.words}' in text
+        assert typeset(f'{axis} {found.words}') in text
