@@ -42,7 +42,7 @@ def test_no_effect_is_named_outside_its_own_file():
                 yield f'line {node.lineno}: {words & set(REGISTRY)}'
 
     found = {str(file.relative_to(ROOT)): list(named(parsed(file))) for file in SOURCES}
-    assert len(found) > 350
+    assert len(found) > 300
     assert not {name: lines for name, lines in found.items() if lines}
 
 

@@ -36,7 +36,7 @@ def judged(limits, hidden=()):
     sources = (Source(NOISE, covariance, np.inf),)
     budget = Budget(sources, (), 1.0, np.eye(size), np.zeros(size))
     verdict = judge(tables, covariance, budget, hidden)
-    return {one.name: one for one in verdict.judged}
+    return {one.name: one for one in verdict.limits}
 
 
 @pytest.mark.parametrize(('limit', 'state'), [(4.5e-5, 'pass'), (4.1e-5, 'not proven'),

@@ -134,8 +134,11 @@ def test_a_lag_between_the_usual_ones_and_a_fixed_point_anywhere_are_found():
     (signal,) = cause.option.effect.spans
     assert signal.startswith('signal:/motor@') and abs(float(signal.split('@')[1]) - 43.0) < 4.0
     assert (cause.option.effect.name, cause.option.axes) == ('thermal_axis_expansion', ('X',))
-    strain, shift = (part.value[part.names.index(f'{n}_X_1')] for n in 'SD')
-    assert -shift / strain == pytest.approx(far, rel=0.05)
+    places = [part.names.index(f'{n}_X_1') for n in 'SD']
+    strain, shift = part.value[places]
+    slope = np.array([shift / strain**2, -1.0 / strain])
+    u = float(np.sqrt(slope @ part.covariance[np.ix_(places, places)] @ slope))
+    assert -shift / strain == pytest.approx(far, abs=3.0 * u) and u < 0.05 * far
     given = [AppliedEffect(cause.option.effect, {'S_X_1': strain, 'D_X_1': shift})]
     assert (
         effects_from_data(effects_to_data(given, some_machine()), 'file', some_machine())[0].effect
