@@ -451,10 +451,6 @@ def check_files(files: CalibratorConfig, changed: Collection[str] | None = None)
         if not files.machine_file:
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         machine = load_machine(files.machine_file)
-        if files.effects != NONE and machine.rotary_names:
-            raise ConfigError(
-                f'parameter effects: not available for machines with rotary axes ({machine.name})'
-            )
         if files.effects not in (NONE, AUTO):
             read_effects(files.effects, machine)
     if not files.history_directory:

@@ -316,15 +316,12 @@ def calibrate(
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
-    if runs[0].machine.rotary_names:
-        raise ConfigError(
-            f'effects: cannot be taken off for machines with rotary axes (chain '
-            f'{runs[0].machine.chain}); leave them out'
-        )
     from otf_core.diagnosis.diagnose import calibrate_with_effects
     from otf_core.sim.twin import twin_recording
 
-    return calibrate_with_effects(runs, str(effects), twin_recording, config, progress, method)
+    return calibrate_with_effects(
+        runs, str(effects), twin_recording, config, progress, method, same_station=same_station
+    )
 
 
 def diagnose(

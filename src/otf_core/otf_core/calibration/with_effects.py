@@ -40,9 +40,10 @@ from otf_core.effects.state import probe_state
 from otf_core.effects.stated_effect import FILE, RemovedEffects
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
-from otf_core.model.machine import TOOL, Machine
+from otf_core.model.machine import Machine
+from otf_core.model.motions import AXES
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Recording, Run
+from otf_core.pieces.runs import Recording, Run, located_tables
 from otf_core.prediction.calibration_document import StatedEffect
 from otf_core.solving.joint import (
     PARTS_PER_INTERVAL,
@@ -147,7 +148,9 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Removable
             state = piece_state(run, at, joint.unknowns.knots, tables)
             parts.append(one.displacement(state, number))
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
-        for k, axis in enumerate(machine.axis_names):
+        for k, axis in enumerate(AXES):
+            if axis not in machine.axes:
+                continue
             basis = joint.unknowns.bases[axis]
             share = float(
                 np.mean(np.sum(basis.matrix(basis.finer(PARTS_PER_INTERVAL)) ** 2, axis=1))
@@ -159,7 +162,8 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Removable
 def _places(run: Run, state: State, effects: Sequence[RemovableEffect]) -> Places:
     """Where the pieces of one run lie, and the samples that effects ask for."""
     samples = None
-    if any(e.effect.changes_within_pieces for e in effects) and len(run.pieces.samples):
+    bends = any(e.effect.changes_within_pieces for e in effects)
+    if bends and run.shape is not None and len(run.pieces.samples):
         samples = sample_state(run, run.pose, state.tables, dict(state.nodes))
     return Places(run.pieces, state, samples)
 
@@ -182,8 +186,10 @@ def correct_runs(
     """
     corrected_runs = []
     for number, run in enumerate(runs):
-        points = run.pose.apply(run.pieces.xyz)
-        q = positions_on_path(run.sight(TOOL), run.pieces, points, tables)
+        points, q = run.pose.apply(run.pieces.xyz), np.empty_like(run.pieces.q)
+        for name, own in run.by_target().items():
+            some = run.pieces.without(~own)
+            q[own] = positions_on_path(run.sight(name), some, points[own], tables)
         places = _places(run, state_at(run, q, run.pose, nodes, tables), effects)
         moves = (places.columns(e.effect, partial(e.displacement, run=number), 1) for e in effects)
         shift = sum(moves, start=np.zeros((len(run.pieces), 3)))
@@ -281,18 +287,20 @@ def solve_with_effects(
     solved : ReversalSolution
         Of the corrected runs.
     """
-    now, whole = tuple(effects), list(runs)
+    now, whole, machine = tuple(effects), list(runs), runs[0].machine
+    location = runs[0].alignment.location
+    first = located_tables(machine, nodes, location) if location else None
     solved = solve_with_reversal(
-        correct_runs(whole, now, nodes, None), nodes, config, progress
+        correct_runs(whole, now, nodes, first), nodes, config, progress, first
     ).without_plain()
     for k in range(MAX_ROUNDS):
         fitted, step, size = estimates(solved.runs, solved.joint, now)
         now, largest = fitted.effects, float(np.max(np.abs(step) * size, initial=0.0))
         if largest < MAX_FINAL_CHANGE:
             break
-        tables = tables_of(runs[0].machine, solved.joint.unknowns, solved.joint.solution)
+        tables = tables_of(machine, solved.joint.unknowns, solved.joint.solution)
         whole = [
-            replace(r, pose=s.pose, fitted=c.fitted)
+            replace(r, pose=s.pose, places=s.run.places, fitted=c.fitted)
             for r, s, c in zip(runs, solved.joint.runs, solved.runs, strict=True)
         ]
         clean = correct_runs(whole, now, solved.joint.unknowns.knots, tables)
@@ -300,7 +308,7 @@ def solve_with_effects(
         unknowns, choice = solved.joint.unknowns, solved.choice
         del solved  # as large as the next
         if k < MAX_CHOICES and largest > MAX_CHANGE_FOR_SAME_MODEL:
-            solved = solve_with_reversal(clean, nodes, config, progress).without_plain()
+            solved = solve_with_reversal(clean, nodes, config, progress, first).without_plain()
             continue
         again = solve_robustly(clean, unknowns, config, progress, start)
         solved = ReversalSolution(*again, choice, again)
@@ -374,6 +382,8 @@ def calibrate_with_file(
     file: str,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
+    *,
+    same_station: bool = False,
 ) -> CalibrationResult:
     """Calibrate on the fly with the effects of a file taken off.
 
@@ -385,6 +395,8 @@ def calibrate_with_file(
         An effects.yaml, whose coefficients are estimated anew where the data see them and whose
         shapes (time constant, period) are held.
     progress : callable(stage, fraction), optional
+    same_station : bool
+        The tracker was not moved between the recordings.
 
     Raises
     ------
@@ -396,7 +408,7 @@ def calibrate_with_file(
     config = config or CalibrationConfig()
     progress = progress or silent
     named = _named(file, recordings)
-    solved = solve_recordings(recordings, config, progress)
+    solved = solve_recordings(recordings, config, progress, same_station=same_station)
     taking = [removable_effect([one] * len(solved.runs), FILE) for one in named]
     own = config
     if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):

@@ -66,8 +66,8 @@ from otf_core.effects.catalogue.direction_dependent_tables import DirectionDepen
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.axis_path import PartsTrack
-from otf_core.model.chain import displacement
-from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.chain import displacement, nominal_position
+from otf_core.model.evaluation import driven_positions, mean_length, without_rigid_motion
 from otf_core.pieces.finding import Finding, incomplete_path
 from otf_core.pieces.runs import Recording, Run, reduce_recording
 from otf_core.solving.joint import JointSolution, Start, solve_robustly
@@ -163,10 +163,14 @@ def _diagnose_axes(
     """
     machine = recordings[0].machine
     without = replace(config, reversal='none')
-    solved = solve_recordings(recordings, without, progress, same_station=same_station)
-    plain = assemble(solved.solution, without, solved.findings)
+    solved = solve_recordings(recordings, config, progress, same_station=same_station)
+    plain, observed = assemble(solved.solution, config, solved.findings), solved
+    if len(solved.solution.joint.unknowns.blocks) > len(
+        solved.solution.plain[1].unknowns.blocks
+    ):  # reversal and lags are causes like any other
+        observed = solve_recordings(recordings, without, progress, same_station=same_station)
     progress('diagnosing', 0.0)
-    rows = rows_of_axes(solved, without)
+    rows = rows_of_axes(observed, without)
     offered = catalogue(machine)
     # of reversal that changes along an axis the constant part is named
     exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
@@ -177,15 +181,13 @@ def _diagnose_axes(
     explained = explain(rows, search.causes, searched.simulated_um)
     standing = replace(config, standstill_speed=config.rest_speed)
     weighed = _weigh(searched, explained, standing, exclude)
-    progress('diagnosing', 1.0)
-    conditions = {
-        'machine': machine.name,
-        'chain': str(machine.chain),
-        'samples': ', '.join(str(len(r.samples)) for r in recordings),
-        'path pieces': ', '.join(str(len(run.pieces)) for run in plain.runs),
-        'tracker noise, as measured in standstills': str(rows.observed[0].noise),
-    }
-    return _stated(recordings, search, weighed, plain, (), conditions=conditions)
+    progress('correcting', 0.0)
+    causes = _causes_to_take_off(weighed.fitted, observed.solution.joint.unknowns.bases, solved)
+    corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
+    return _answer(
+        recordings, solved, search, weighed,
+        lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -451,9 +453,9 @@ def _not_visible(
 
 def _table_change_um(calibration: CalibrationResult) -> float:
     tables, other = calibration.plain.tables, calibration.tables
-    points = lattice(tables.machine)
-    change = displacement(other, points) - displacement(tables, points)
-    return 1e6 * mean_length(without_rigid_motion(change, points))
+    q = driven_positions(tables)
+    change = displacement(other, q) - displacement(tables, q)
+    return 1e6 * mean_length(without_rigid_motion(change, nominal_position(tables.machine, q)))
 
 
 def _conditions(examined: ExaminedRecordings, plain: CalibrationResult) -> dict[str, str]:
@@ -475,6 +477,8 @@ def calibrate_with_effects(
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
     method: str = 'otf',
+    *,
+    same_station: bool = False,
 ) -> CalibrationResult:
     """Calibrate on the fly with effects taken off.
 
@@ -491,6 +495,8 @@ def calibrate_with_effects(
     progress : callable(stage, fraction), optional
     method : str
         Only 'otf' can do this: stops hold neither direction nor feed.
+    same_station : bool
+        The tracker was not moved between the recordings.
 
     Raises
     ------
@@ -505,8 +511,10 @@ def calibrate_with_effects(
             f'neither feed nor direction of travel; use the method otf'
         )
     if effects != AUTO:
-        return calibrate_with_file(recordings, effects, config, progress)
-    diagnosis = diagnose(recordings, twin, (), config, progress)
+        return calibrate_with_file(
+            recordings, effects, config, progress, same_station=same_station
+        )
+    diagnosis = diagnose(recordings, twin, (), config, progress, same_station=same_station)
     calibration = diagnosis.calibration
     if diagnosis.verdict != 'unknown':
         return calibration

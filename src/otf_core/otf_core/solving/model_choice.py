@@ -310,7 +310,11 @@ class ReversalSolution(Generic[AnyRun]):
 
 
 def solve_with_reversal(
-    runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
+    runs: Sequence[AnyRun],
+    nodes: dict[str, Array],
+    config: CalibrationConfig,
+    progress: Progress,
+    tables: ErrorTables | None = None,
 ) -> ReversalSolution[AnyRun]:
     """Solve with the functions and the reversal model that the data call for.
 
@@ -321,8 +325,10 @@ def solve_with_reversal(
     config : CalibrationConfig
         May state the reversal model.
     progress : callable(stage, fraction)
+    tables : ErrorTables, optional
+        What is known of the errors for the first positions on the paths.
     """
-    shapes = choose_shapes(runs, nodes, config, progress)
+    shapes = choose_shapes(runs, nodes, config, progress, tables)
     unknowns = unknowns_of(runs, shapes.bases)
     plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
 

@@ -10,6 +10,7 @@ import pytest
 from cli_cells import run
 from rotary_cells import BAG, machine, parts, recorded, simulated, truth
 
+import otf_core
 from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import PlannerConfig
 from otf_core.effects import EVERY, AppliedEffect
@@ -348,3 +349,13 @@ def test_reflector_that_was_reseated_is_named():
     assert any("target 'nest-1': in part 3 it lies 10" in w for w in result.failed_gates)
     good = calibrate_recordings([recording])
     assert not good.failed_gates
+
+
+def test_effect_that_a_diagnosis_finds_is_taken_off():
+    drift = AppliedEffect(EVERY['thermal_structure_drift'], {'D_X': 2e-5, 'tau': 60.0})
+    recording, run = simulated(parts(), effects=[drift])
+    result = otf_core.calibrate(recording, effects='auto')
+    assert [one.effect for one in result.effects] == ['thermal_structure_drift']
+    q = evenly_spread(machine().lower, machine().upper, 400)
+    plain = left(result.plain.tables, run.truth, q)
+    assert left(result.tables, run.truth, q) < 0.2 * plain
