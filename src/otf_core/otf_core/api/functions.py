@@ -363,10 +363,8 @@ def diagnose(
     >>> diagnosis.gap.before_um < 0.1
     True
     """
+    check_excluded(exclude)
     runs = _several(recordings)
-    unknown = [name for name in exclude if name not in EVERY]
-    if unknown:
-        raise ConfigError(f'exclude: {unknown[0]!r} is not an effect; known: {", ".join(EVERY)}')
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.sim.twin import twin_recording
@@ -375,6 +373,13 @@ def diagnose(
     return diagnose(
         runs, twin_recording, exclude, config, progress, own=own, same_station=same_station
     )
+
+
+def check_excluded(exclude: Sequence[str]) -> None:
+    """Refuse what is not the name of an effect, with a ConfigError."""
+    unknown = [name for name in exclude if name not in EVERY]
+    if unknown:
+        raise ConfigError(f'exclude: {unknown[0]} is not an effect; known: {", ".join(EVERY)}')
 
 
 def predict(
@@ -408,7 +413,7 @@ def predict(
     >>> there = otf_core.predict(result, [[0.1, 0.1, -0.2], [-0.15, 0.0, -0.1]])
     >>> there.error.shape, there.inside.tolist()
     ((2, 3), [True, True])
-    >>> bool((there.u < 3e-6).all())
+    >>> bool((there.u_run < 3e-6).all() and (there.u > there.u_run).all())
     True
     """
     if isinstance(tables, CalibrationResult):

@@ -98,6 +98,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
     config = parameters(CalibrationConfig, arguments)
     search = parameters(DiagnosisConfig, arguments)
+    api.check_excluded(search.exclude)
     out = output_folder(arguments, *_inputs(arguments))
     with progress_of('reading', DIAGNOSE) as progress:
         diagnosis = api.diagnose(

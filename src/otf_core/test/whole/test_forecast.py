@@ -78,7 +78,7 @@ def test_forecast_uncertainty_is_the_one_stated_afterwards(runs):
     for _, result, foreseen in runs:
         seen = [n for n in MOTIONS if n not in result.not_identifiable]
         stated = np.concatenate([
-            np.interp(foreseen.nodes[n[2]], table.position, table.u)
+            np.interp(foreseen.nodes[n[2]], table.position, table.u_run)
             for n in seen for table in [result.tables.motions[n]]
         ])  # fmt: skip
         expected = np.concatenate([foreseen.u[n] for n in seen])

@@ -87,7 +87,7 @@ def on_small_disk(folder, size, script, *words):
 def test_calibration_on_a_disk_that_is_really_full_has_its_tables(tmp_path):
     words = ['calibrate', str(CELL / 'bag'), '--machine', str(CELL / 'machine.yaml')]
     words += ['--out', str(tmp_path / 'out')]
-    done = on_small_disk(tmp_path, '200k', SMALL_DISK, *words)
+    done = on_small_disk(tmp_path, '420k', SMALL_DISK, *words)
     *said, found, manifest = done.stdout.splitlines()
     found, manifest = json.loads(found), json.loads(manifest)
     first = {'error_tables.json', 'error_tables.csv'}

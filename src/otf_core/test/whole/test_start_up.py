@@ -19,7 +19,6 @@ SELDOM = {
     'scipy.interpolate',
     'scipy.optimize',
     'scipy.signal',
-    'rosbags',
     'mcap.writer',
 }
 """What a calibration needs in special cases only, or never."""
@@ -49,7 +48,7 @@ def test_calibration_and_prediction_load_no_wide_module_they_can_do_without(tmp_
     names = loaded('calibrate', BAG / 'bag', '--machine', machine, '--out', out)
     assert {'numpy', 'scipy', 'mcap'} <= names and not names & SELDOM
     tables = out / 'error_tables.json'
-    assert load_tables(tables).extra['driven']
+    assert load_tables(tables).driven
     points = write_points(tmp_path / 'points.csv', [[0.1, 0.1, -0.1]])
     names = loaded('predict', '--tables', tables, '--points', points, '--out', errors)
     assert errors.exists() and 'numpy' in names
