@@ -59,6 +59,7 @@ from otf_core.reports.scene import (
     Magnification,
     Strokes,
     box,
+    box_around,
     magnification,
     scene,
     tracker_items,
@@ -69,8 +70,6 @@ DRAWN_POINTS, DOT_RADII, DRAWN_RUNS = 64, 8, 3
 """Points of the volume that are drawn, about; different radii; runs."""
 ARROW_REACH = 0.9
 """Length of the longest arrow, in distances between arrows along the shortest edge of a cube."""
-SHORTEST_EDGE = 0.05
-"""Of a box that is drawn, in its longest."""
 BOUND = '*'
 """Stands behind the name of an error that holds at one target offset only."""
 CIRCLE, MAGNIFIED, CENTRE = 70.0, 35.0, 120.0
@@ -136,10 +135,8 @@ class Content:
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """Corners of a box around the volume, m; no edge is much shorter than the others."""
-        low, high = self.grid.min(axis=0), self.grid.max(axis=0)
-        lack = np.maximum(0.0, SHORTEST_EDGE * (high - low).max() - (high - low))
-        return low - 0.5 * lack, high + 0.5 * lack
+        """Corners of the box around the volume, m."""
+        return box_around(self.grid)
 
     @property
     def covariance(self) -> Array:

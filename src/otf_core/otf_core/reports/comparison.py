@@ -30,7 +30,7 @@ from otf_core.reports.rendering import (
     render,
     write_result,
 )
-from otf_core.reports.scene import box, magnification, scene
+from otf_core.reports.scene import box, box_around, magnification, scene
 
 HISTOGRAM_BINS = 31
 ARROW_SHARE = 0.12
@@ -214,7 +214,7 @@ def vector_chart(doc: Mapping[str, Any]) -> tuple[str, str]:
     points, field = (np.array(doc['volume'][k]) for k in ('position', 'difference'))
     step = max(1, len(points) // MOST_ARROWS)
     points, field = points[::step], field[::step]
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = box_around(points)
     length = np.linalg.norm(field, axis=1)
     shown = magnification(float(length.max()), ARROW_SHARE * float((high - low).max()))
     size = heat_step(1e6 * length)

@@ -101,6 +101,20 @@ class Magnification:
         return f'errors × {self.factor:,.0f}'.replace(',', '\u202f')
 
 
+SHORTEST_EDGE = 0.05
+"""Of a box that is drawn, in its longest."""
+STAYS = 0.1
+"""m; size of the volume of a target that stays where it is, on the line of a rotary table."""
+
+
+def box_around(points: Array) -> tuple[Array, Array]:
+    """Corners of a box around points (n, 3), m; no edge is much shorter than the others."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    least = SHORTEST_EDGE * max(float((high - low).max()), STAYS)
+    lack = np.maximum(0.0, least - (high - low))
+    return low - 0.5 * lack, high + 0.5 * lack
+
+
 def magnification(longest: float, reach: float) -> Magnification:
     """A round magnification that draws the longest error at most ``reach`` long, m."""
     size = max(longest, 1e-12)
