@@ -229,7 +229,9 @@ def _inputs(rows: Rows) -> list[str]:
     """Inputs that change in the runs."""
     signals = dict.fromkeys(n for s in rows.states for n in s.more if n.startswith(SIGNAL))
     names = []
-    for name in (*INPUTS, *_of_rotary_axes(rows), *signals):
+    missing = set(AXES_OF_INPUTS) - {a.lower() for a in rows.states[0].machine.axis_names}
+    own = [name for name in INPUTS if name.rpartition('_')[2] not in missing]
+    for name in (*own, *_of_rotary_axes(rows), *signals):
         known = [s for s in rows.states if name not in signals or name in s.more]
         if len(known) < len(rows.states):
             continue
