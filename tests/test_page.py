@@ -57,20 +57,10 @@ def a_run():
     solved = {'EXX': (12.34e-6, 0.5e-6), 'EAZ': (0.0, float('nan')), 'EXC': (3e-6, 0.2e-6)}
     square = {'C0Y': (-20e-6, 1e-6)}
     words = ('<script>document.title = "broken"</script>',)
-    run.set_solved(
-        LiveSolution(
-            True,
-            'so far, 5 um',
-            5e-5,
-            1e-6,
-            1e-6,
-            solved,
-            square,
-            {'A0C': (8e-6, 1e-6)},
-            words,
-        ),
-        RigidTransform(np.eye(3), np.array([0.1, -0.4, 0.0])),
+    run.solved = LiveSolution(
+        True, 'so far, 5 um', 5e-5, 1e-6, 1e-6, solved, square, {'A0C': (8e-6, 1e-6)}, words
     )
+    run.set_pose(RigidTransform(np.eye(3), np.array([0.1, -0.4, 0.0])))
     run.volume = VolumeErrors(CORNERS, np.full((4, 3), 1e-5), np.full((4, 3), 1e-6), True)
     run.track.add(0.0, 0.4, 2e-5)
     return run

@@ -49,7 +49,7 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
         assert (block['method'], block['runs'][0]['samples']) == ('otf', len(samples))
     assert (outcomes[1].folder / 'samples' / 'metadata.yaml').exists()
     kept = read_store(tmp_path / 'history').runs
-    assert kept[0].content.extra['run_id'] == outcomes[0].result.run_id
+    assert kept[0].content.run_id == outcomes[0].result.run_id
     names = {o.folder.name for o in outcomes}
     assert set(os.listdir(tmp_path / 'out')) == {*names, 'latest'}
 

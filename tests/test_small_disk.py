@@ -32,7 +32,7 @@ def small_disk(tmp_path):
 def test_tables_come_first_and_the_state_names_what_did_not_fit(
     graph, machine_file, small_disk, tmp_path
 ):
-    disk = small_disk('480k')
+    disk = small_disk('720k')
     given = {'machine_file': machine_file, 'output_directory': disk / 'out'}
     node = graph.start('calibrator', **given, journal_directory=tmp_path / 'journal')
     graph.start('path_planner', machine_file=machine_file, **SHORT)
