@@ -33,7 +33,6 @@ from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.expanded import micro_figure, micro_with_expanded
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
@@ -223,21 +222,6 @@ def figure(result: CalibrationResult) -> Any:
     label = result.headline.label
     drawn.suptitle(f'{tables.machine.name}: error motions with U ({label})', fontsize='medium')
     return drawn
-
-
-GAUGE = (
-    'positioning and rotations zero at axis position 0, else at the minimum; '
-    'straightness zero at both ends; its slope lies in squareness and alignment'
-)
-LINES_GAUGE = (
-    'rotary axes: all six motions zero at position 0, else at the minimum; location errors are '
-    'the least-squares line over the nodes'
-)
-
-
-def gauge_of(machine: Machine) -> str:
-    """What is zero by definition in the tables of a machine."""
-    return '; '.join([GAUGE, LINES_GAUGE] if machine.location else [GAUGE])
 
 
 @dataclass(frozen=True)

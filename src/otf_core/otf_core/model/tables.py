@@ -117,10 +117,6 @@ class ErrorTables:
         """Value of a squareness or location error, m or rad."""
         return (self.squareness[name] if name in self.squareness else self.location[name]).value
 
-    def scalar_u(self, name: str) -> float:
-        """Its standard uncertainty."""
-        return (self.squareness[name] if name in self.squareness else self.location[name]).u
-
     def scaled(self, factor: float) -> ErrorTables:
         """Return the same tables with every error multiplied by a factor."""
         return replace(

@@ -43,8 +43,8 @@ from otf_core.solving.unknowns import (
     Unknowns,
     is_reversal,
     lag_block,
-    reversal_block,
     reversal_blocks,
+    reversal_names,
     reversal_order,
 )
 
@@ -160,14 +160,9 @@ def _unknowns_with(
 
 def _reversal(machine: Machine, motions: Sequence[ErrorMotion], model: str) -> list[str]:
     """Blocks of the reversal coefficients of motions, order by order, translations first."""
-    return sorted(
-        (
-            reversal_block(motion, k)
-            for motion in motions
-            for k in range(count_functions(machine.axes[motion.axis], model))
-        ),
-        key=lambda name: (reversal_order(name), not ErrorMotion(name[1], name[2]).is_translation),
-    )
+    count: dict[str, int] = {m: count_functions(machine.axes[m.axis], model) for m in motions}
+    names = reversal_names(motions, max(count.values(), default=0))
+    return [name for name in names if reversal_order(name) < count[name[:3]]]
 
 
 def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:

@@ -180,28 +180,6 @@ def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> Index:
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def solve_for(normal: NormalEquations, use: Index, prior: Array) -> Array:
-    """Solve for some columns of normal equations, all others zero; see ``solve``.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-        Of k columns.
-    use : ndarray of int, shape (m,)
-    prior : ndarray, shape (k, k), 1 / (m, rad)^2
-
-    Returns
-    -------
-    ndarray, shape (k,), m and rad
-    """
-    place = np.ix_(use, use)
-    value = np.zeros(len(normal.right))
-    value[use] = linalg.solve(
-        normal.matrix[place] + prior[place], normal.right[use], assume_a='pos'
-    )
-    return value
-
-
 def solve(
     normal: NormalEquations,
     unknowns: Unknowns,
