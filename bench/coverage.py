@@ -32,11 +32,10 @@ from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.chain import displacement
-from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
+from otf_core.model.evaluation import free_rows, lattice, rigid_columns, without_rigid_motion
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.forecast import free_rows
 from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate

@@ -32,8 +32,8 @@ class BudgetLine:
     Attributes
     ----------
     name : str
-        ScalarError error, motion, or 'grid': length of the error vector on a regular grid over
-        the driven volume, the best rigid motion removed.
+        Squareness or location error, motion, or 'grid': length of the error vector on a regular
+        grid over the driven volume, the best rigid motion removed.
     unit : str
         m or rad.
     u : float

@@ -40,8 +40,6 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
     machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
     paths = _for_each(arguments.path or [None], runs, '--path')
-    if arguments.same_station and not machines[0].rotary_names:
-        raise ConfigError('--same-station: for machines with rotary axes only')
     return [
         read_recording(parts, machine, reading_options(arguments, path))
         for parts, machine, path in zip(runs, machines, paths, strict=True)

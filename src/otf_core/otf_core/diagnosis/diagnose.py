@@ -126,7 +126,7 @@ def diagnose(
         return _diagnose_axes(
             recordings, exclude, config, progress, own, same_station=same_station
         )
-    solved = solve_recordings(recordings, config, progress)
+    solved = solve_recordings(recordings, config, progress, same_station=same_station)
     assembled = partial(assemble, solved.solution, config, solved.findings)
     with Aside(assembled, (solved.solution, config, solved.findings), later=True) as aside:
         length = _piece_length(solved.runs, config)

@@ -361,9 +361,8 @@ class History:
         The same over the volume.
     error : ndarray, shape (r,), m
         Mean length of the errors over the volume by every run, best rigid motion removed.
-    u_error, u_run : ndarray, shape (r,), m
-        Mean standard uncertainty of these errors: with all that is stated, and of noise and
-        misfit of a run and what does not repeat.
+    u_error : ndarray, shape (r,), m
+        Mean standard uncertainty of these errors, with all that is stated.
     events : tuple of StoredEvent
         From the first run on.
     reference : int
@@ -382,7 +381,6 @@ class History:
     volume: tuple[Change, ...]
     error: Array
     u_error: Array
-    u_run: Array
     steps: tuple[Step, ...]
     events: tuple[StoredEvent, ...]
     reference: int
@@ -423,8 +421,9 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
     Parameters
     ----------
     limit : float, optional
-        m; mean volumetric drift that is allowed; if not given, twice the mean ``u_run`` of the
-        latest tables.
+        m; mean volumetric drift that is allowed; if not given, twice the mean standard
+        uncertainty of what does not repeat in the latest tables: noise, misfit and what is
+        declared.
     """
     own = store.of(machine)
     series = series_of(own.runs)
@@ -438,8 +437,7 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
     drift = drift_of(series.since(reference))
     last = None if drift is None else drift_of(series.since(count - 2)) or drift
     error = np.array([series.lengths(v).mean() for v in series.values])
-    u_run = np.array([mean_u(series.common, c) for c in series.covariances])
-    allowed = 2.0 * float(u_run[-1]) if limit is None else limit
+    allowed = 2.0 * mean_u(series.common, series.covariances[-1]) if limit is None else limit
     events = tuple(e for e in own.events if e.at > series.runs[0].at)
     open_ = any(e.at > series.runs[-1].at for e in events)
     return History(
@@ -449,7 +447,6 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
         tuple(volume_change(series, 0, k) for k in range(count)),
         error,
         series.u,
-        u_run,
         steps,
         events,
         reference,

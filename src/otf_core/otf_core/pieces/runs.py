@@ -401,10 +401,19 @@ def prepare_runs(
     Returns
     -------
     nodes : mapping of axis to ndarray, m and rad
+
+    Raises
+    ------
+    ConfigError
+        If it is said not to have moved, for runs on lines: the place of each is that of its own
+        alignment, which holds the rotations that one target offset does not show.
     """
     check_same_machine(recordings)
     machine, ranges = recordings[0].machine, []
-    if any(isinstance(one.path, PartsTrack) for one in recordings):  # then all are on curves
+    on_curves = any(isinstance(one.path, PartsTrack) for one in recordings)  # then all are
+    if same_station and not on_curves:
+        raise ConfigError('same station: for runs in parts, as with rotary axes, only')
+    if on_curves:
         tracks = [nominal_track(one.machine, one.parts) for one in recordings]
         recordings = [replace(r, path=p) for r, p in zip(recordings, tracks, strict=True)]
     followed: list[Alignment] = []
@@ -419,12 +428,13 @@ def prepare_runs(
     places: dict[str, Array] = {}
     for one in reversed(followed):  # those of the first recording that saw them
         places |= {p.path.target: one.places[p.path.target] for p in one.parts if one.places}
-    runs = []
+    runs: list[Run] = []
     for recording, alignment in zip(recordings, followed, strict=True):
         with errors_of(recording.name):
             run = reduce_recording(recording, alignment, nodes, config, method, tables)
         own = {name: places[name] for name in run.base}
-        runs.append(replace(run, places=own, same_station=same_station))
+        pose = runs[0].pose if same_station and runs else run.pose
+        runs.append(replace(run, pose=pose, places=own, same_station=same_station))
     return runs, nodes
 
 

@@ -582,6 +582,12 @@ class CalibrationDocument(Document):
         tables = document.tables
         for name in machine.motions:
             _check_motion(tables.motions[name], name, machine, f'{where}: motions: {name}')
+        reversal = content.get('reversal') if document.reversal else {}
+        for reversed_, own in _named(reversal or {}, 'motions', machine.motions, where).items():
+            value = np.asarray(own['value'])
+            table = MotionTable(np.asarray(own['position']), value, value)
+            place = f'{where}: reversal: motions: {reversed_}'
+            _check_motion(table, ErrorMotion.of(reversed_), machine, place)
         entries = {**content['squareness'], **content['location'], **content['motions']}
         without = [n for n, v in entries.items() if n not in silent and 'u' not in v]
         remarks = []

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.documents import Document, stated
+from otf_core.errors import InputError
 from otf_core.model.machine import Machine
 from otf_core.model.motions import AXES
 from otf_core.model.tables import ErrorTables
@@ -38,7 +39,9 @@ class DrivenVolume(Document):
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Make the planes where a file holds none."""
+        """Make the planes where a file holds none; InputError without a corner or a plane."""
+        if not len(self.corners) or (self.planes is not None and not len(self.planes)):
+            raise InputError('driven: needs a corner and a plane at least')
         if self.planes is None:
             object.__setattr__(self, 'planes', _hull(self.corners)[1])
 

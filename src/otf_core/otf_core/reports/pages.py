@@ -8,6 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from jinja2 import UndefinedError
+
 from otf_core.errors import InputError
 from otf_core.files.strict_yaml import read_json
 
@@ -40,7 +42,7 @@ def pages_of(file: str | Path) -> dict[str, str]:
     pages = getattr(import_module(f'otf_core.reports.{module}'), name)
     try:
         return pages(doc)
-    except (KeyError, TypeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, UndefinedError) as error:
         raise InputError(
             f'{file}: incomplete, or of an older version ({error}); run its verb again'
         ) from None

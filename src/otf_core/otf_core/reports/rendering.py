@@ -148,7 +148,6 @@ def environment(page: bool = True) -> Environment:
         'micro_significant': micro_significant,
         'micro_unit': micro_unit,
         'micro_with_expanded': micro_with_expanded,
-        'millimetres': millimetres,
         'names': join_names,
         'place': place,
         'running_head': running_head,

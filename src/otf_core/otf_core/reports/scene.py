@@ -121,8 +121,6 @@ def magnification(longest: float, reach: float) -> Magnification:
     return Magnification(round_below(reach / size), round_below(size))
 
 
-TURNED = 'On a screen, drag it or use the arrow keys to turn it; Home turns it back.'
-"""For captions."""
 Item = Strokes | Dots | Label
 EDGES = (
     ('X', (0.5, 0.0, 0.0), 'end', -4.0, 15.0),
@@ -272,7 +270,7 @@ def scene(
     turns: bool = True,
     shown: Magnification | None = None,
 ) -> str:
-    """Picture of items in a box; ``SCRIPT`` lets the reader turn it.
+    """Picture of items in a box; ``scene.js`` lets the reader turn it.
 
     Parameters
     ----------

@@ -124,6 +124,10 @@ class UnsettledError(InputError):
 
     joint: JointSolution
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str]]:
+        """Return what crosses to another process: the words alone."""
+        return InputError, (str(self),)
+
 
 @dataclass(frozen=True)
 class Start:

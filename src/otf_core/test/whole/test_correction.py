@@ -328,7 +328,7 @@ def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     nothing = CausesToRemove((), ((),))
     made = pair_with_corrected(plain, None, nothing, CONFIG, 'A gap that no effect explains.')
     diagnosis = SimpleNamespace(verdict='unknown', calibration=made)
-    monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
+    monkeypatch.setattr(above, 'diagnose', lambda *given, **more: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)
     assert done.applied == () and done.run_id == '1'
     assert 'no effect explains. No effect was removed' in done.warnings[0]
