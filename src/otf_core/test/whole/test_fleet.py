@@ -245,9 +245,11 @@ def dask(plant, monkeypatch):
         started = [subprocess.Popen(w, stdout=log, stderr=log) for w in words]
         try:
             end = time.monotonic() + 60
-            while not (plant / 'dask.json').exists() and time.monotonic() < end:
+            there = plant / 'dask.json'
+            # it is there before it is written
+            while not (there.exists() and there.read_text()) and time.monotonic() < end:
                 time.sleep(0.05)
-            yield json.loads((plant / 'dask.json').read_text())['address'], started[1:]
+            yield json.loads(there.read_text())['address'], started[1:]
         finally:
             for process in started:
                 process.kill()
