@@ -123,7 +123,10 @@ class Document:
                 values[name] = _read(hint, data[name], place, own)
             elif field.default is MISSING and field.default_factory is MISSING:
                 raise InputError(f'{place}: missing')
-        return cls(**values)
+        try:
+            return cls(**values)
+        except InputError as error:
+            raise InputError(f'{where}: {error}' if where else str(error)) from None
 
 
 @cache

@@ -583,11 +583,12 @@ class CalibrationDocument(Document):
         for name in machine.motions:
             _check_motion(tables.motions[name], name, machine, f'{where}: motions: {name}')
         reversal = content.get('reversal') if document.reversal else {}
-        for reversed_, own in _named(reversal or {}, 'motions', machine.motions, where).items():
+        place = f'{where}: reversal'
+        for reversed_, own in _named(reversal or {}, 'motions', machine.motions, place).items():
             value = np.asarray(own['value'])
             table = MotionTable(np.asarray(own['position']), value, value)
-            place = f'{where}: reversal: motions: {reversed_}'
-            _check_motion(table, ErrorMotion.of(reversed_), machine, place)
+            motion = ErrorMotion.of(reversed_)
+            _check_motion(table, motion, machine, f'{place}: motions: {motion}')
         entries = {**content['squareness'], **content['location'], **content['motions']}
         without = [n for n, v in entries.items() if n not in silent and 'u' not in v]
         remarks = []

@@ -41,7 +41,7 @@ class DrivenVolume(Document):
     def __post_init__(self) -> None:
         """Make the planes where a file holds none; InputError without a corner or a plane."""
         if not len(self.corners) or (self.planes is not None and not len(self.planes)):
-            raise InputError('driven: needs a corner and a plane at least')
+            raise InputError('needs a corner and a plane at least')
         if self.planes is None:
             object.__setattr__(self, 'planes', _hull(self.corners)[1])
 
