@@ -124,9 +124,9 @@ class UnsettledError(InputError):
 
     joint: JointSolution
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str]]:
+    def __reduce__(self) -> tuple[type[UnsettledError], tuple[str]]:
         """Return what crosses to another process: the words alone."""
-        return InputError, (str(self),)
+        return UnsettledError, (str(self),)
 
 
 @dataclass(frozen=True)
