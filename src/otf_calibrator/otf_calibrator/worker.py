@@ -424,7 +424,7 @@ def _write_samples(outcome: CalibrationOutput, folder: Path) -> None:
 
 
 def recording_of(request: Request) -> Recording:
-    """Samples in order, and what was said of them; InputError if they are not usable."""
+    """Samples in order with the remarks on them; InputError if they are not usable."""
     machine = load_machine(request.files.machine_file)
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]

@@ -54,7 +54,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Stated:
-    """What is said of a field.
+    """Meaning of a field.
 
     Attributes
     ----------

@@ -405,7 +405,7 @@ def prepare_runs(
     Raises
     ------
     ConfigError
-        If it is said not to have moved, for runs on lines: the place of each is that of its own
+        If ``same_station`` is set for runs on lines: the place of each is that of its own
         alignment, which holds the rotations that one target offset does not show.
     """
     check_same_machine(recordings)

@@ -104,7 +104,7 @@ def choose_reversal(
     unknowns : Unknowns
         With the reversal coefficients and lags to solve for.
     """
-    machine, given = joint.machine, config.reversal
+    machine, bases, given = joint.machine, joint.unknowns.bases, config.reversal
     lines = sum(int(own.max()) + 1 for own in (s.whitener.line for s in joint.runs))
     by_configuration: dict[str, float | int | str] = {'decided_by': 'configuration'}
     if given == NONE:
@@ -117,14 +117,14 @@ def choose_reversal(
     every = _reversal(machine, seen, CONSTANT if given == CONSTANT else TABLES)
     tried: list[tuple[float, Unknowns, Selection]] = []
     for held in (False, True):
-        unknowns = _unknowns_with(runs, joint, every, machine.axis_names, held=held)
+        unknowns = unknowns_of(runs, bases, every, machine.axis_names, held=held)
         held_out = HeldOutLines.of(joint, unknowns, np.full(len(every) + len(late), MOST))
         found = Selection(tuple(every), 0.0, 0.0)
         if given == AUTO:
             found = select(held_out, _candidates(machine, seen))
         reverses = [n for n in found.names if is_reversal(n)]
         axes = [a for a in machine.axis_names if lag_block(a) in found.names]
-        chosen = _unknowns_with(runs, joint, reverses, axes, held=held)
+        chosen = unknowns_of(runs, bases, reverses, axes, held=held)
         tried.append((float(held_out.estimate(found.names)[1].sum()), chosen, found))
         if not reverses:
             break  # no reversal at all, so none that is held
@@ -145,17 +145,6 @@ def choose_reversal(
     if found.indistinguishable_from:
         evidence['indistinguishable_from'] = ', '.join(found.indistinguishable_from)
     return Choice(model, unknowns.held, evidence), unknowns
-
-
-def _unknowns_with(
-    runs: Sequence[Observed],
-    joint: JointSolution,
-    reversal: Sequence[str],
-    late: Sequence[str],
-    *,
-    held: bool,
-) -> Unknowns:
-    return unknowns_of(runs, joint.unknowns.bases, reversal, late, held=held)
 
 
 def _reversal(machine: Machine, motions: Sequence[ErrorMotion], model: str) -> list[str]:
