@@ -14,7 +14,7 @@ from effect_cells import (
 from scipy.spatial.transform import Rotation
 
 from otf_core.effects import REGISTRY
-from otf_core.effects.beam import beam_of
+from otf_core.effects.catalogue.tracker import beam_of
 from otf_core.effects.state import probe_state, state_on_path
 from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform

@@ -10,7 +10,7 @@ from core_cells import some_machine
 from effect_cells import driven_state, some_plan, state_of
 
 from otf_core.config import SimulationConfig
-from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, names_of
+from otf_core.effects import EVERY, REGISTRY, AppliedEffect, BelongsTo, base, names_of
 from otf_core.effects.effects_page import catalogue_markdown
 from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import probe_state
@@ -51,14 +51,14 @@ def at(state, **changes):
 
 
 @every_effect
-def test_effect_is_one_file_and_says_what_it_is(name):
-    effect = REGISTRY[name]
-    assert effect.name == name
-    for text in ('cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs'):
-        assert len(getattr(effect, text)) > 2, text
-    assert not any(getattr(effect, n).endswith('.') for n in ('cause', 'signature', 'needs'))
-    module = Path(base.__file__).parent / 'catalogue' / f'{name}.py'
-    assert type(effect).__module__ == f'otf_core.effects.catalogue.{name}' and module.exists()
+def test_effect_says_what_it_is(name):
+    words = REGISTRY[name].words
+    for text in vars(words).values():
+        assert isinstance(text, str) and len(text) > 2 and not text.endswith('.')
+
+
+def test_words_are_those_of_the_catalogue():
+    assert list(base.words_of_effects()) == list(EVERY)
 
 
 @every_effect
@@ -77,8 +77,6 @@ def test_generated_documentation_is_current():
 @every_effect
 def test_names_and_units_belong_together(name, state):
     effect = REGISTRY[name]
-    assert len(effect.shape_names) == len(effect.shape_units)
-    assert set(effect.shape_defaults) <= set(effect.shape_names)
     for shape in (shape_of(name), *effect.shapes(state)[:3]):
         terms = effect.terms(state, shape)
         count = len(terms.names)
@@ -107,13 +105,13 @@ def test_unknown_parameters_are_named(name, state):
 @every_effect
 def test_missing_and_impossible_shapes_are_named(name, state):
     effect = REGISTRY[name]
-    for key in effect.shape_names:
-        shape = shape_of(name)
+    for parameter in effect.shape:
+        key, shape = parameter.name, shape_of(name)
         for wrong in (-3.0, np.nan):
             with pytest.raises(ConfigError, match=rf'^{name}: {key}: .*out of range'):
                 effect.displacement(state, shape | {key: wrong})
         del shape[key]
-        if key not in effect.shape_defaults:
+        if parameter.default is None:
             with pytest.raises(ConfigError, match=rf'^{name}: {key}: missing'):
                 effect.displacement(state, shape)
 
@@ -155,7 +153,7 @@ def test_displacement_is_linear_in_the_coefficients(name, state):
 def test_points_are_taken_in_blocks(name, state, monkeypatch):
     whole = REGISTRY[name].displacement(state, drawn(name))
     assert np.abs(whole).max() > 0
-    monkeypatch.setattr(base, 'BLOCK', 501)
+    monkeypatch.setattr(base, 'POINTS_AT_ONCE', 501)
     np.testing.assert_array_equal(REGISTRY[name].displacement(state, drawn(name)), whole)
 
 

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.action import Acting
-from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import AppliedEffect, Effect, no_terms
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
@@ -29,6 +27,7 @@ from otf_core.effects.inputs import (
     unscaled_input,
 )
 from otf_core.effects.located_inputs import cycle_period
+from otf_core.effects.terms import Shape, State, Terms
 from otf_core.files.message_text import shortened
 
 EMPIRICAL = 'empirical'
@@ -39,21 +38,8 @@ CONDITION = 1e8
 class Empirical(Effect):
     """What carries a tabulated function; it does nothing by itself."""
 
-    name: ClassVar[str] = EMPIRICAL
-    cause: ClassVar[str] = 'not known; found in data'
-    equation: ClassVar[str] = 'tabulated function of inputs'
-    coefficients: ClassVar[str] = 'values of Legendre polynomials of the scaled inputs'
-    typical: ClassVar[str] = 'as tabulated'
-    source: ClassVar[str] = 'a diagnosis'
-    signature: ClassVar[str] = 'as tabulated'
-    needs: ClassVar[str] = 'runs that differ in the inputs'
-
     def __init__(self, name: str = EMPIRICAL) -> None:
-        vars(self)['name'] = name
-
-    def terms(self, state: State, shape: Shape) -> Terms:
-        """Return nothing: only its free form acts."""
-        return Terms((), (), (), np.zeros((len(state), 3, 0)))
+        super().__init__(no_terms, name)
 
 
 def node_table(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
@@ -144,19 +130,18 @@ class OwnCause(Empirical):
         As read from a file.
     """
 
-    coefficients: ClassVar[str] = 'size: 1 is as tabulated'
+    one: AppliedEffect
 
     def __init__(self, one: AppliedEffect) -> None:
         super().__init__(one.effect.name)
         assert isinstance(one.effect, FreeForm)
-        self.one = one
         form = replace(one.effect.form, words='the function is another one of the same inputs')
-        vars(self)['free'] = (form,)
+        vars(self).update(one=one, free=(form,))
 
     def terms(self, state: State, shape: Shape) -> Terms:
-        """Return size."""
+        """Return size: 1 is as tabulated."""
         moved = self.one.effect.displacement(state, self.one.parameters)
-        return Terms(('size',), ('',), ('',), moved[:, :, None])
+        return Terms.of(['size'], '', moved[:, :, None])
 
     def sized(self, parameters: Shape) -> AppliedEffect:
         """The table times a size."""

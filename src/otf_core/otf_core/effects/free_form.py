@@ -12,25 +12,35 @@ Processes for Machine Learning, 2006, sections 2.7 and 5.4).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.action import ACTING, Acting, Along
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, no_terms
 from otf_core.effects.free import AXIS, TERM, Free, follower
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
 from otf_core.effects.located_inputs import TURNS, head_of
+from otf_core.effects.terms import Shape, State, Terms
 
-_TAKEN_OVER = (
-    'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
-    'own_per_run', 'rigid', 'couples', 'belongs_to', 'stays_in_place', 'material_um',
-)  # fmt: skip
 SAME_PLACE = 0.05
 """Distance of two places of the tracker, as a share of the longest beam, up to which they count
 as one."""
-_OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
+
+
+_BARE = Effect(no_terms)
+_OF_FORMULA = (
+    'sizes',
+    'many_alike',
+    'held_by_tables',
+    'contributions',
+    'follows',
+    'switches',
+    'free',
+)
+_OF_SHAPE = ('shape', 'shapes', 'shape_matters', 'refine', 'wave')
+"""Facts that a free form does not share with its effect; the second where it has no shape."""
 
 
 class FreeForm(Effect):
@@ -39,16 +49,21 @@ class FreeForm(Effect):
     Attributes
     ----------
     parent : Effect
-        Whose name it has.
+        Whose name it has, and whose shape where it acts with that.
     spans : mapping of input to (float, float)
     """
 
+    form: Free
+    parent: Effect
+    spans: dict[str, Span]
+
     def __init__(self, parent: Effect, free: Free, spans: Mapping[str, Span]) -> None:
-        self.form, self.parent, self.spans = free, parent, dict(spans)
-        names = _TAKEN_OVER + (_OF_FORMULA if free.shaped else ())
-        vars(self).update({name: getattr(parent, name) for name in names})
+        facts = {f.name: getattr(parent, f.name) for f in fields(Effect)}
+        for fact in _OF_FORMULA if free.shaped else (*_OF_FORMULA, *_OF_SHAPE):
+            facts[fact] = getattr(_BARE, fact)
         own = {'own_per_run': free.own_per_run, 'belongs_to': free.belongs_to}
-        vars(self).update({name: value for name, value in own.items() if value is not None})
+        facts |= {name: value for name, value in own.items() if value is not None}
+        vars(self).update(facts, form=free, parent=parent, spans=dict(spans))
 
     def __eq__(self, other: object) -> bool:
         """Two are the same with the same declaration and ranges."""
@@ -91,23 +106,11 @@ class FreeForm(Effect):
         terms = multipliers(parent, free)(states[0].part(slice(0, 1)), shape)
         return cls(parent, free, {name: span_of(states, name) for name in free.names(terms)})
 
-    def loose(self, shape: Shape) -> dict[str, float]:
-        """As of the formula, where it acts with that."""
-        return self.parent.loose(shape) if self.form.shaped else {}
-
     def orders_of(self, names: Sequence[str]) -> Array:
         """Sum of the orders of the polynomials that a name ends with."""
         count = len(self.form.orders)
         numbers = [[float(n) for n in name.rsplit('_', count)[1:]] for name in names]
         return np.asarray(np.maximum(np.sum(numbers, axis=1) - sum(self.form.least), 0.0))
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Those of the formula, where it acts with that."""
-        return self.parent.shapes(state) if self.form.shaped else ({},)
-
-    def complete_shape(self, parameters: Shape) -> dict[str, float]:
-        """As of the formula, where it acts with that; else there is none."""
-        return self.parent.complete_shape(parameters) if self.form.shaped else {}
 
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; signals need not be known for that."""

@@ -23,8 +23,7 @@ import numpy as np
 
 from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
-from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Effect
+from otf_core.effects.base import AppliedEffect, Effect
 from otf_core.effects.empirical import EMPIRICAL, node_table, of_table
 from otf_core.effects.free import Free, declare_switching, follower
 from otf_core.effects.free_form import FreeForm

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Effect, State
+from otf_core.effects.base import AppliedEffect, Effect
 from otf_core.effects.stated_effect import FILE, FOUND
+from otf_core.effects.terms import State
 
 LARGEST_STEP = 0.5
 """Of the logarithm of a time constant or a period, in its prior standard deviations."""

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.effects.base import State
 from otf_core.effects.history import joint_history, path_history
-from otf_core.effects.terms import Turning
+from otf_core.effects.terms import State, Turning
 from otf_core.model.axis_path import travel_per_unit
 from otf_core.model.chain import Sight
 from otf_core.model.frames import RigidTransform
