@@ -21,12 +21,12 @@ from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     Span,
     compression,
+    cycle_period,
     functions_of,
     nodes_of,
     scaled_input,
     unscaled_input,
 )
-from otf_core.effects.located_inputs import cycle_period
 from otf_core.effects.terms import Shape, State, Terms
 from otf_core.files.message_text import shortened
 

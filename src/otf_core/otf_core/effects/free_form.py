@@ -20,8 +20,16 @@ from otf_core.arrays import Array
 from otf_core.effects.action import ACTING, Acting, Along
 from otf_core.effects.base import Effect, no_terms
 from otf_core.effects.free import AXIS, TERM, Free, follower
-from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
-from otf_core.effects.located_inputs import TURNS, head_of
+from otf_core.effects.inputs import (
+    SIGNAL,
+    TURNS,
+    Span,
+    functions_of,
+    head_of,
+    input_values,
+    scaled_input,
+    span_of,
+)
 from otf_core.effects.terms import Shape, State, Terms
 
 SAME_PLACE = 0.05

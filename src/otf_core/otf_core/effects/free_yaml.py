@@ -27,9 +27,8 @@ from otf_core.effects.base import AppliedEffect, Effect
 from otf_core.effects.empirical import EMPIRICAL, node_table, of_table
 from otf_core.effects.free import Free, declare_switching, follower
 from otf_core.effects.free_form import FreeForm
-from otf_core.effects.inputs import SIGNAL, Span, known_input
+from otf_core.effects.inputs import SIGNAL, Span, Switching, known_input
 from otf_core.effects.state import probe_state
-from otf_core.effects.switching import Switching
 from otf_core.files.strict_yaml import Fields, value_text
 from otf_core.model.machine import Machine
 

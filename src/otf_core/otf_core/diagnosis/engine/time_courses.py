@@ -42,7 +42,7 @@ from otf_core.effects.action import Acting, rigid_tracker, vector
 from otf_core.effects.base import Effect, ShapeParameter
 from otf_core.effects.free import declare_switching
 from otf_core.effects.free_form import FreeForm
-from otf_core.effects.switching import Switching, responses
+from otf_core.effects.inputs import Switching, responses
 from otf_core.effects.terms import Shape, State
 
 MOMENTS = 40
