@@ -4,23 +4,41 @@
 - effect: backlash
   parameters: {B_X: 5.0e-06}
   units: {B_X: m}            # optional; checked where it stands
-
-Free forms and empirical effects: see ``free_yaml``.
+- effect: backlash
+  form: free
+  inputs: {time: [0.0, 300.0]}        # range of every input
+  parameters: {B_X_0: 5.0e-06, B_X_1: 2.0e-06}
+- effect: empirical
+  name: sinking_corner                # may be left out
+  acts_as: direction                  # vector, direction, rigid_tracker or rigid_table
+  direction: [0.0, 0.0, 1.0]          # of acts_as direction
+  nodes: {time: [0.0, 150.0, 300.0]}  # of every input; the ends are its range
+  table: {along: [0.0, 1.0e-06, 4.0e-06]}
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from otf_core.effects import EVERY, AppliedEffect, Effect, catalogue
-from otf_core.effects.empirical import EMPIRICAL, Empirical, OwnCause
-from otf_core.effects.free_form import FreeForm
-from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
+from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
+from otf_core.effects.free import Free, declare_switching, follower
+from otf_core.effects.free_form import (
+    EMPIRICAL,
+    Empirical,
+    FreeForm,
+    OwnCause,
+    node_table,
+    of_table,
+)
+from otf_core.effects.inputs import SIGNAL, Span, Switching, known_input
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
@@ -28,7 +46,155 @@ from otf_core.files.strict_yaml import Fields, read_yaml, value_text
 from otf_core.files.writing import write_text
 from otf_core.model.machine import Machine
 
-FORMULA = 'formula'
+FORMULA, FREE = 'formula', 'free'
+
+
+def _numbers(value: Any, fields: Fields, key: str) -> list[float]:
+    values = value if isinstance(value, list) else [value]
+    plain = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in values]
+    if not values or not all(plain) or not np.all(np.isfinite(np.array(values, dtype=float))):
+        fields.fail(key, 'expected a list of plain numbers in SI units')
+    return [float(v) for v in values]
+
+
+def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
+    value = fields.take(key)
+    if not isinstance(value, dict) or not value:
+        fields.fail(key, 'expected names of inputs and lists of numbers')
+    ranges = {}
+    for name, own in value.items():
+        if not known_input(str(name)):
+            fields.fail(key, f'input {value_text(str(name))} is unknown')
+        ranges[str(name)] = _numbers(own, fields, f'{key}: {name}')
+        if ranges[str(name)] != sorted(ranges[str(name)]):
+            fields.fail(f'{key}: {name}', 'the numbers must be ascending')
+    return ranges
+
+
+def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
+    """Read which free form of an effect of the catalogue is meant, with the ranges of its inputs.
+
+    Of several ways to act it is the first that has the ``given`` coefficients.
+
+    Raises
+    ------
+    ConfigError
+        If the effect has no free form of these inputs.
+    """
+    effect, ranges = EVERY[name], _ranges(fields, 'inputs')
+    spans: dict[str, Span] = {}
+    for key, own in ranges.items():
+        if len(own) != 2:
+            fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
+        spans[key] = (own[0], own[1])
+    ways = _ways(effect, tuple(spans))
+    probe, known = probe_state(machine), []
+    for free in () if ways else effect.free:
+        bound = FreeForm.bound(effect, free, [probe])
+        known.append(', '.join(bound.spans))
+        if set(bound.spans) == set(spans):
+            ways.append(free)
+    if not ways:
+        listed = '; '.join(dict.fromkeys(known)) or 'none'
+        fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
+    forms = [FreeForm(effect, way, spans) for way in ways]
+    if len(forms) == 1:
+        return forms[0]
+    return next((f for f in forms if set(given) <= _coefficients(f, machine)), forms[0])
+
+
+def _ways(effect: Effect, inputs: tuple[str, ...]) -> list[Free]:
+    """Forms that follow a signal, or something that switches, simple ones first."""
+    if len(inputs) != 1:
+        return []
+    (name,) = inputs
+    if name.startswith(SIGNAL):
+        return [follower(acts, name, order) for order in (1, 2) for acts in effect.follows]
+    if switching := Switching.of(name):
+        orders = (1, len(switching.moments))
+        return [
+            declare_switching(acts, switching, order)
+            for order in orders
+            for acts in effect.switches
+        ]
+    return []
+
+
+def _coefficients(effect: FreeForm, machine: Machine) -> set[str]:
+    """Names of its coefficients; signals need not be known for that."""
+    probe = probe_state(machine)
+    none = {n: np.zeros(len(probe)) for n in effect.spans if n.startswith(SIGNAL)}
+    return set(effect.terms(replace(probe, more=none), {}).names)
+
+
+def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
+    """Read an empirical effect; what is wrong is a ConfigError that names the key."""
+    name = fields.text('name') if fields.has('name') else EMPIRICAL
+    acts = _acts_of(fields)
+    nodes, table = _ranges(fields, 'nodes'), fields.take('table')
+    if switching := next((n for n in nodes if Switching.of(n)), None):
+        fields.fail('nodes', f'{value_text(switching)} is not an input of a table; write time')
+    fields.done()
+    if not isinstance(table, dict) or not table:
+        fields.fail('table', 'expected the values of each direction or rotation')
+    known = acts(probe_state(machine), {}).names
+    for term in table:
+        if term not in known:
+            fields.fail(
+                'table', f'{value_text(str(term))} is unknown; possible: {", ".join(known)}'
+            )
+    shape = tuple(len(v) for v in nodes.values())
+    values = {}
+    for term, own in table.items():
+        try:
+            values[str(term)] = np.array(own, dtype=float)
+        except (TypeError, ValueError):
+            fields.fail(f'table: {term}', 'expected numbers')
+        if values[str(term)].shape != shape or not np.all(np.isfinite(values[str(term)])):
+            wanted = ' x '.join(map(str, shape))
+            fields.fail(f'table: {term}', f'expected {wanted} finite numbers, as many as nodes')
+    try:
+        return of_table(name, acts, nodes, values)
+    except ValueError as error:
+        fields.fail('nodes', str(error))
+
+
+def _acts_of(fields: Fields) -> Acting:
+    acts_as = fields.text('acts_as')
+    if acts_as == DIRECTION:
+        direction = _numbers(fields.take('direction'), fields, 'direction')
+        size = float(np.linalg.norm(direction))
+        if len(direction) != 3 or not size > 0.0:
+            fields.fail('direction', 'expected three numbers, not all zero')
+        x, y, z = (v / size for v in direction)
+        return Along((x, y, z))
+    if acts_as not in ACTING:
+        known = ', '.join((*ACTING, DIRECTION))
+        fields.fail('acts_as', f'{value_text(acts_as)} is unknown; possible: {known}')
+    return ACTING[acts_as]
+
+
+def free_entry(one: AppliedEffect, machine: Machine) -> dict[str, Any]:
+    """Return a free form or an empirical effect as plain data."""
+    effect = one.effect
+    assert isinstance(effect, FreeForm)
+    if effect.is_structure:
+        nodes, values = node_table(one)
+        entry: dict[str, Any] = {'effect': EMPIRICAL}
+        if effect.name != EMPIRICAL:
+            entry['name'] = effect.name
+        entry['acts_as'] = acting_name(effect.form.acts)
+        if isinstance(effect.form.acts, Along):
+            entry['direction'] = list(effect.form.acts.direction)
+        return {**entry, 'nodes': nodes, 'table': {k: v.tolist() for k, v in values.items()}}
+    parameters = {k: float(v) for k, v in one.parameters.items()}
+    return {
+        'effect': effect.name,
+        'form': FREE,
+        'inputs': {name: list(span) for name, span in effect.spans.items()},
+        'parameters': parameters,
+        'units': effect.units(probe_state(machine), parameters),
+    }
 
 
 def _number(value: Any, where: str) -> float:

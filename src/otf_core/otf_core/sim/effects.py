@@ -12,8 +12,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.catalogue.tracker import SPECIFIED, tracker_noise
-from otf_core.effects.history import lap_numbers
-from otf_core.effects.state import state_in_parts
+from otf_core.effects.state import lap_numbers, state_in_parts
 from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.nodes import axis_nodes

@@ -50,9 +50,8 @@ from otf_core.diagnosis.engine.search import (
 from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.cause_names import name_of
-from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
-from otf_core.effects.free_form import FreeForm
+from otf_core.effects.free_form import Empirical, FreeForm
 from otf_core.effects.inputs import (
     CYCLE,
     MOMENT,
