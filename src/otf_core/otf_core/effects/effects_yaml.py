@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,7 @@ from otf_core.effects.free_form import (
 )
 from otf_core.effects.inputs import SIGNAL, Span, Switching, known_input
 from otf_core.effects.state import probe_state
+from otf_core.effects.terms import State
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import Fields, read_yaml, value_text
@@ -98,33 +98,28 @@ def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[st
         listed = '; '.join(dict.fromkeys(known)) or 'none'
         fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
     forms = [FreeForm(effect, way, spans) for way in ways]
-    if len(forms) == 1:
-        return forms[0]
-    return next((f for f in forms if set(given) <= _coefficients(f, machine)), forms[0])
+    return next((f for f in forms if _takes(f, probe, given)), forms[0])
 
 
-def _ways(effect: Effect, inputs: tuple[str, ...]) -> list[Free]:
+def _takes(effect: Effect, probe: State, given: Sequence[str]) -> bool:
+    """Whether an effect has all given parameters."""
+    try:
+        return bool(effect.units(probe, dict.fromkeys(given, 1.0)))
+    except ConfigError:
+        return False
+
+
+def _ways(effect: Effect, inputs: Sequence[str]) -> list[Free]:
     """Forms that follow a signal, or something that switches, simple ones first."""
-    if len(inputs) != 1:
-        return []
-    (name,) = inputs
+    name = inputs[0] if len(inputs) == 1 else ''
     if name.startswith(SIGNAL):
         return [follower(acts, name, order) for order in (1, 2) for acts in effect.follows]
-    if switching := Switching.of(name):
-        orders = (1, len(switching.moments))
-        return [
-            declare_switching(acts, switching, order)
-            for order in orders
-            for acts in effect.switches
-        ]
-    return []
-
-
-def _coefficients(effect: FreeForm, machine: Machine) -> set[str]:
-    """Names of its coefficients; signals need not be known for that."""
-    probe = probe_state(machine)
-    none = {n: np.zeros(len(probe)) for n in effect.spans if n.startswith(SIGNAL)}
-    return set(effect.terms(replace(probe, more=none), {}).names)
+    switching = Switching.of(name)
+    orders = (1, len(switching.moments)) if switching else ()
+    return [
+        declare_switching(acts, switching, order)
+        for order in orders for acts in effect.switches if switching
+    ]  # fmt: skip
 
 
 def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
@@ -172,29 +167,6 @@ def _acts_of(fields: Fields) -> Acting:
         known = ', '.join((*ACTING, DIRECTION))
         fields.fail('acts_as', f'{value_text(acts_as)} is unknown; possible: {known}')
     return ACTING[acts_as]
-
-
-def free_entry(one: AppliedEffect, machine: Machine) -> dict[str, Any]:
-    """Return a free form or an empirical effect as plain data."""
-    effect = one.effect
-    assert isinstance(effect, FreeForm)
-    if effect.is_structure:
-        nodes, values = node_table(one)
-        entry: dict[str, Any] = {'effect': EMPIRICAL}
-        if effect.name != EMPIRICAL:
-            entry['name'] = effect.name
-        entry['acts_as'] = acting_name(effect.form.acts)
-        if isinstance(effect.form.acts, Along):
-            entry['direction'] = list(effect.form.acts.direction)
-        return {**entry, 'nodes': nodes, 'table': {k: v.tolist() for k, v in values.items()}}
-    parameters = {k: float(v) for k, v in one.parameters.items()}
-    return {
-        'effect': effect.name,
-        'form': FREE,
-        'inputs': {name: list(span) for name, span in effect.spans.items()},
-        'parameters': parameters,
-        'units': effect.units(probe_state(machine), parameters),
-    }
 
 
 def _number(value: Any, where: str) -> float:
@@ -314,15 +286,29 @@ def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[
     def entry(one: AppliedEffect) -> dict[str, Any]:
         if isinstance(one.effect, OwnCause):
             one = one.effect.sized(one.parameters)
-        if isinstance(one.effect, FreeForm):
-            return free_entry(one, machine)
-        return {
-            'effect': one.effect.name,
-            'parameters': {k: float(v) for k, v in one.parameters.items()},
-            'units': one.effect.units(probe, one.parameters),
-        }
+        effect = one.effect
+        if isinstance(effect, FreeForm) and effect.is_structure:
+            return _table_entry(one, effect)
+        data: dict[str, Any] = {'effect': effect.name}
+        if isinstance(effect, FreeForm):
+            data |= {'form': FREE, 'inputs': {n: list(span) for n, span in effect.spans.items()}}
+        parameters = {k: float(v) for k, v in one.parameters.items()}
+        return {**data, 'parameters': parameters, 'units': effect.units(probe, parameters)}
 
     return [entry(one) for one in effects]
+
+
+def _table_entry(one: AppliedEffect, effect: FreeForm) -> dict[str, Any]:
+    nodes, values = node_table(one)
+    acts = effect.form.acts
+    return {
+        'effect': EMPIRICAL,
+        **({} if effect.name == EMPIRICAL else {'name': effect.name}),
+        'acts_as': acting_name(acts),
+        **({'direction': list(acts.direction)} if isinstance(acts, Along) else {}),
+        'nodes': nodes,
+        'table': {term: own.tolist() for term, own in values.items()},
+    }
 
 
 def write_effects(path: str | Path, effects: Sequence[AppliedEffect], machine: Machine) -> None:
