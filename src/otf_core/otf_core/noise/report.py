@@ -25,6 +25,7 @@ from otf_core.noise.colour import (
 from otf_core.noise.standstill import (
     MAX_REPEATED_DIFFERENCE,
     MIN_DURATION,
+    MIN_TOTAL,
     Drift,
     LostSamples,
     MeasuredNoise,
@@ -38,10 +39,9 @@ from otf_core.noise.standstill import (
     trim_to_rest,
 )
 
-MIN_TOTAL = 1.0
-"""s; with less standstill there is nothing to report."""
-MIN_TOTAL_FOR_COLOUR = 5.0
-"""s; with less, level and colour are rough."""
+LEAST_TOTAL = 1.0
+"""s; with less standstill there is nothing to report, with less than ``MIN_TOTAL`` level and
+colour are rough."""
 MAX_REPEATED_SHARE = 0.2
 """Share of successive samples without any change beyond which the recording is coarse."""
 MAX_LOST_SHARE = 0.01
@@ -96,14 +96,6 @@ class NoiseReport:
     warnings: tuple[str, ...]
 
 
-def _known_to(windows: list[Array], step: float) -> tuple[Array, Array, float]:
-    """Standard uncertainties of total, white and correlation time."""
-    fits = left_out_fits(windows, step)
-    rows = [np.array([*f.level, *f.white, f.range.correlation_time]) for f in fits]
-    u = jackknife_u(np.reshape(rows, (-1, 7)))
-    return u[:3], u[3:6], float(u[6])
-
-
 def _coarse(windows: list[Array]) -> str | None:
     """State whether samples repeat, and whether by rounding or because a point is held."""
     new = [np.concatenate([[True], np.diff(w, axis=0).any(axis=1)]) for w in windows]
@@ -137,10 +129,10 @@ def _warnings(
             f'({100 * lost.samples / (lost.samples + count):.0f} %), the longest '
             f'{lost.longest:.2f} s: check tracker, driver and network'
         )
-    if duration < MIN_TOTAL_FOR_COLOUR:
+    if duration < MIN_TOTAL:
         warnings.append(
             f'only {duration:.1f} s of standstill: levels and colour are rough; '
-            f'{MIN_TOTAL_FOR_COLOUR:g} s or more in stops of a second or more are needed'
+            f'{MIN_TOTAL:g} s or more in stops of a second or more are needed'
         )
     if measured.left_out > measured.windows:
         warnings.append(
@@ -185,7 +177,7 @@ def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> N
     runs = find_standstills(samples, standstill_speed)
     windows, left_out = quiet_windows(samples, runs) if len(runs) else ([], 0)
     duration = sum(len(w) for w in windows) * step
-    if duration < MIN_TOTAL:
+    if duration < LEAST_TOTAL:
         if len(runs) and all(
             np.ptp(samples.xyz[a:b], axis=0).max() <= MAX_REPEATED_DIFFERENCE for a, b in runs
         ):
@@ -195,19 +187,21 @@ def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> N
             )
         raise InputError(
             f'{duration:.1f} s of standstill in stops of {MIN_DURATION:g} s or more; at least '
-            f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
+            f'{LEAST_TOTAL:g} s are needed: record while the target stands still for some seconds'
         )
     measured = noise_of_windows(windows, step, left_out)
-    u_total, u_white, u_time = _known_to(windows, step)
+    fits = left_out_fits(windows, step)
+    rows = [np.array([*f.level, *f.white, f.range.correlation_time]) for f in fits]
+    u = jackknife_u(np.reshape(rows, (-1, 7)))
     seen = spectrum(windows, step)
     shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     lost = lost_samples(samples, parts)
     return NoiseReport(
         measured=measured,
-        u_total=u_total,
-        u_white=u_white,
-        u_correlation_time=u_time,
+        u_total=u[:3],
+        u_white=u[3:6],
+        u_correlation_time=float(u[6]),
         standstills=len(runs),
         duration=duration,
         rate=1.0 / step,
