@@ -227,9 +227,16 @@ class Run(Observed):
     @property
     def recording(self) -> Recording:
         """What was recorded; its remarks with the first part of a run that was cut."""
-        read = self.read if self.late == 0.0 else ()
-        left_out = self.left_out if self.late == 0.0 else ()
-        return Recording(self.samples, self.path, self.machine, self.name, read, left_out=left_out)
+        first = self.late == 0.0
+        return Recording(
+            self.samples,
+            self.path,
+            self.machine,
+            self.name,
+            self.read if first else (),
+            self.signals,
+            left_out=self.left_out if first else (),
+        )
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
@@ -482,6 +489,24 @@ def reduce_recording(
         read=tuple(recording.remarks),
         left_out=recording.left_out,
     )
+
+
+def reduce_run_again(
+    run: Run,
+    tables: ErrorTables,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    method: str = OTF,
+) -> Run:
+    """Reduce a run at the pose, places and errors that are known now.
+
+    Only on curves does it change which place a sample is nearest to: other runs stay as they are.
+    """
+    if not run.alignment.shape.sights:
+        return run
+    followed = run.alignment.moved(run.pose, run.places)
+    reduced = reduce_recording(run.recording, followed, nodes, config, method, tables)
+    return replace(run, alignment=followed, pieces=reduced.pieces, base=reduced.base)
 
 
 def located_tables(
