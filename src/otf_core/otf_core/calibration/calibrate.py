@@ -24,12 +24,12 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.calibration.assembly import assemble
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.config import OTF, CalibrationConfig
+from otf_core.config import METHODS, OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.part_steps import LEAST, find_steps
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch
-from otf_core.errors import InputError
+from otf_core.errors import ConfigError, InputError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -91,6 +91,8 @@ def calibrate_recordings(
     ------
     InputError
         If samples and path do not belong together or determine nothing.
+    ConfigError
+        If the runs are of different machines, or the method is unknown.
 
     References
     ----------
@@ -151,6 +153,8 @@ def solve_recordings(
     repair : bool
         Repair what can be repaired, see ``contradictions.examine``.
     """
+    if method not in METHODS:
+        raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     progress('aligning', 0.0)
     check_recordings(recordings)
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)

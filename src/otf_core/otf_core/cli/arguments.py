@@ -61,7 +61,7 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument(
         '--same-station', action='store_true',
-        help='tracker not moved between bags (rotary axes only)',
+        help='tracker not moved between bags (one target offset)',
     )  # fmt: skip
     add_reading(sub)
 

@@ -403,23 +403,17 @@ def prepare_runs(
     method : str
         'otf', or 'standstill': only the stops at the corners.
     same_station : bool
-        The tracker was not moved between the recordings.
+        The tracker was not moved between the recordings. Where no axis turns, positions are
+        counted from the target offset: runs of different offsets keep a pose each, which differ
+        by as much as these were measured wrongly.
 
     Returns
     -------
     nodes : mapping of axis to ndarray, m and rad
-
-    Raises
-    ------
-    ConfigError
-        If ``same_station`` is set for runs on lines: the place of each is that of its own
-        alignment, which holds the rotations that one target offset does not show.
     """
     check_same_machine(recordings)
     machine, ranges = recordings[0].machine, []
     on_curves = any(isinstance(one.path, PartsTrack) for one in recordings)  # then all are
-    if same_station and not on_curves:
-        raise ConfigError('same station: for runs in parts, as with rotary axes, only')
     if on_curves:
         tracks = [nominal_track(one.machine, one.parts) for one in recordings]
         recordings = [replace(r, path=p) for r, p in zip(recordings, tracks, strict=True)]
@@ -440,9 +434,16 @@ def prepare_runs(
         with errors_of(recording.name):
             run = reduce_recording(recording, alignment, nodes, config, method, tables)
         own = {name: places[name] for name in run.base}
-        pose = runs[0].pose if same_station and runs else run.pose
-        runs.append(replace(run, pose=pose, places=own, same_station=same_station))
+        same = same_station and bool(runs) and _counts_alike(runs[-1].machine, run.machine)
+        pose = runs[-1].pose if same else run.pose
+        runs.append(replace(run, pose=pose, places=own, same_station=same))
     return runs, nodes
+
+
+def _counts_alike(one: Machine, other: Machine) -> bool:
+    """Whether positions are counted from the same point."""
+    origins = [Sight.of_tool(machine).origin for machine in (one, other)]
+    return bool(np.array_equal(*origins))
 
 
 def reduce_recording(
