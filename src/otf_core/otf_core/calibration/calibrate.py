@@ -16,7 +16,7 @@ Every recording of every chain takes this way (``solve_recordings``):
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -39,6 +39,7 @@ from otf_core.pieces.finding import (
     WARNING,
     Finding,
 )
+from otf_core.pieces.point_pairs import PointPairs, prepare_pairs
 from otf_core.pieces.runs import (
     Recording,
     Run,
@@ -101,6 +102,38 @@ def calibrate_recordings(
     config, progress = config or CalibrationConfig(), progress or silent
     solved = solve_recordings(recordings, config, progress, method, same_station=same_station)
     return assemble(solved.solution, config, solved.findings)
+
+
+@limit_to_one_thread
+def calibrate_pairs(
+    runs: Sequence[PointPairs],
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """Calibrate a machine of any chain from pairs of nominal and measured positions.
+
+    Parameters
+    ----------
+    runs : sequence of PointPairs
+        Of one machine; each has a rigid motion of its own between both frames.
+    config, progress
+        As of ``calibrate_recordings``.
+
+    Raises
+    ------
+    InputError
+        If the pairs determine nothing.
+    """
+    progress = progress or silent
+    config = replace(config or CalibrationConfig(), reversal='none')
+    prepared, nodes = prepare_pairs(runs)
+    progress('solving', 0.0)
+    solved = solve_with_reversal(prepared, nodes, config, progress)
+    remarks = [Finding('recording', WARNING, text) for run in runs for text in run.remarks]
+    left_out = [
+        f for pair in zip(prepared, solved.runs, strict=True) for f in check_left_out(*pair)
+    ]
+    return assemble(solved, config, (*remarks, *left_out))
 
 
 @dataclass(frozen=True)

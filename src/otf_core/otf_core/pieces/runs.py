@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,7 +239,17 @@ class Run(Observed):
         )
 
 
-def check_same_machine(recordings: Sequence[Recording]) -> None:
+class _OfMachine(Protocol):
+    """Of a machine, and with a name for messages."""
+
+    @property
+    def machine(self) -> Machine: ...
+
+    @property
+    def name(self) -> str: ...
+
+
+def check_same_machine(recordings: Sequence[_OfMachine]) -> None:
     """Refuse runs whose chains or axes differ; ConfigError names run and key."""
     first = _described(recordings[0].machine)
     for number, recording in enumerate(recordings[1:], start=2):
@@ -321,7 +331,7 @@ def _extremes(xyz: Array, alignment: Alignment, below: Array, above: Array) -> t
     return low, high
 
 
-def _common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
+def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
     """Table nodes over all that runs cover, from their ranges (low, high)."""
     low, high = np.min([r[0] for r in ranges], axis=0), np.max([r[1] for r in ranges], axis=0)
     zero, unmoved = np.clip(0.0, machine.lower, machine.upper), ~np.isfinite(low)
@@ -424,7 +434,7 @@ def prepare_runs(
             followed.append(follow(recording, config, method, known))
             ranges.append(_covered_range(followed[-1], recording))
         progress('aligning', k / (len(recordings) + 1))
-    nodes = _common_nodes(machine, ranges)
+    nodes = common_nodes(machine, ranges)
     tables = located_tables(machine, nodes, followed[0].location)
     places: dict[str, Array] = {}
     for one in reversed(followed):  # those of the first recording that saw them
@@ -442,8 +452,7 @@ def prepare_runs(
 
 def _counts_alike(one: Machine, other: Machine) -> bool:
     """Whether positions are counted from the same point."""
-    origins = [Sight.of_tool(machine).origin for machine in (one, other)]
-    return bool(np.array_equal(*origins))
+    return bool(np.array_equal(Sight.of_tool(one).origin, Sight.of_tool(other).origin))
 
 
 def reduce_recording(
