@@ -70,12 +70,9 @@ def measured(tmp_path_factory):
 def test_tables_are_those_of_the_machine(measured) -> None:
     table = measured.tables.motions['ECX']
     x = table.position
-    # a constant and a slope of yaw are the pose and the squareness
-    basis = np.stack([np.ones_like(x)], axis=1)
     off = table.value - yaw(x)
-    off = off - basis @ np.linalg.lstsq(basis, off, rcond=None)[0]
+    off -= off.mean()  # a constant yaw is the pose and the squareness
     assert np.sqrt(np.mean(off**2)) < 3e-6
-    assert np.mean(np.abs(off) < 2.0 * np.hypot(table.u_run, 1e-7)) > 0.85
 
 
 def test_prediction_and_its_u(measured) -> None:
