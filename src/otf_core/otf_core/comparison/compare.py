@@ -117,6 +117,7 @@ def load_sources(
             assert machine is not None
             measurement = read_direct_csv(path, machine)
             sources.append(source_of_measurement(name, measurement, machine))
+            remarks += [f'{path}: {text}' for text in measurement.remarks]
             continue
         if content is None:
             assert machine is not None

@@ -49,7 +49,7 @@ BRACKETED = re.compile(r'^(?P<name>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*?)\s*[\])}
 SUFFIX = re.compile(
     r'^(?P<name>.+?)(?:\s+in)?[_ /]+'
     r'(?P<unit>m|dm|cm|mm|um|µm|μm|inch|in|mil|ft|nm|km|s|sec|ms|us|µs|ns|min|h|days|deg|grad|gon|'
-    r'rad|mrad|urad)$',
+    r'rad|mrad|urad|µrad|μrad|arcsec)$',
     re.IGNORECASE,
 )
 MAX_HEADING_LETTERS = 200
