@@ -21,7 +21,7 @@ AT500 = (
     'typically half of the limits'
 )
 RECORDED = (
-    'recordings at rest, docs/noise.md: along the beam 0.3 um to 0.9 um, across it 1.0 urad to '
+    'recordings at rest, docs/uncertainty.md: along the beam 0.3 um to 0.9 um, across it 1.0 urad to '
     '1.9 urad in calm air, 3.1 urad to 4.2 urad in turbulent air'
 )
 LTD800 = (
