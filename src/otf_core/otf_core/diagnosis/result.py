@@ -88,6 +88,19 @@ class NamedCause:
 
 
 @dataclass(frozen=True)
+class AnyCause:
+    """Whether anything is missing in the simulation, before any name is given.
+
+    Attributes
+    ----------
+    p_value : float
+        Probability of a residual this large if the simulation were complete.
+    """
+
+    p_value: float
+
+
+@dataclass(frozen=True)
 class FigureData:
     """What figures show: arrays of every run, and the conditions in words."""
 
@@ -145,6 +158,7 @@ class Diagnosis:
     calibration: CalibrationResult
     origin: tuple[Origin, ...]
     shown: FigureData
+    any_cause: AnyCause
     unnamed: Unnamed | None = None
 
     @property

@@ -69,6 +69,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'verdict': diagnosis.verdict,
         'sentence': diagnosis.sentence,
         'gap': asdict(diagnosis.gap),
+        'any_cause': asdict(diagnosis.any_cause),
         'causes': [asdict(c) for c in diagnosis.causes],
         'unnamed': None if diagnosis.unnamed is None else asdict(diagnosis.unnamed),
         'unexplained': {
