@@ -547,14 +547,11 @@ def vibration(state: State, shape: Shape) -> Terms:
 INTERVAL = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
 BOW_SQUARE, WAVE_SQUARE = 8.0 / 15.0, 18.0 / 35.0
 """Mean squares of the two functions between two nodes."""
+_Bump = tuple[ErrorMotion, float, float, bool]
+"""Motion, ends of an interval, and whether the function is the wave."""
 
 
-def _bump(q: Array, low: Array | float, high: Array | float, wave: bool) -> Array:
-    s = np.clip((q - low) / (high - low), 0.0, 1.0)
-    return 12.0 * np.sqrt(3.0) * s * (1 - s) * (0.5 - s) if wave else 4.0 * s * (1 - s)
-
-
-def _interval(where: str, name: str) -> tuple[ErrorMotion, float, float, bool]:
+def _bump_named(where: str, name: str) -> _Bump:
     match = INTERVAL.fullmatch(name)
     if match is None:
         raise ConfigError(f'{where}: unknown; write motion@from..to, m, as in EYX@0.03..0.06')
@@ -568,28 +565,35 @@ def _interval(where: str, name: str) -> tuple[ErrorMotion, float, float, bool]:
     return ErrorMotion.of(symbol), *ends, wave is not None
 
 
+def _displaced(state: State, bumps: Sequence[_Bump]) -> Array:
+    """Displacement per unit of every bump, shape (n, 3, k)."""
+    view = Sight.of_tool(state.machine).at(state.q)
+    influences = {m: view.influence(m) for m in dict.fromkeys(m for m, *_ in bumps)}
+    columns = np.zeros((len(state), 3, len(bumps)))
+    for k, (motion, low, high, wave) in enumerate(bumps):
+        q = state.q[:, state.machine.column(motion.axis)]
+        s = np.clip((q - low) / (high - low), 0.0, 1.0)
+        own = 12.0 * np.sqrt(3.0) * s * (1 - s) * (0.5 - s) if wave else 4.0 * s * (1 - s)
+        columns[:, :, k] = own[:, None] * influences[motion]
+    return columns
+
+
 class BetweenNodes(Effect):
     """Its coefficients may belong to any interval, not only to those of the nodes."""
 
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter."""
-        self.complete_shape(parameters)
-        own = dict(zip(self.shape_names, self.shape_units, strict=True))
+        own = dict.fromkeys(self.complete_shape(parameters), '')
         return {
-            n: own[n] if n in own else unit_of(_interval(f'{self.name}: {n}', n)[0])
+            n: own[n] if n in own else unit_of(_bump_named(f'{self.name}: {n}', n)[0])
             for n in parameters
         }
 
     def block_displacement(self, state: State, shape: Shape, parameters: Shape) -> Array:
         """Displacement of a few points for checked parameters, shape (n, 3), m."""
-        total = np.zeros((len(state), 3))
-        view = Sight.of_tool(state.machine).at(state.q)
-        for name in parameters:
-            if name not in self.shape_names:
-                motion, low, high, wave = _interval(f'{self.name}: {name}', name)
-                along = _bump(state.q[:, state.machine.column(motion.axis)], low, high, wave)
-                total += parameters[name] * along[:, None] * view.influence(motion)
-        return total
+        given = {n: v for n, v in parameters.items() if n not in shape}
+        bumps = [_bump_named(f'{self.name}: {n}', n) for n in given]
+        return np.asarray(_displaced(state, bumps) @ np.array([*given.values()]))
 
 
 def _rms_between_nodes(fitted: Coefficients) -> tuple[Size, ...]:
@@ -620,32 +624,15 @@ def table_resolution(state: State, shape: Shape) -> Terms:
     bows of the translations; 2: waves as well; 3: rotations as well.
     """
     order = round(shape['order'])
-    kinds = (False, True)[:order]
-    names: list[str] = []
-    moved: list[ErrorMotion] = []
-    parts = []
-    for motion in (m for m in state.machine.motions if order > 2 or m.is_translation):
-        nodes = np.round(state.nodes[motion.axis], 6)
-        parts.append((motion, nodes, len(names)))
-        own = [
-            f'{motion}@{low:.6g}..{high:.6g}' + ('_2' if wave else '')
-            for low, high in pairwise(nodes) for wave in kinds
-        ]  # fmt: skip
-        names += own
-        moved += [motion] * len(own)
-    columns, row = np.zeros((len(state), 3, len(names))), np.arange(len(state))
-    view = Sight.of_tool(state.machine).at(state.q)
-    for motion, nodes, start in parts:
-        if len(nodes) < 2:
-            continue
-        influence = view.influence(motion)
-        q = state.q[:, state.machine.column(motion.axis)]
-        part = np.clip(np.searchsorted(nodes, q, side='right') - 1, 0, len(nodes) - 2)
-        for k, wave in enumerate(kinds):
-            along = _bump(q, nodes[part], nodes[part + 1], wave)
-            columns[row, :, start + part * len(kinds) + k] = along[:, None] * influence
-    units, axes = tuple(m.unit for m in moved), tuple(m.axis for m in moved)
-    return Terms(tuple(names), units, axes, columns)
+    bumps = [
+        (motion, low, high, wave)
+        for motion in state.machine.motions if order > 2 or motion.is_translation
+        for low, high in pairwise(np.round(state.nodes[motion.axis], 6).tolist())
+        for wave in (False, True)[:order]
+    ]  # fmt: skip
+    names = tuple(f'{m}@{low:.6g}..{high:.6g}{"_2" if w else ""}' for m, low, high, w in bumps)
+    units, axes = tuple(m.unit for m, *_ in bumps), tuple(m.axis for m, *_ in bumps)
+    return Terms(names, units, axes, _displaced(state, bumps))
 
 
 def _tilt_over_range(fitted: Coefficients) -> tuple[Size, ...]:
