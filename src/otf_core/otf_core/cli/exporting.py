@@ -128,7 +128,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.prediction.calibration_document import tables_to_dict
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
     out = output_folder(arguments, arguments.lattice, arguments.machine)
     machine = load_machine(arguments.machine)
@@ -139,15 +139,15 @@ def run_import(arguments: argparse.Namespace) -> int:
         'import', machines=[machine], files={'lattice': arguments.lattice},
         coverage='no uncertainty: u of the lattice is not carried over',
     )  # fmt: skip
-    content = tables_to_dict(imported.tables) | {'imported': sizes, 'provenance': block}
+    document = CalibrationDocument.of_tables(imported.tables, imported=sizes, provenance=block)
     with out.filled('import') as folder:
-        write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
+        write_text(folder / document.file, json.dumps(document.to_dict(), indent=1) + '\n')
     words = (
         f'errors of the lattice {sizes["size_rms_um"]:.3f} um rms; the tables leave '
         f'{sizes["left_rms_um"]:.3f} um rms of them; u is 0: uncertainties of the lattice are '
         f'not carried over'
     )
-    written = [Path(arguments.out) / 'error_tables.json']
+    written = [Path(arguments.out) / document.file]
     data = {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))}
     answer(arguments, words + report_files(written, arguments.out), data)
     return 0
@@ -201,13 +201,9 @@ def _added(arguments: argparse.Namespace) -> int:
 def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.control_chart import history_of
+    from otf_core.history.document import HistoryDocument, machine_history
     from otf_core.history.store import read_store
-    from otf_core.reports.history_report import (
-        format_history,
-        history_to_dict,
-        store_to_dict,
-        write_history,
-    )
+    from otf_core.reports.pages import summary_of, write_document
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')
@@ -223,11 +219,13 @@ def run_history(arguments: argparse.Namespace) -> int:
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
     # one at a time: its tables take megabytes
-    doc = store_to_dict([history_to_dict(history_of(store, m, limit)) for m in machines])
-    words = '\n\n'.join(map(format_history, doc['machines']))
+    document = HistoryDocument(
+        tuple(machine_history(history_of(store, m, limit)) for m in machines)
+    )
+    words = summary_of(document)
     if out is not None:
         with out.filled('history') as folder:
-            names = [f.name for f in write_history(doc, folder)]
+            names = [f.name for f in write_document(document, folder)]
         words += report_files([out.path / n for n in names], arguments.out)
-    answer(arguments, words, doc)
-    return 0
+    answer(arguments, words, document.to_dict())
+    return document.exit_code

@@ -8,10 +8,9 @@ are put into it, charts are SVG elements.
 from __future__ import annotations
 
 import html
-import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,7 +20,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from otf_core.files.message_text import shortened, with_micro_sign
-from otf_core.files.writing import tidy, write_text
+from otf_core.files.writing import tidy
 from otf_core.model.expanded import (
     figure,
     micro_figure,
@@ -179,10 +178,3 @@ def render(template: str, **content: Any) -> str:
     """
     made = environment(template.endswith('.html.j2'))
     return made.get_template(template).render(**content).rstrip('\n') + '\n'
-
-
-def write_result(folder: Path, stem: str, page: str, data: Mapping[str, Any]) -> list[Path]:
-    """Write report.html and, last, STEM.json."""
-    write_text(folder / 'report.html', page)
-    write_text(folder / f'{stem}.json', json.dumps(data, indent=1, allow_nan=False) + '\n')
-    return [folder / 'report.html', folder / f'{stem}.json']
