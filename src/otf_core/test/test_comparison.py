@@ -26,6 +26,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
+from otf_core.model.provenance import provenance
 from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.calibration_document import (
     CalibrationDocument,
@@ -430,7 +431,7 @@ def test_a_comparison_writes_a_page_like_the_others(tmp_path):
     machine = some_machine()
     a = replace(zero_tables(machine), squareness={
         **zero_tables(machine).squareness, 'C0Y': ScalarError(1e-5, 2e-6)})  # fmt: skip
-    write_document(document_of(compared(a, truth_of(machine)), {}), tmp_path)
+    write_document(document_of(compared(a, truth_of(machine)), provenance('compare')), tmp_path)
     source = (tmp_path / 'report.html').read_text(encoding='utf-8')
     page = Page(source)
     assert page.faults == [] and unloading(source) == []

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,7 @@ def document_of(result: Comparison, provenance: Mapping[str, Any]) -> Comparison
             float(np.abs(pair.difference).max()), float(known.max()) if known.size else None,
             _share(normalised),
         )  # fmt: skip
-    sizes = [mean_length(field) for field in (volume.a, volume.b, difference)]
+    means = MeanErrors(*map(mean_length, (volume.a, volume.b, difference)))
     return ComparisonDocument(
         a=result.names[0],
         b=result.names[1],
@@ -141,7 +141,7 @@ def document_of(result: Comparison, provenance: Mapping[str, Any]) -> Comparison
         squareness={n: v for n, v in scalars.items() if n in machine.squareness},
         location={n: v for n, v in scalars.items() if n in machine.location},
         volume=VolumePair(
-            *sizes,
+            **asdict(means),
             points=len(volume.position),
             holds=tuple(result.errors),
             mean_absolute=dict(zip(XYZ, np.abs(difference).mean(axis=0).tolist(), strict=True)),
@@ -151,9 +151,7 @@ def document_of(result: Comparison, provenance: Mapping[str, Any]) -> Comparison
             position=np.round(volume.position, 6),
             difference=np.round(difference, 10),
         ),
-        volume_with_squareness=MeanErrors(*sizes)
-        if set(machine.squareness) <= set(scalars)
-        else None,
+        volume_with_squareness=means if set(machine.squareness) <= set(scalars) else None,
         provenance=provenance,
     )
 

@@ -155,12 +155,14 @@ def machine_history(history: History) -> MachineHistory:
         ),
         reference=runs[history.reference].name,
         warnings=tuple(history.series.warnings),
-        stated=first and StatedUncertainty(first.u['mean'], first.k, first.systematic),
-        drift=drift and DriftEntry(
+        stated=None if first is None else StatedUncertainty(
+            first.u['mean'], first.k, first.systematic
+        ),
+        drift=None if drift is None else DriftEntry(
             drift.volume, drift.u_volume, bool(drift.significant), drift.p, drift.runs,
             drift.birge, drift.p_line, tuple(drift.bent), drift.motions,
         ),
-        next_calibration=due and NextCalibration(
+        next_calibration=None if due is None else NextCalibration(
             due.limit, None if due.days is None else _after(history, due.days),
             _after(history, due.earliest),
             None if due.latest is None else _after(history, due.latest), 0.95,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.documents import Document, ResultDocument, stated
@@ -117,7 +118,7 @@ class NoiseReport(ResultDocument):
     noise: NoiseModel | None = None
 
 
-def _rounded(values: Array) -> Array:
+def _rounded(values: NDArray[np.floating[Any]]) -> Array:
     """Five significant digits, for curves."""
     return np.array([float(f'{v:.5g}') for v in values.ravel()]).reshape(values.shape)
 

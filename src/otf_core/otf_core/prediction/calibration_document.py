@@ -146,7 +146,13 @@ class ReversalEntry(Document):
     position: Array = stated('nodes', 'm or rad', shape=('k',))
     value: Array = stated('forward minus backward', 'm or rad', shape=('k',))
     u: Array | None = stated(
-        'standard uncertainty of the value', 'm or rad', shape=('k',), default=None
+        'with everything that is stated',
+        'm or rad',
+        shape=('k',),
+        default=None,
+    )
+    u_run: Array | None = stated(
+        'by noise and misfit of the run alone', 'm or rad', shape=('k',), default=None
     )
     identifiable: bool = stated('false: the data do not show it', default=True)
     forward: Array | None = stated(
@@ -164,7 +170,8 @@ class SizeEntry(Document):
     """A value and its standard uncertainty."""
 
     value: float = stated('value')
-    u: float = stated('its standard uncertainty')
+    u: float = stated('its standard uncertainty with everything that is stated')
+    u_run: float | None = stated('by noise and misfit of the run alone', default=None)
 
 
 @dataclass(frozen=True)
@@ -505,7 +512,7 @@ class CalibrationDocument(ResultDocument):
     config: Mapping[str, Any] = stated('parameters of the calibration', factory=dict)
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
     volumetric_error: Mapping[str, Any] | None = optional(
-        'error vectors over the volume: position, error, u (m); what every error makes alone'
+        'error vectors over the volume: position, error, u, u_run (m); what each error makes alone'
     )
     sizes: Mapping[str, Mapping[str, Any]] | None = optional(
         'span of every motion and size of every scalar with u and k; null: not known'

@@ -292,7 +292,8 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
                      'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
-        'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'offset': [0.0, 0.0, 0.0], 'contains': {}},
+        'not_identifiable': ['B0Z', 'EAZ'],
+        'target_offset_bound': {'offset': [0.0, 0.0, 0.0], 'contains': {}},
         'squareness': {'C0Y': {'value': 1e-6, 'u': 5e-8}, 'B0Z': {'value': 0.0, 'u': 0.0},
                        'A0Z': {'value': 0.0, 'u': 5e-8}},
     }  # fmt: skip
