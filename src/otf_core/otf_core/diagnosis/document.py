@@ -11,7 +11,7 @@ from otf_core.calibration.document import driven_run
 from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.views import gap_views
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
+from otf_core.diagnosis.result import AnyCause, Diagnosis, Gap, NamedCause
 from otf_core.documents import Document, ResultDocument, stated
 from otf_core.effects import EVERY, BelongsTo
 from otf_core.model.machine import Machine
@@ -54,6 +54,9 @@ class GapDocument(ResultDocument):
     verdict: str = stated('none, explained, partly_explained or unknown')
     sentence: str = stated('the verdict in words')
     gap: Gap = stated('size of the gap')
+    any_cause: AnyCause | None = stated(
+        'whether anything is missing, before any name is given', default=None, sparse=True
+    )
     causes: tuple[NamedCause, ...] = stated('first the one that shrinks the gap most')
     unnamed: Mapping[str, Any] | None = stated(
         'cause without a name: depends_on, acts_as, words, before_um, after_um, '
@@ -97,6 +100,7 @@ def document_of(diagnosis: Diagnosis) -> GapDocument:
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
         gap=diagnosis.gap,
+        any_cause=diagnosis.any_cause,
         causes=diagnosis.causes,
         unnamed=None if diagnosis.unnamed is None else asdict(diagnosis.unnamed),
         unexplained=Unexplained(diagnosis.unexplained_um, diagnosis.unexplained_where),
