@@ -54,9 +54,6 @@ class GapDocument(ResultDocument):
     verdict: str = stated('none, explained, partly_explained or unknown')
     sentence: str = stated('the verdict in words')
     gap: Gap = stated('size of the gap')
-    any_cause: AnyCause | None = stated(
-        'whether anything is missing, before any name is given', default=None, sparse=True
-    )
     causes: tuple[NamedCause, ...] = stated('first the one that shrinks the gap most')
     unnamed: Mapping[str, Any] | None = stated(
         'cause without a name: depends_on, acts_as, words, before_um, after_um, '
@@ -81,6 +78,9 @@ class GapDocument(ResultDocument):
     calibration_runs: tuple[Mapping[str, Any], ...] = stated('as runs of error_tables.json')
     views: Mapping[str, Any] = stated('residuals by time, place, travel, beam, frequency (um)')
     run_id: str = stated('hash of samples, paths, machine and configuration')
+    any_cause: AnyCause | None = stated(
+        'whether anything is missing, before any name is given', default=None, sparse=True
+    )
     schema: str = stated('otf-gap/1', default='otf-gap/1')
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
 
