@@ -62,8 +62,12 @@ def _parameter_rows(infos: Any) -> Iterator[str]:
         yield _row(cell.replace('|', '\\|') for cell in cells)
 
 
+def _told(info: Any) -> tuple[str, str, str]:
+    return info.name.rpartition('.')[2], str(info.default), info.meaning
+
+
 def parameter_tables() -> str:
-    """Parameters of all nodes, and of what only the command line knows."""
+    """Parameters of all nodes, then what only the command line knows; each once."""
     from otf_bringup.params_file import NODES, infos
     from otf_core import config
 
@@ -74,8 +78,11 @@ def parameter_tables() -> str:
     shown['`--config` of `plan`: forecast'] = config.ForecastConfig.infos()
     shown['`--config` of `simulate`'] = config.SimulationConfig.infos()
     parts: list[str] = []
+    told: set[tuple[str, str, str]] = set()
     for title, its_infos in shown.items():
-        parts += [f'**{title}**', '', *_parameter_rows(its_infos), '']
+        new = [info for info in its_infos if _told(info) not in told]
+        told |= {_told(info) for info in new}
+        parts += [f'**{title}**', '', *_parameter_rows(new), ''] if new else []
     return '\n'.join(parts).strip()
 
 
