@@ -20,7 +20,7 @@ from otf_core.config import NONE, CalibrationConfig
 from otf_core.diagnosis.diagnose import calibrate_with_effects, diagnose
 from otf_core.live.stages import DIAGNOSE, Progress, of_whole
 from otf_core.pieces.runs import Recording
-from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
+from otf_core.reports.diagnosis import BESIDE_TABLES, write_diagnosis
 
 
 def calibrate(
@@ -50,7 +50,7 @@ def diagnose_run(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     write_diagnosis(diagnosis, folder, BESIDE_TABLES)
-    return diagnosis_to_dict(diagnosis)
+    return diagnosis.document.to_dict()
 
 
 if __name__ == '__main__':

@@ -23,7 +23,7 @@ from otf_core.noise.noise_model import (
 )
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
-from otf_core.reports.noise_report import write_noise
+from otf_core.reports.pages import write_document
 from otf_core.sim.tracker import measure
 
 SPEED = 0.002
@@ -108,8 +108,8 @@ def test_the_simulated_tracker_has_every_component():
 def test_noise_json_is_read_as_it_was_written(rest, tmp_path):
     assert noise_from_fields(json.loads(json.dumps(noise_to_fields(MODEL)))) == MODEL
     report = noise_report(rest, SPEED)
-    write_noise(report, tmp_path)
-    assert read_noise(tmp_path / 'noise.json') == report.measured.noise
+    write_document(report, tmp_path)
+    assert read_noise(tmp_path / 'noise.json') == report.noise
     data = json.loads((tmp_path / 'noise.json').read_text())
     assert noise_to_fields(read_noise(tmp_path / 'noise.json')).keys() <= data.keys()
     for key in ('u_range', 'u_angle', 'white_range', 'white_angle', 'correlation_time'):
@@ -118,7 +118,7 @@ def test_noise_json_is_read_as_it_was_written(rest, tmp_path):
 
 def test_noise_that_is_all_white_can_be_planned_with(tmp_path):
     white = at_rest(6, 4.0, 250.0, 3, LEVEL, white=(1.0, 1.0, 1.0))
-    write_noise(noise_report(white, SPEED), tmp_path)
+    write_document(noise_report(white, SPEED), tmp_path)
     found = read_noise(tmp_path / 'noise.json')
     assert [c.correlation_time for c in found] == [0.0] * 3
     np.testing.assert_array_equal(found.white, found.level)

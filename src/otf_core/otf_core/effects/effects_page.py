@@ -102,10 +102,8 @@ def _free_words(effect: Effect) -> str:
 def _section(effect: Effect) -> str:
     words = effect.words
     rows = (
-        ('Cause', words.cause),
         ('Displacement', f'`{words.displacement}`'),
         ('Parameters', f'{words.parameters}: {_parameters(effect)}'),
-        ('Typical size', words.typical_size),
         *([('Free forms', _free_words(effect))] if effect.free else []),
         ('Looks like', words.looks_like),
         ('Shown by', words.shown_by),
