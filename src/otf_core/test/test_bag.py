@@ -8,7 +8,6 @@ import pytest
 import yaml
 from bag_cells import (
     CONTENT,
-    CORNERS,
     MESSAGES,
     PATH_MESSAGE,
     PATH_TYPE,
@@ -24,12 +23,11 @@ from bag_cells import (
     write_rosbag,
 )
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from otf_core.bags.bag import BagContent, read_bag, read_points, write_bag
-from otf_core.bags.cdr import decode_points, encode_path, encode_points, point_dtype
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.observation import Samples
 
@@ -55,36 +53,6 @@ def test_written_bag_is_what_rosbags_and_mcap_read(bag):
     assert times[1:] == CONTENT.samples.stamp_ns.tolist()
 
 
-def test_written_messages_are_byte_for_byte_those_of_rosbags():
-    t, xyz = CONTENT.samples.stamp_ns, CONTENT.samples.xyz
-    rows = encode_points(t, xyz, 'tracker')
-    assert [r.tobytes() for r in rows] == [point_cdr(*pair) for pair in zip(t, xyz, strict=True)]
-    for frame in ('m', 'ma', 'mac', 'mach', 'machine', 'machines'):
-        assert encode_path(CORNERS, START, frame) == path_cdr(frame=frame)
-
-
-def test_metadata_is_laid_out_as_rosbags_does(bag, tmp_path):
-    write_rosbag(tmp_path / 'other', storage=StoragePlugin.MCAP)
-    ours, theirs = (
-        yaml.safe_load((f / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-        for f in (bag, tmp_path / 'other')
-    )
-    assert ours.keys() == theirs.keys()
-    assert ours['version'] == theirs['version'] == 9
-    for a, b in zip(
-        ours['topics_with_message_count'], theirs['topics_with_message_count'], strict=True
-    ):
-        a['topic_metadata'].pop('offered_qos_profiles')
-        b['topic_metadata'].pop('offered_qos_profiles')
-        assert a == b
-
-
-def test_same_content_gives_same_bytes(bag, tmp_path):
-    write_bag(tmp_path / 'deep' / 'er' / 'again', CONTENT)
-    for name in ('bag_0.mcap', 'metadata.yaml'):
-        assert (bag / name).read_bytes() == (tmp_path / 'deep/er/again' / name).read_bytes()
-
-
 def test_existing_bag_is_replaced_only_when_asked(bag):
     with pytest.raises(ConfigError, match='exists already'):
         write_bag(bag, CONTENT)
@@ -92,27 +60,6 @@ def test_existing_bag_is_replaced_only_when_asked(bag):
     write_bag(bag, other, overwrite=True)
     assert_same(read_bag(bag), other)
     assert [p.name for p in bag.parent.iterdir()] == ['bag']
-
-
-def test_foreign_folder_is_never_overwritten(tmp_path):
-    (tmp_path / 'thesis').mkdir()
-    (tmp_path / 'thesis' / 'thesis.tex').touch()
-    (tmp_path / 'file').touch()
-    for name in ('thesis', 'file'):
-        with pytest.raises(ConfigError, match='not overwritten'):
-            write_bag(tmp_path / name, CONTENT, overwrite=True)
-    with pytest.raises(ConfigError, match='cannot be written'):
-        write_bag(tmp_path / 'file' / 'bag', CONTENT)
-
-
-def test_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
-    def interrupt(self):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Writer, 'finish', interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        write_bag(tmp_path / 'bag', CONTENT)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -164,11 +111,6 @@ def test_every_bag_that_rosbags_writes_reads_exactly(tmp_path, storage, mode, ve
     folder = write_rosbag(tmp_path / 'bag', mode=mode, storage=storage, version=version)
     assert_same(read_bag(folder))
     assert_same(read_with_anyreader(folder))
-
-
-def test_sqlite3_file_reads_without_its_folder(tmp_path):
-    folder = write_rosbag(tmp_path / 'bag')
-    assert_same(read_bag(folder / 'bag.db3'))
 
 
 def test_file_without_indexes_and_checksums_reads(tmp_path):
@@ -224,25 +166,6 @@ def test_foreign_topics_between_all_points_do_not_matter(tmp_path, compression, 
             messages.append(('/log', 'a_msgs/msg/Log', message[2], point_cdr(1, (9, 9, 9))))
     file = write_mcap(tmp_path / 'a.mcap', messages, compression=compression, use_chunking=chunked)
     assert_same(read_bag(file))
-
-
-@pytest.mark.parametrize('length', range(1, 17))
-@pytest.mark.parametrize('little', [True, False])
-def test_points_of_any_frame_length_decode(length, little):
-    frame = 'abcdefghijklmnop'[:length]
-    samples = some_samples(20)
-    data = [
-        point_cdr(t, p, frame, little) for t, p in zip(samples.stamp_ns, samples.xyz, strict=True)
-    ]
-    assert point_dtype(frame).itemsize == len(data[0])
-    assert len(data[0]) == 4 + 13 + length + (-(13 + length)) % 8 + 24
-    gap = [b'\xff' * (i % 5) + d for i, d in enumerate(data)]
-    size = np.array([len(d) for d in data])
-    start = np.cumsum([len(g) for g in gap]) - size
-    points = decode_points(np.frombuffer(b''.join(gap), np.uint8), start, size, frame)
-    assert points.stamp_ns.tobytes() == samples.stamp_ns.tobytes()
-    assert points.xyz.tobytes() == samples.xyz.tobytes()
-    assert points.kept is None
 
 
 def test_big_endian_and_several_publishers_on_one_topic(tmp_path):

@@ -73,54 +73,6 @@ def test_columns_and_rate_on_request(tmp_path):
     np.testing.assert_array_equal(raw.stamp_ns, SINCE)
 
 
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('', 'holds no lines of at least 3 numbers'),
-        ('Dear all,\nthe data follow.\n', 'the first line is .Dear all,'),
-        (PLAIN.replace(SECONDS[3], 'n/a'), ''),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the header names no x'),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
-        (
-            lines(lambda s, t, *p: f'{s},1,2,3', 't,x [ft],y [ft],z [ft]\n'),
-            "'ft' is not a supported unit of l",
-        ),
-        (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (mils)\n# t X Y Z\n'), "'mils' is no"),
-        (
-            lines(lambda s, t, *p: f'{s},1,2,3', 't (mil),x,y,z\n'),
-            r"t \(mil\): 'mil' is not a supported unit",
-        ),
-        (PLAIN + 'nan,1,2,3\n', "line 52: time_s: 'nan' is not a number"),
-        ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
-        ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
-        ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
-        (
-            PLAIN + 'a,b\n' * 20,
-            r'20 of 70 lines are not samples: 20 lines: 2 columns instead of 4 \(first line 52\)',
-        ),
-    ],
-)
-def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
-    if words:
-        with pytest.raises(InputError, match=words):
-            reading(tmp_path, text)
-    else:
-        assert reading(tmp_path, text).remarks == [
-            "left out 1 of 50 lines that are not samples: 1 line: time_s is 'n/a' (line 5)"
-        ]
-
-
-@pytest.mark.parametrize('time', ['0', '12.5'])
-def test_a_text_of_one_sample_or_without_times_is_refused_for_that(tmp_path, time):
-    file = tmp_path / 'run.csv'
-    file.write_text(f'time_s,x,y,z\n{time},1.0,0.2,0.3\n')
-    with pytest.raises(InputError, match=r'run\.csv: samples: one sample only'):
-        points_of(open_reading(file, ReadingOptions()), file)
-    file.write_text('time_s,x,y,z\n' + '0,1.0,0.2,0.3\n' * 9)
-    with pytest.raises(InputError, match="time_s in s: all 9 times are '0'"):
-        points_of(open_reading(file, ReadingOptions()), file)
-
-
 def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     file, corners = tmp_path / 'run.txt', tmp_path / 'path.csv'
     file.write_text(PLAIN)
@@ -272,15 +224,3 @@ def test_a_path_that_is_given_takes_the_place_of_that_of_a_bag(tmp_path):
     np.testing.assert_array_equal(content.samples.xyz, CONTENT.samples.xyz)
     with pytest.raises(ConfigError, match='--columns'):
         read_content([bag], ReadingOptions(columns='x,y,z'))
-
-
-def test_lines_left_out_are_counted_in_the_answers(tmp_path, capsys):
-    rows = [
-        f'{0.002 * k:.3f},{0.1 + 1e-4 * k:.5f},0.2,{0.3 + 1e-6 * (k % 7):.6f}' for k in range(900)
-    ]
-    rows[100] = '0.200,lost,0.2,0.3'
-    file = tmp_path / 'samples.csv'
-    file.write_text('\n'.join(['t_s,x_m,y_m,z_m', *rows]) + '\n')
-    run('check', file, '--json')
-    (found,) = json.loads(capsys.readouterr().out)['left_out']
-    assert (found['lines'], found['first_line']) == (1, 102) and found['reason']
