@@ -7,7 +7,6 @@ from core_cells import some_machine
 
 from otf_core.config import SimulationConfig
 from otf_core.errors import ConfigError, InputError, ShapeError
-from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
 from otf_core.sim.cell import simulate
 
@@ -16,10 +15,6 @@ POINTS = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.2, 0]]
 
 def plan(points=POINTS, feed=(0.1, 0.2), dwell=(1.0, 0.0, 2.0)):
     return Plan.along(points, feed, dwell)
-
-
-def test_lists_become_arrays():
-    assert plan().path.points.dtype == plan().feed.dtype == plan().dwell.dtype == np.float64
 
 
 @pytest.mark.parametrize(
@@ -48,9 +43,3 @@ def test_run_that_would_fill_the_memory_is_not_simulated():
     slow = plan(feed=(1e-6, 1e-6))
     with pytest.raises(ConfigError, match=r'3e\+05 s at 500 samples/s is too long'):
         simulate(some_machine(), slow, SimulationConfig())
-
-
-def test_stamps_that_are_no_integers_are_refused():
-    with pytest.raises(InputError, match='stamps are integers in ns, got float64'):
-        Samples([0.0, 1e6], [[0, 0, 1], [0, 0, 1]])
-    assert Samples([0, 10**6], [[0, 0, 1], [0, 0, 1]]).time.tolist() == [0.0, 1e-3]
