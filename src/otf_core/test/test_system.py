@@ -104,25 +104,6 @@ def test_deviations_are_the_errors_across_the_path(chain):
     np.testing.assert_allclose(system.deviation, expected, atol=1e-10)
 
 
-def test_axes_are_across_the_path():
-    machine = some_machine()
-    pieces, _, system = system_of(machine, zero_tables(machine))
-    for axes in system.axes:
-        np.testing.assert_allclose(np.sum(axes * pieces.direction, axis=1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.sum(system.axes[0] * system.axes[1], axis=1), 0, atol=1e-12)
-
-
-def test_all_pieces_of_a_line_have_the_same_axes_even_if_it_runs_towards_the_tracker():
-    machine = some_machine()
-    pieces, _, _ = system_of(machine, zero_tables(machine))
-    on_it = pieces.origin[0] - 0.5 * pieces.direction[0]
-    pose = replace(transform_pose(machine, 0), translation=on_it)
-    truth = random_tables(machine, 2e-5, np.random.default_rng(0))
-    pieces, _, system = system_of(machine, truth, pose)
-    for leg in np.unique(pieces.leg):
-        assert np.ptp(system.axes[:, pieces.leg == leg], axis=1).max() < 1e-12
-
-
 def test_positions_lie_on_their_legs_even_with_errors_along_them():
     machine = some_machine()
     truth = random_tables(machine, 1e-4, np.random.default_rng(2))
@@ -156,16 +137,6 @@ def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_pa
     np.testing.assert_allclose(found.right, right, atol=1e-12 * np.abs(right).max())
     assert found.square == pytest.approx(np.sum(weight * system.deviation.reshape(-1) ** 2))
     assert found.rows == 2 * len(pieces)
-
-
-@pytest.mark.parametrize(('bases', 'entries'), [(linear_bases, 2), (smooth_bases, 4)])
-def test_rows_hold_a_few_coefficients_of_a_motion_and_no_more(bases, entries):
-    machine = some_machine()
-    _, unknowns, system = system_of(machine, zero_tables(machine), bases=bases)
-    filled = np.diff(system.design.indptr)
-    # 6 of the pose, 3 squareness, and 18 motions: independent of the number of knots
-    assert filled.max() <= 6 + 3 + entries * 18
-    assert system.design.shape == (2 * len(system.q), unknowns.full)
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
