@@ -6,7 +6,6 @@ import pytest
 from core_cells import (
     fit_pieces,
     pieces_of,
-    plan_for_path,
     some_machine,
     transform_pose,
     zero_tables,
@@ -16,7 +15,6 @@ from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside
 from otf_core.planning import follow_up
 from otf_core.planning.findings import findings
@@ -67,19 +65,6 @@ def test_plan_stays_inside_and_reaches_every_end(levels):
     np.testing.assert_allclose(points.max(axis=0), machine.upper, atol=1e-15)
 
 
-def test_margin_is_kept_at_every_end():
-    machine = some_machine()
-    points = plan_path(machine, PlannerConfig(margin=0.02)).path.points
-    np.testing.assert_allclose(points.min(axis=0), machine.lower + 0.02, atol=1e-15)
-    np.testing.assert_allclose(points.max(axis=0), machine.upper - 0.02, atol=1e-15)
-
-
-@pytest.mark.parametrize('margin', [0.1, 0.12, 0.5])
-def test_margin_that_leaves_nothing_is_refused(margin):
-    with pytest.raises(ConfigError, match='margin'):  # half of the 0.2 m of Z is 0.1 m
-        plan_path(some_machine(), PlannerConfig(margin=margin))
-
-
 @pytest.mark.parametrize('passes', [1, 2, 3, 4])
 def test_laps_alternate_in_direction_and_feed(passes):
     machine = some_machine()
@@ -111,18 +96,6 @@ def test_plan_holds_lines_that_are_no_box_diagonals():
         assert np.any(partial & (ratio > 1.9) & (steps[:, axis] > 1e-9))
 
 
-def test_every_leg_moves():
-    assert plan_path(some_machine(), PlannerConfig(passes=3)).path.leg_lengths.min() > 0.01
-
-
-def test_given_path_is_driven_as_it_is():
-    path = NominalPath(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0.0]]))
-    plan = plan_for_path(path, PlannerConfig(feed=0.1, corner_dwell=0.5, end_dwell=2))
-    assert np.array_equal(plan.path.points, path.points)
-    assert plan.feed.tolist() == [0.1, 0.1]
-    assert plan.dwell.tolist() == [2.0, 0.5, 2.0]
-
-
 @pytest.mark.parametrize(('axis', 'name'), [(0, 'X'), (1, 'Y'), (2, 'Z')])
 @pytest.mark.parametrize('side', [-1, 1])
 def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
@@ -132,12 +105,6 @@ def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
     points[2, axis] = (machine.upper if side > 0 else machine.lower)[axis] + side * 0.004
     with pytest.raises(InputError, match=rf'point 2 leaves the range of axis {name} by 4\.000 mm'):
         check_inside(Plan.along(points, [0.1, 0.1], [0, 0, 0]), machine)
-
-
-def test_path_to_the_very_ends_is_inside():
-    machine = some_machine()
-    plan = Plan.along([machine.lower, machine.upper], [0.1], [0, 0])
-    assert check_inside(plan, machine) is None
 
 
 @pytest.mark.parametrize('acceleration', [0.5, 1.0, 2.0, 3.0])
