@@ -7,8 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cli_cells import run
-from rotary_cells import BAG, machine, parts, recorded, simulated, truth
+from rotary_cells import BAG, machine, parts, recorded, simulated
 
 import otf_core
 from otf_core.calibration.calibrate import calibrate_recordings
@@ -19,14 +18,13 @@ from otf_core.model.axis_path import AxisPath
 from otf_core.model.chain import Sight, displacement
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.machine import facing_names, machine_from_dict
-from otf_core.model.sections import Circumstances, DeclaredUncertainty
+from otf_core.model.sections import DeclaredUncertainty
 from otf_core.planning.chains import parts_of
 from otf_core.planning.facings import facing_chains
 from otf_core.planning.line_of_sight import default_tracker_place
 from otf_core.prediction.uncertainty import prediction_uncertainty
-from otf_core.reports.calibration import write_calibration
 from otf_core.solving.tabulate import remove_rigid_motions
-from otf_core.tracking.curve_matching import match, split_parts
+from otf_core.tracking.curve_matching import split_parts
 
 
 @cache
@@ -43,30 +41,6 @@ def left(found, true, q):
         for v in (d, e)
     ]
     return rms[0] / rms[1]
-
-
-def test_recorded_trunnion_comes_out_as_it_is():
-    result, true = calibrated(), truth()
-    q = evenly_spread(machine().lower, machine().upper, 800)
-    assert left(result.tables, true, q) < 0.05
-    # its errors are straight between coarse nodes
-    assert {n: len(t.position) for n, t in result.tables.motions.items()} == {
-        n: len(t.position) for n, t in true.motions.items()
-    }
-    assert set(result.not_identifiable) == {'ECX', 'ECZ'}
-    lean = result.tables.motions['EBZ']  # a spindle that leans is no rotation of Z near its zero
-    there = np.interp(
-        lean.position, *(getattr(true.motions['EBZ'], n) for n in ('position', 'value'))
-    )
-    off = lean.value - there + there[0]
-    assert np.sqrt(np.mean(off**2)) < 2.0 * np.sqrt(np.mean(lean.u_run**2))
-    assert all('spindle axis' in result.advice[n] for n in result.not_identifiable)
-    assert not result.failed_gates and result.fit.inflation < 1.2
-    d = displacement(result.tables, q) - displacement(true, q)
-    away = remove_rigid_motions(machine(), q, d.reshape(-1, 1)).reshape(-1, 3)
-    u = predict_u(result, q)
-    assert np.mean(np.abs(away) < 2 * u) > 0.88
-    assert np.sqrt(np.mean((away / u) ** 2)) > 0.35
 
 
 def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
@@ -86,27 +60,6 @@ def test_wrong_scale_of_the_tracker_acts_on_all_errors_as_the_budget_says():
     expected = predict_u(part, q)
     assert expected.max() > 1e-6
     assert np.linalg.norm(np.abs(moved) - expected) < 0.1 * np.linalg.norm(expected)
-
-
-def test_files_hold_residuals_budget_and_certificate(tmp_path):
-    stated = replace(machine(), stated=Circumstances(certificate={'number': '2026-0117'}))
-    result = replace(calibrated(), tables=replace(calibrated().tables, machine=stated))
-    files = write_calibration(result, tmp_path, residuals_csv=True, report=False)
-    assert {'residuals.npz', 'residuals.csv', 'certificate.html'} <= {f.name for f in files}
-    rows = np.genfromtxt(tmp_path / 'residuals.csv', delimiter=',', names=True)
-    assert {'part', 'x', 'y', 'z', 'a', 'c'} <= set(rows.dtype.names)
-    assert len(rows) == result.fit.pieces and len(np.unique(rows['part'])) == 5
-    left = np.hypot(rows['residual2'], rows['residual3'])
-    assert np.sqrt(np.mean(left**2)) == pytest.approx(result.fit.residual_rms)
-    page = (tmp_path / 'certificate.html').read_text(encoding='utf-8')
-    names = (*stated.motions, *stated.scalars)
-    assert all(f'>{name}<' in page for name in names) and 'not known' in page
-    data = json.loads((tmp_path / 'error_tables.json').read_text())
-    entry, parts = data['location']['X0C'], data['budget']['u_rms']['X0C']
-    assert entry['u'] == pytest.approx(parts['u'])
-    own = sum(v**2 for n, v in parts['sources'].items() if not n.startswith('typical'))
-    assert own == pytest.approx(entry['u_run'] ** 2, rel=0.05)  # nodes hold straight lines too
-    assert data['systematic'] == data['headline']['systematic'] == 'typical'
 
 
 def test_places_of_reflectors_and_tracker_are_found():
@@ -160,18 +113,6 @@ def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
     assert not result.tables.location['A0C'].identifiable
 
 
-def test_path_that_shows_little_ends_with_what_it_shows():
-    q = np.zeros((3, 5))
-    q[:, 3] = (-0.3, 0.3, -0.3)
-    parts = [AxisPath(machine().axis_names, q, f'nest-{k}') for k in (1, 2, 3)]
-    result = calibrate_recordings([simulated(parts)[0]])
-    assert {'EXX', 'EAA', 'EXC', 'A0C', 'Y0A'} <= set(result.not_identifiable)
-    assert not {'EYA', 'EZA', 'EBA', 'ECA'} & set(result.not_identifiable)
-    assert set(result.advice) == set(result.not_identifiable) and all(result.advice.values())
-    (text,) = [w for w in result.warnings if w.startswith('driven range: ')]
-    assert 'X over 0 of' in text and 'A over 28 of 120 deg' in text
-
-
 def test_bad_samples_of_a_part_are_left_out_and_said():
     samples = recorded().samples
     xyz, part = samples.xyz.copy(), split_parts(samples, machine(), recorded().parts)[0]
@@ -193,62 +134,6 @@ def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
     words = r'fits where C turns the other way; write C: direction: \[0.0, 0.0, 1.0\]'
     with pytest.raises(InputError, match=words):
         calibrate_recordings([recording])
-
-
-def test_centre_and_a_length_that_are_wrong_fail_the_gate():
-    m = machine()
-    axes = {**m.axes, 'A': replace(m.axes['A'], centre=(0.0, 0.0, 0.023))}
-    x, y, z = m.targets['long'].place
-    long = replace(m.targets['long'], place=(x, y, z + 3e-5), u=0.0)
-    wrong = replace(m, axes=axes, stated_targets={**m.stated_targets, 'long': long})
-    result = calibrate_recordings([replace(recorded(), machine=wrong)])
-    assert result.verdicts.exit_code == 4
-    length, centre = result.failed_gates[0], result.failed_gates[-1]
-    assert "target 'long'" in length and 'u: 3e-05' in length
-    assert 'axes: A: centre' in centre
-    assert float(centre.split(', ')[-1].split(']')[0]) == pytest.approx(0.02, abs=3e-5)
-
-
-def test_places_off_by_ten_millimetres_still_converge():
-    m = machine()
-    targets = {
-        n: replace(t, place=(t.place[0] + 0.006, t.place[1] - 0.006, t.place[2] + 0.005))
-        if t.link == 'w'
-        else t
-        for n, t in m.stated_targets.items()
-    }
-    off = replace(m, stated_targets=targets)
-    found = match(recorded().samples, off, recorded().parts)
-    for name in ('nest-1', 'nest-2', 'nest-3'):
-        assert np.abs(found.places[name] - calibrated().targets[name].place).max() < 1e-4
-
-
-def test_command_line_from_simulation_to_prediction(tmp_path, capsys):
-    folder, out = tmp_path / 'bag', tmp_path / 'out'
-    yaml = str(BAG / 'machine.yaml')
-    options = ['--rate', '25', '--feed', '9000', {'corner_dwell': 0.1}, '--seed', '3']
-    assert run('simulate', '--machine', yaml, '--out', str(folder), *options) == 0
-    assert run('calibrate', str(folder), '--machine', yaml, '--out', str(out)) == 0
-    data = json.loads((out / 'error_tables.json').read_text())
-    assert data['schema'] == 'otf-error-tables/2'
-    assert data['motions']['ECC']['position_unit'] == 'rad'
-    assert set(data['location']) == set(machine().location)
-    assert data['targets']['nest-1']['u'][0] > 0 and 'gauge' in data
-    points, errors = tmp_path / 'p.csv', tmp_path / 'e.csv'
-    points.write_text('x,y,z,a,c\n0,0,0.1,0.5,3.0\n0.05,0.02,0.2,-0.3,9.0\n')
-    words = ['--tables', str(out / 'error_tables.json'), '--points', str(points)]
-    assert run('predict', *words, '--out', str(errors)) == 0
-    rows = np.genfromtxt(errors, delimiter=',', names=True)
-    assert list(rows.dtype.names[:5]) == ['x', 'y', 'z', 'a', 'c']
-    assert rows['inside'].tolist() == [1.0, 1.0] and np.all(rows['u_dx'] > 0)
-    assert run('info', str(out / 'error_tables.json')) == 0
-    assert 'small-trunnion' in capsys.readouterr().out
-    points.write_text('x,y,z\n0,0,0.1\n')
-    assert run('predict', *words, '--out', str(errors), '--overwrite') == 2
-    assert 'expected x,y,z,a,c' in capsys.readouterr().err
-    page = (out / 'report.html').read_text()
-    assert 'mean error over A and C' in page
-    assert 'average line of C' in page and 'Radial motion of C' in page
 
 
 def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
