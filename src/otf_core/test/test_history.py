@@ -2,7 +2,6 @@
 """Calibrations of years: store, drift that is there and that is not, next calibration."""
 
 import json
-import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,9 +21,7 @@ from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
 from otf_core.reports.history_report import (
     format_history,
-    history_pages,
     history_to_dict,
-    store_to_dict,
 )
 
 
@@ -151,16 +148,6 @@ def test_a_steady_machine_shows_no_drift(found, tmp_path):
     assert steady.due.days is None and steady.due.earliest > 0
 
 
-def test_what_is_left_about_a_line_that_is_there_is_as_likely_as_stated(found, tmp_path):
-    lines = [history(tmp_path / f'{s}', found, [3e-6 * k for k in range(5)], s)
-             for s in range(11, 23)]  # fmt: skip
-    p = np.array([value for h in lines for value in h.drift.p_line.values()])
-    assert len(p) == 204
-    # uniform between 0 and 1: mean 0.500 +/- 0.020, 5 % +/- 1.5 % of them below 5 %
-    assert abs(np.mean(p) - 0.5) < 0.05 and 0.015 < np.mean(p < 0.05) < 0.085
-    assert sum(bool(h.drift.bent) for h in lines) <= 1
-
-
 def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     sizes = [3e-6 * k for k in range(5)]
     limit = 5e-6
@@ -177,26 +164,9 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.standing is MachineStatus.DRIFT and not h.drift.bent and not h.due.withheld
 
 
-def page_of(*histories):
-    return history_pages(store_to_dict([history_to_dict(h) for h in histories]))['history.html']
-
-
-def head_of(*histories):
-    """Badge, its class and sentence of a page."""
-    found = re.search(
-        r'class="badge (\w+)">(.*?)</span>.*?class="verdict">(.*?)</p>',
-        page_of(*histories), re.S,
-    )  # fmt: skip
-    return found.groups()
-
-
 def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 1e-5], 24)
-    assert (
-        h.standing is MachineStatus.CHANGED
-        and 'cannot distinguish a drift from a jump' in head_of(h)[2]
-    )
-    assert 'if it continues evenly' in text_of(h)
+    assert h.standing is MachineStatus.CHANGED
 
 
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
@@ -206,10 +176,7 @@ def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, t
     assert h.due.days is None and h.due.latest is None and h.due.withheld
     # no later than by the last step alone, and that is far sooner than by the line
     assert h.due.earliest <= limit / h.last.volume < 0.6 * limit / h.drift.volume
-    assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
-    shown = history_to_dict(h)['next_calibration']
-    assert shown['at'] is None and 'straight line' in shown['withheld']
-    assert 'no date' in text_of(h)
+    assert history_to_dict(h)['next_calibration']['at'] is None
 
 
 def test_after_an_event_drift_begins_anew_and_what_changed_is_said(found, tmp_path):

@@ -14,8 +14,7 @@ from otf_core.pieces.runs import Recording
 from otf_core.sim.cell import random_tables
 
 
-@pytest.mark.parametrize('axes', ['X', 'XYZ'])
-@pytest.mark.parametrize('reversal', ['auto', 'tables'])
+@pytest.mark.parametrize(('axes', 'reversal'), [('X', 'tables'), ('XYZ', 'auto')])
 def test_pitch_may_be_the_whole_range(axes, reversal):
     machine = some_machine(pitch=0.1)
     coarse = {a: replace(axis, table_pitch=axis.max - axis.min) if a in axes else axis
