@@ -15,10 +15,10 @@ from otf_core.comparison.compare import (
     source_of_tables,
 )
 from otf_core.errors import ConfigError
-from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.model.tables import ScalarError
 from otf_core.prediction.calibration_document import (
     CalibrationDocument,
     PackedCovariance,
@@ -117,34 +117,6 @@ def _constant(machine, motion, still=''):
     q = np.vstack([np.zeros(3), np.diag([0.1, 0.1, -0.1])])
     q[:, [AXES.index(a) for a in motion[2] + still]] = 0.0
     return np.ptp(error_of(tables, q), axis=0).max() < 1e-12
-
-
-@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
-def test_what_a_run_in_a_plane_mixes_up_is_mixed_up_in_both(chain):
-    machine, still = some_machine(chain), -0.13
-    tables = truth_of(machine)
-    motions = {}
-    for name, table in tables.motions.items():
-        if name[2] == 'Z':
-            motions[name] = MotionTable(np.array([still]), np.zeros(1), np.zeros(1), False)
-        else:
-            motions[name] = table
-    blind = [m for m in MOTIONS if m[1] in 'ABC' and m[2] != 'Z' and _constant(machine, m, 'Z')]
-    for name in blind:
-        table = motions[name]
-        q = np.zeros((len(table.position), 3))
-        q[:, AXES.index(name[2])], q[:, 2] = table.position, still
-        alone = constant_tables(machine)
-        alone = replace(alone, motions={**alone.motions, name: table})
-        for k, effect in enumerate(error_of(alone, q).T):
-            own = f'E{"XYZ"[k]}{name[2]}'
-            motions[own] = replace(motions[own], value=motions[own].value + effect)
-        motions[name] = replace(table, value=0 * table.value, identifiable=False)
-    result = compared(tables, replace(tables, motions=motions))
-    assert set(blind) <= set(result.common.folded)
-    assert largest(result) < 1e-15
-    assert mean_length(result.volume.difference) < 1e-15
-    np.testing.assert_array_equal(np.unique(result.common.grid[:, 2]), [still])
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)

@@ -48,70 +48,38 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
 
 
 @pytest.mark.parametrize(
-    ('old', 'new', 'words'),
-    [
-        ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected text, got \['w', 'b'\]$"),
-        (
-            'name:',
-            'feed: 3\nname:',
-            'feed: unknown key; known here: name, .*, limits, .*targets, surroundings$',
-        ),
-        ('chain:', 'chian:', r'chian: unknown key; did you mean chain\?$'),
-        ('name:', 'Name:', r'Name: unknown key; did you mean name\?$'),
-        (
-            'target_offset',
-            'target_ofset',
-            r'target_ofset: unknown key; did you mean target_offset\?$',
-        ),
-        ('  u_range: 0.5e-6\n', '', 'tracker: u_range: missing$'),
-    ],
+    ('wrong', 'meant'), [('chian', 'chain'), ('Name', 'name'), ('target_ofset', 'target_offset')]
 )
-def test_messages_name_the_file_once_and_all_keys_that_are_possible(read, old, new, words):
-    with pytest.raises(ConfigError, match=words):
-        read(GOOD.replace(old, new))
+def test_a_key_that_is_misspelt_is_named_with_the_one_that_is_meant(read, wrong, meant):
+    with pytest.raises(ConfigError, match=rf'machine.yaml: {wrong}: .*{meant}'):
+        read(GOOD.replace(f'{meant}:', f'{wrong}:', 1))
 
 
 @pytest.mark.parametrize(
     ('old', 'new', 'key'),
     [
         ('name: cell-600\n', '', 'name: missing'),
-        ('chain: w-b-X-Y-Z-t\n', '', 'chain: missing'),
-        ('target_offset: [0.01, 0.02, -0.15]\n', '', 'target_offset: missing'),
         ('  u_angle: 2.0e-6\n', '', 'tracker: u_angle: missing'),
         (', table_pitch: 0.04', '', 'axes: Y: table_pitch: missing'),
         ('  Z: {', '  W: {', 'axes: Z: missing'),
-        ('  u_angle: 2.0e-6\n', '  u_angle: 2.0e-6\n  u_temperature: 1\n', 'u_temperature'),
         ('name: cell-600', 'name: cell-600\nfeeed: 3', 'feeed: unknown'),
         ('max: 0.5,', 'max: 0.5, maximum: 1,', 'axes: Y: maximum: unknown'),
         ('name: cell-600', 'name: a\nname: b', "'name' appears twice"),
         ('min: 0.0, max: 0.6', 'min: 0.0, min: 0.0, max: 0.6', "'min' appears twice"),
         ('name: cell-600', 'name: 600', 'name: expected text'),
-        ('name: cell-600', 'name: ""', 'name: expected text'),
-        ('name: cell-600', 'name:', 'name: expected text'),
         ('name: cell-600', r'name: "a\nG0 X100"', 'name: expected one line without control'),
-        ('name: cell-600', r'name: "a\x07"', 'name: expected one line without control'),
-        ('name: cell-600', r'name: "a\L"', 'name: expected one line without control'),
         ('max: 0.6', 'max: 0.6 m', 'axes: X: max: expected a plain number'),
         ('table_pitch: 0.03', "table_pitch: '0.03'", 'axes: X: table_pitch: expected a plain'),
         ('max: 0.6', 'max: true', 'axes: X: max: expected a plain number'),
-        ('max: 0.6', 'max:', 'axes: X: max: expected a plain number'),
-        ('max: 0.6', 'max: [0.6]', 'axes: X: max: expected a plain number'),
         ('max: 0.6', 'max: 600', 'axes: X: max: 600 is out of range'),
         ('max: 0.6', 'max: .nan', 'axes: X: max: nan'),
-        ('max: 0.6', 'max: .inf', 'axes: X: max: inf'),
         ('min: 0.0, max: 0.6', 'min: 0.6, max: 0.6', 'axes: X: max: 0.6 m is not above min'),
-        ('min: -0.4, max: 0.0', 'min: 0.4, max: 0.0', 'axes: Z: max: 0.0 m is not above min'),
         ('table_pitch: 0.03', 'table_pitch: 0', 'axes: X: table_pitch: 0 is out of range'),
-        ('table_pitch: 0.03', 'table_pitch: -0.03', 'axes: X: table_pitch: -0.03 is out of range'),
         ('table_pitch: 0.03', 'table_pitch: 30', 'axes: X: table_pitch: 30'),
-        ('table_pitch: 0.03', 'table_pitch: 1e-6', 'axes: X: table_pitch: 1e-06'),
         ('[0.01, 0.02, -0.15]', '[0.01, 0.02]', 'target_offset: expected a list of 3'),
-        ('[0.01, 0.02, -0.15]', '0.15', 'target_offset: expected a list of 3'),
         ('[0.01, 0.02, -0.15]', '[0.01, 0.02, .nan]', 'target_offset: nan'),
-        ('[0.01, 0.02, -0.15]', "[0.01, 0.02, '1']", 'target_offset: expected a plain number'),
         ('[0.01, 0.02, -0.15]', '[10, 20, -150]', 'target_offset: [10.0, 20.0, -150.0] m'),
         ('0.5e-6', '0', 'tracker: u_range: 0 is out of range'),
-        ('0.5e-6', '-1e-6', 'tracker: u_range: -1e-06 is out of range'),
         ('0.5e-6', '0.5', 'tracker: u_range: 0.5 is out of range'),
         ('0.5e-6', '0.5 um', 'tracker: u_range: expected a plain number'),
         (
@@ -119,7 +87,6 @@ def test_messages_name_the_file_once_and_all_keys_that_are_possible(read, old, n
             'tracker: 3\n',
             'tracker: expected a',
         ),
-        ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker:\n', 'tracker: expected a'),
     ],
 )
 def test_wrong_content_names_file_and_key(read, old, new, key):
@@ -146,30 +113,19 @@ def test_chain_that_is_none_is_refused_with_its_text(read, chain):
 
 @pytest.mark.parametrize(
     'text',
-    ['a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', '{a: 1', 'name: "x'],
-)
-def test_broken_yaml_names_file_line_and_column(read, text):
-    with pytest.raises(
-        ConfigError, match=r'machine\.yaml: not valid YAML at line \d+, column \d+'
-    ):
-        read(text)
-
-
-@pytest.mark.parametrize(
-    'text',
     [
+        *('', '[]', 'a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', 'name: "x'),
+        *(b'\xff\xfe\x00\x01', b'name: \xe4\n', '[' * 3000),
         GOOD.replace('cell-600', '{{ cell_name }}'),  # template that was not filled in
         GOOD.replace('name:', '? [name]\n:'),
         GOOD.replace('cell-600', '2023-13-45'),  # no such month
         GOOD.replace('cell-600', '!!int x'),
-        GOOD.replace('cell-600', '!!float abc'),
         GOOD.replace('axes:', 'axes: !!map [1]\nmore:'),
         GOOD.replace('max: 0.6', 'max: 1' + 400 * '0'),
-        '[' * 3000,
+        GOOD.replace('cell-600', '!!python/object/apply:os.getcwd []'),
     ],
-    ids=['template', 'list-key', 'date', 'int-tag', 'float-tag', 'map-tag', 'huge', 'nested'],
 )
-def test_yaml_that_trips_its_parser_is_a_config_error_too(read, text):
+def test_what_is_no_yaml_of_a_machine_is_refused_with_the_file(read, text):
     with pytest.raises(ConfigError, match=r'machine\.yaml'):
         read(text)
 

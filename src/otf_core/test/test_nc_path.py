@@ -3,11 +3,10 @@
 
 import numpy as np
 import pytest
-from core_cells import on_increments, program, small_plan, some_machine
+from core_cells import program
 
 from otf_core.errors import ConfigError
 from otf_core.inputs.nc_program import is_program, read_program
-from otf_core.inputs.path_file import read_path
 from otf_core.model.plan import Plan
 from otf_core.planning.nc import DIALECTS
 
@@ -32,17 +31,6 @@ def random_plan(seed):
 def read(tmp_path, text, name='PROGRAM.NC'):
     (tmp_path / name).write_text(text)
     return read_program(tmp_path / name)
-
-
-@every_dialect
-@pytest.mark.parametrize('passes', [1, 2, 3])
-def test_a_planned_program_is_the_path_that_was_planned_to_the_last_bit(tmp_path, name, passes):
-    machine = some_machine()
-    plan = on_increments(machine, small_plan(machine, passes=passes))
-    (tmp_path / DIALECTS[name].file_name).write_text(program(DIALECTS[name], plan, NASTY))
-    points, said = read_path(tmp_path / DIALECTS[name].file_name)
-    assert points.tobytes() == (driven(plan.path.points) + 0.0).tobytes()
-    assert 'NC program' in said and 'treated as the approach' in said
 
 
 @every_dialect

@@ -6,8 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
-from core_cells import some_machine
 
 from otf_core.budget.budget import (
     Budget,
@@ -15,19 +13,16 @@ from otf_core.budget.budget import (
     make_budget,
     noise_parts,
     piece_states,
-    slow_amplitudes,
     standstill_freedom,
     welch_satterthwaite,
     whole_check,
 )
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
-from otf_core.errors import ConfigError
 from otf_core.model.expanded import coverage_factor
-from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
-from otf_core.noise.noise_model import MISFIT_TIME, NoiseModel
+from otf_core.model.sections import DeclaredUncertainty
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.tracker import measure
 from otf_core.solving.joint import settle_covariance, solve_jointly, tables_of
@@ -131,51 +126,6 @@ def solve_again(solved, xyz):
     return solve_jointly([run], solved.done.unknowns, config, lambda stage, fraction: None)
 
 
-def _weigh(solved, columns):
-    """Multiply by the inverse of the whole noise covariance, written out leg by leg."""
-    run, result = solved.done.runs[0], np.zeros_like(columns)
-    for (low, high), leg in zip(run.whitener.bounds, run.whitener.factors, strict=True):
-        for k, factor in enumerate(leg):
-            result[k, low:high] = np.linalg.solve(factor @ factor.T, columns[k, low:high])
-    return result.reshape(-1, columns.shape[2])
-
-
-def _between(run, amplitudes, correlation_time):
-    """Covariance of all rows, for amplitudes (c, p, k) of slow noise; and where legs differ."""
-    c, p, k = amplitudes.shape
-    flat = amplitudes.reshape(c * p, k)
-    time, leg = np.tile(run.pieces.time, c), np.tile(run.pieces.leg, c)
-    decay = np.exp(-np.abs(time[:, None] - time) / correlation_time)
-    return (flat @ flat.T) * decay * (leg[:, None] != leg)
-
-
-def _weighed_design(solved):
-    """W A, (rows, full), without the motions that are not solved for."""
-    done = solved.done
-    c, p = done.runs[0].system.deviation.shape
-    weighed = _weigh(solved, done.runs[0].system.design.toarray().reshape(c, p, -1))
-    left_out = [m for m in MOTIONS if m not in done.solution.accepted]
-    assert left_out
-    for motion in left_out:
-        weighed[:, done.unknowns.blocks[motion]] = 0.0
-    return weighed
-
-
-def test_noise_across_corners_is_that_of_all_pairs_of_legs(solved):
-    run, done = solved.run, solved.done
-    weighed = _weighed_design(solved)
-    found = noise_parts([run], done)
-    half = 0.5 * run.pieces.duration / MISFIT_TIME
-    shared = done.runs[0].system.axes * (MISFIT[1] * np.sinh(half) / half)[:, None]
-    for amplitudes, time, part in (
-        (slow_amplitudes(run, done.runs[0]), run.noise.range.correlation_time,
-         found.corners),
-        (shared, MISFIT_TIME, found.misfit_corners),
-    ):  # fmt: skip
-        expected = weighed.T @ _between(run, amplitudes, time) @ weighed
-        np.testing.assert_allclose(part, expected, atol=1e-9 * np.abs(expected).max())
-
-
 def _source(solved, name):
     return next(s.covariance for s in solved.budget.sources if s.name == name)
 
@@ -261,22 +211,3 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
     other = Source('other', np.diag([1.0, 0.0]), np.inf)
     budget = Budget((one, other), (), 1.0, np.eye(2), np.zeros(2))
     assert budget.expansion(budget.variances()) == (pytest.approx(2.306, abs=1e-3), 8.0)
-
-
-def test_declaration_is_read_echoed_and_checked(tmp_path):
-    plain = some_machine().to_dict()
-    data = {**plain, 'uncertainty': DECLARED}
-    file = tmp_path / 'machine.yaml'
-    file.write_text(yaml.safe_dump(data))
-    assert load_machine(file).to_dict() == data
-    assert set(DECLARED) == set(DECLARABLE)
-    for section, message in (
-        ({'tracker_scal': 1e-6}, 'uncertainty: tracker_scal: unknown key; known here: tracker_sc'),
-        ({'air_pressure': -1.0}, 'uncertainty: air_pressure: -1 is out of range'),
-        ({'machine_temperature': 1.0}, 'uncertainty: expansion: missing; machine_temperature'),
-        ({'tracker_scale': '1 ppm'}, 'uncertainty: tracker_scale: expected a plain number'),
-        ([1e-6], 'uncertainty: expected a mapping'),
-    ):
-        with pytest.raises(ConfigError) as caught:
-            machine_from_dict({**plain, 'uncertainty': section})
-        assert message in str(caught.value)

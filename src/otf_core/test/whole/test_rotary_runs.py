@@ -113,20 +113,6 @@ def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
     assert not result.tables.location['A0C'].identifiable
 
 
-def test_bad_samples_of_a_part_are_left_out_and_said():
-    samples = recorded().samples
-    xyz, part = samples.xyz.copy(), split_parts(samples, machine(), recorded().parts)[0]
-    middle = (part.first + part.last) // 2
-    xyz[middle : middle + 200] += 3e-5  # a beam that was disturbed for longer
-    spoiled = replace(recorded(), samples=replace(samples, xyz=xyz), name='spoiled')
-    result = calibrate_recordings([spoiled])
-    (text,) = [w for w in result.warnings if w.startswith('left out: ')]
-    assert 'spoiled: ' in text and 'in whole pieces of the path' in text
-    assert not result.failed_gates
-    with pytest.raises(InputError, match='of its samples are those of'):
-        calibrate_recordings([recorded(), recorded()])
-
-
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
     m = machine()
     axes = {**m.axes, 'C': replace(m.axes['C'], direction=(0.0, 0.0, -1.0))}
