@@ -315,20 +315,6 @@ def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
         np.testing.assert_allclose(vector[direction], moved.axes[axis].direction, atol=1e-9)
 
 
-def test_new_centre_is_old_and_the_location_error():
-    machine = five_axes()
-    tables = replace(
-        constant(machine, 1e-4, 'X0C'),
-        location={n: ScalarError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
-    )
-    made = exported('pivot', tables)
-    text = made.files['cell.txt'].decode()
-    assert '+ (0.100000, 0.000000, 0.000000)' in text
-    assert 'location errors of C: X0C 0.100000 mm' in text
-    assert 'not checked in a manual' in text
-    assert remaining_error(tables, made.held).after_max < 1e-9
-
-
 # Positioning of rotary axes in SINUMERIK ENC_COMP.
 
 

@@ -33,10 +33,10 @@ PLACES = {'a': [0.2, 0.03, 0.1], 'b': [-0.09, 0.16, 0.06], 'c': [-0.07, -0.17, 0
 def trunnion(link='b', nests=3, chain='w-C-A-b-Y-X-Z-t'):
     nest = {n: {'link': 'w', 'place': p, 'u': 1e-3} for n, p in list(PLACES.items())[:nests]}
     linear = {'X': (-0.3, 0.3), 'Y': (-0.25, 0.25), 'Z': (0.0, 0.6)}
-    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.1} for a, (lo, hi) in linear.items()}
-    axes['A'] = {'kind': 'rotary', 'min': -0.5, 'max': 1.9, 'table_pitch': 0.3,
+    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.25} for a, (lo, hi) in linear.items()}
+    axes['A'] = {'kind': 'rotary', 'min': -0.5, 'max': 1.9, 'table_pitch': 0.8,
                  'direction': [1, 0, 0], 'centre': [0, 0, 0.05]}  # fmt: skip
-    axes['C'] = {'kind': 'rotary', 'min': 0.0, 'max': 6.2832, 'table_pitch': 0.5236,
+    axes['C'] = {'kind': 'rotary', 'min': 0.0, 'max': 6.2832, 'table_pitch': 1.0472,
                  'direction': [0, 0, 1], 'centre': [0, 0, 0], 'endless': True}  # fmt: skip
     axes = {a: own for a, own in axes.items() if a in chain}
     return machine_from_dict({
@@ -50,10 +50,10 @@ def trunnion(link='b', nests=3, chain='w-C-A-b-Y-X-Z-t'):
 
 def swivel_head():
     """C carries A carries the spindle; lengths and a reflector off its axis."""
-    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.2}
+    axes = {a: {'min': lo, 'max': hi, 'table_pitch': 0.4}
             for a, lo, hi in (('X', -0.5, 0.5), ('Y', -0.4, 0.4), ('Z', 0.0, 0.6))}  # fmt: skip
     for a, end, direction in (('C', 3.14, [0, 0, 1]), ('A', 1.7, [1, 0, 0])):
-        axes[a] = {'kind': 'rotary', 'min': -end, 'max': end, 'table_pitch': 0.4,
+        axes[a] = {'kind': 'rotary', 'min': -end, 'max': end, 'table_pitch': 0.8,
                    'direction': direction, 'centre': [0, 0, 0]}  # fmt: skip
     places = {'long': [0.0, 0.0, -0.3], 'side': [0.08, 0.0, -0.2]}
     return machine_from_dict({

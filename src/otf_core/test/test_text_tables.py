@@ -10,7 +10,6 @@ from table_texts import COUNT, HEAD, KINDS, LEFT_OUT, READ, REFUSED, XYZ, both, 
 
 from otf_core.cli.parser import Parser
 from otf_core.errors import InputError
-from otf_core.files.message_text import shortened, without_middle
 from otf_core.inputs.path_file import read_points
 from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.inputs.text_points import TextReading
@@ -117,24 +116,3 @@ def test_the_grammar_in_the_docs_is_that_of_these_texts():
     assert sorted(shown) == sorted(known)
     lines = ['| in a table | is |', '|---|---|', *(f'| {k} | {done} |' for k, done, _ in KINDS)]
     assert '\n'.join(lines) in DOCS.read_text(encoding='utf-8')
-
-
-@pytest.mark.parametrize(
-    ('text', 'length', 'short'),
-    [
-        ('a, 123.456, b', 9, 'a ...'),
-        ('a123.456789', 9, 'a ...'),
-        ('abc def ghi', 9, 'abc def ...'),
-        ('a long word; another', 13, 'a long word ...'),
-        ('abcdefghijkl', 6, 'abcdef ...'),
-        ('x 12345', 5, 'x ...'),
-        ('x 12345', 7, 'x 12345'),
-    ],
-)
-def test_text_of_a_message_is_not_cut_inside_a_number(text, length, short):
-    assert shortened(text, length) == short
-
-
-def test_long_message_keeps_its_beginning_and_its_end_at_whole_words():
-    assert without_middle('alpha beta gamma delta epsilon', 20) == 'alpha beta ... epsilon'
-    assert without_middle('alpha beta', 20) == 'alpha beta'

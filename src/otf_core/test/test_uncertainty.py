@@ -107,16 +107,6 @@ def test_prediction_rows_are_derivatives_of_the_error_model():
     assert column == rows.shape[2]
 
 
-def test_uncertainty_of_one_squareness_alone_is_its_lever():
-    machine = some_machine()
-    nodes = {n: np.array([0.0]) for n in MOTIONS}
-    covariance = np.zeros((21, 21))
-    covariance[0, 0] = 1e-12  # C0Y, 1 urad
-    q = np.array([[0.1, 0.2, -0.1], [0.0, 0.0, 0.0], [0.3, -0.4, 0.0]])
-    u = prediction_uncertainty(machine, nodes, covariance, q)
-    np.testing.assert_allclose(u, [[2e-7, 0, 0], [0, 0, 0], [4e-7, 0, 0]], atol=1e-20)
-
-
 def test_uncertainty_of_many_points_is_that_of_each():
     machine = some_machine()
     nodes = {n: np.array([machine.axes[n[2]].min, machine.axes[n[2]].max]) for n in MOTIONS}

@@ -119,16 +119,6 @@ def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plan
     assert told(plant / 'out')['runs']['g']['message'] == 'NOT GOOD'
 
 
-def test_folders_of_others_and_fleets_of_other_verbs_are_left_alone(plant, capsys):
-    (plant / 'mine').mkdir()
-    (plant / 'mine/file').write_text('mine')
-    assert fleet('mine') == 2
-    fleet('out')
-    assert run('fleet', 'diagnose', '--list', 'runs.csv', '--out', 'out') == 2
-    assert 'holds a fleet of calibrate' in capsys.readouterr().err
-    assert (plant / 'mine/file').read_text() == 'mine'
-
-
 @pytest.mark.parametrize(
     ('text', 'said'),
     [

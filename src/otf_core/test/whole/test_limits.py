@@ -2,17 +2,14 @@
 """Limits of machine.yaml: how they are read, and the verdict with its guard band."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from core_cells import error_of, some_machine
 from nature import table_rows
 
 from otf_core.calibration.calibration_result import headline_of
 from otf_core.calibration.machine_verdict import judge
-from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -38,34 +35,6 @@ def test_sections_survive_a_round_trip_and_may_be_missing():
     plain = machine_from_dict(described())
     assert plain.limits is None
     assert not set(GIVEN) & set(plain.to_dict())
-
-
-@pytest.mark.parametrize(
-    ('section', 'content', 'words'),
-    [
-        ('limits', {'EXW': 1e-6}, 'limits: EXW: unknown key; known here: volumetric_error'),
-        ('limits', {'EXX': 0.0}, 'limits: EXX: 0 is out of range; must be above 0'),
-        ('limits', {'EXX': 5.0}, 'is it in um? Write 5e-06 m'),
-        (
-            'limits',
-            {'C0Y': 'small'},
-            "limits: C0Y: expected a plain number in SI units, got 'small'",
-        ),
-        ('limits', [1], 'limits: expected a mapping of keys to values, got list'),
-        ('instrument', {'serial': 750123}, 'instrument: serial: expected text, got 750123'),
-        ('instrument', {'colour': 'red'}, 'instrument: colour: unknown key'),
-        (
-            'conditions',
-            {'air_temperature_celsius': 293.15},
-            'must be at least -50 and at most 100',
-        ),
-        ('conditions', {'air_temperature': 20}, 'conditions: air_temperature: unknown key'),
-    ],
-)
-def test_what_is_wrong_is_named(section, content, words):
-    with pytest.raises(ConfigError) as caught:
-        machine_from_dict(described(**{section: content}))
-    assert words in str(caught.value)
 
 
 def verdict(calibrated, **limits):
@@ -158,11 +127,3 @@ def test_what_the_data_do_not_show_does_not_pass(calibrated):
     assert found.state != 'pass'
     assert 'the data do not show it' in found.limits[0].words
     assert '1 of 2 limits not known' in found.sentence
-
-
-def test_example_of_the_documentation_is_read():
-    text = (Path(__file__).parents[4] / 'docs/conventions.md').read_text(encoding='utf-8')
-    example = next(b for b in text.split('```') if '\nlimits:' in b and b.startswith('yaml\n'))
-    machine = machine_from_dict(described(**yaml.safe_load(example.removeprefix('yaml\n'))))
-    assert machine.limits.values['EBY'] == 4e-5
-    assert machine.stated.conditions['warm_up_s'] == 3600

@@ -13,7 +13,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.presets import TRACKERS, WORKSHOPS, typical_values
-from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
+from otf_core.model.sections import DeclaredUncertainty
 from otf_core.planning.forecast import (
     Setup,
     forecast,
@@ -48,14 +48,6 @@ def test_a_tracker_preset_gives_noise_and_declares_the_tracker(name):
     assert dict(machine.uncertainty.values) == {
         k: v for k, v in values.items() if k.startswith('tracker_')
     }
-
-
-def test_tracker_and_workshop_together_declare_everything():
-    for tracker in TRACKERS:
-        for workshop in WORKSHOPS:
-            machine = described({'preset': tracker}, {'preset': workshop})
-            assert set(machine.uncertainty.values) == set(DECLARABLE)
-    assert set(typical_values()) == set(DECLARABLE)
 
 
 def test_given_keys_win_over_presets():

@@ -4,14 +4,8 @@
 import numpy as np
 import pytest
 from core_cells import (
-    corner_path,
     grid_error,
-    observed,
-    pieces_of,
     some_machine,
-    transform_pose,
-    white,
-    zero_tables,
 )
 from effect_cells import applied, some_plan
 
@@ -20,15 +14,8 @@ from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS
-from otf_core.model.nodes import table_nodes
 from otf_core.pieces.runs import Recording
 from otf_core.sim.cell import simulate
-from otf_core.solving.normal import normal_equations
-from otf_core.solving.solution import identifiable_blocks
-from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import is_reversal, layout, linear_bases, reversal_names
-from otf_core.solving.whitener import Whitener
 
 CHAIN = 'w-Y-b-X-Z-t'
 BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}
@@ -66,18 +53,6 @@ def chosen(backlash):
 def along_the_axis():
     """Calibration of a cell whose reversal changes along the axes, model chosen."""
     return solved(cell(direction_dependent_tables=TABLES))
-
-
-def test_tables_without_reversal_error_are_exactly_those_of_the_plain_model():
-    plain = cell()
-    auto, none = solved(plain), solved(plain, 'none')
-    assert auto.reversal.model == 'none'
-    assert not auto.reversal.motions
-    np.testing.assert_array_equal(auto.covariance, none.covariance)
-    for name in MOTIONS:
-        np.testing.assert_array_equal(
-            auto.tables.motions[name].value, none.tables.motions[name].value
-        )
 
 
 def test_backlash_is_found_as_constants_within_their_uncertainty(chosen):
@@ -126,38 +101,6 @@ def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
     assert result.reversal.model == 'none'
     late = {one.axis: one.value for one in result.lags}
     assert late['X'] - late.get('Y', 0.0) == pytest.approx(6e-5, abs=5e-6)
-
-
-def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
-    machine = some_machine('w-b-X-Y-Z-t', pitch=0.1)
-    space = [
-        (0, 0, 0),
-        (1, 1, 1),
-        (1, 1, 0),
-        (0, 0, 1),
-        (1, 0, 1),
-        (0, 1, 0),
-        (0, 1, 1),
-        (1, 0, 0),
-    ]
-
-    def seen(shares):
-        path = corner_path(machine, *shares, *shares[::-1][1:])
-        pose = transform_pose(machine, 3)
-        pieces = pieces_of(machine, path, zero_tables(machine), pose)
-        # the edges between the diagonals show backlash too
-        pieces = pieces.without(np.count_nonzero(np.abs(pieces.direction) > 1e-9, axis=1) < 3)
-        bases = linear_bases(machine, table_nodes(machine, machine.lower, machine.upper))
-        unknowns = layout(bases, 1, reversal_names(machine.motions, 1))
-        system = build_system(observed(machine, pieces, pose), unknowns, nodal_lever=True)
-        normal = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
-        blocks = identifiable_blocks(normal, unknowns, 1e-4)
-        assert all(b[:3] in blocks for b in blocks if is_reversal(b))
-        return {b for b in blocks if is_reversal(b) and b[1] == b[2]}
-
-    half = [(0, 0.5, 0), (1, 1, 1), (0, 0, 0.5), (1, 1, 0), (0.5, 0, 1)]
-    assert seen(space) == {'EXX_0', 'EYY_0'}
-    assert seen([*space, *half]) == {'EXX_0', 'EYY_0', 'EZZ_0'}
 
 
 def test_stops_show_backlash_by_their_direction_of_approach():
