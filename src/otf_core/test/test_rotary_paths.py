@@ -179,18 +179,6 @@ def test_a_reflector_that_is_turned_stays_in_its_cone_from_the_start_of_each_par
         assert np.all(beam @ aimed > np.cos(np.radians(30.0)))
 
 
-def test_facings_show_what_a_reflector_shows_that_is_seen_throughout():
-    machine = with_facings(trunnion(), 4)
-    place = sight.default_tracker_place(machine)
-    parts = choose_parts(Setup.of(machine, place), FEED, 2400.0)
-    moves, turns = work_by_hand(machine, parts)
-    targets = [p.path.target for p in parts]
-    assert moves + turns == len(set(targets)) - 1 and turns > 4
-    found = judged(machine, parts)
-    assert not {n for n in found.hidden if n[-1] in 'AC'}
-    assert found.u['ECC'] < 5e-6
-
-
 def test_a_swivel_head_shows_all_by_creep_with_its_other_axis_tilted():
     machine = swivel_head()
     chains = paths.candidate_chains(machine, FEED)
