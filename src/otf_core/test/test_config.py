@@ -7,7 +7,6 @@ import pytest
 
 from otf_core.config import (
     CalibrationConfig,
-    ParameterInfo,
     Parameters,
     PlannerConfig,
     SimulationConfig,
@@ -39,18 +38,6 @@ def test_parameter_has_meaning_bounds_and_a_default_within(kind, info):
 
 
 @pytest.mark.parametrize(
-    ('kind', 'info'),
-    [pytest.param(*f, id=n) for f, n in zip(FIELDS, NAMES, strict=True) if f[1].low is not None],
-)
-def test_bounds_are_closed_and_what_lies_beyond_is_refused_by_name(kind, info):
-    for bound, beyond in ((info.low, info.low - 1), (info.high, info.high + 1)):
-        value = type(info.default)(bound)
-        assert getattr(kind(**{info.name: value}), info.name) == bound
-        with pytest.raises(ConfigError, match=rf'^{info.name}: .*out of range \S.*\S$'):
-            kind(**{info.name: type(info.default)(beyond)})
-
-
-@pytest.mark.parametrize(
     ('change', 'reason'),
     [
         ({'length': '0.5'}, "length: expected a number, got '0.5'"),
@@ -77,18 +64,3 @@ def test_whole_number_becomes_a_float_where_one_is_meant():
     value = Sample(length=1).length
     assert value == 1.0
     assert isinstance(value, float)
-
-
-def test_parameters_cannot_be_changed_later():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        CalibrationConfig().max_iterations = 3
-
-
-def test_infos_say_all_about_a_parameter():
-    first = next(Sample.infos())
-    assert first == ParameterInfo('length', 0.5, 'a length', 'm', 0.0, 1.0, ())
-
-
-def test_unknown_parameter_is_refused():
-    with pytest.raises(TypeError, match='feeed'):
-        PlannerConfig(feeed=1.0)

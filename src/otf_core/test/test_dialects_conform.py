@@ -17,7 +17,6 @@ from otf_core.planning.nc import DIALECTS
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 NASTY = ['MILL (NEW); 5% [A] {B} Fräse µm', '', 'x' * 200]
-LONGEST_LINE = 80
 
 # ---------------------------------------------------------------- a small reader
 
@@ -134,13 +133,6 @@ def test_program_climbs_before_it_crosses_and_waits_at_the_start(name):
     np.testing.assert_allclose(cross[:3], [*points[0, :2], top])
     np.testing.assert_allclose(sink[:3], points[0])
     assert {climb[3], cross[3], sink[3]} == {slowest}
-
-
-@every_dialect
-def test_program_is_plain_short_lines(name):
-    text = program(DIALECTS[name], random_plan(5), NASTY)
-    assert text.isascii() and text.endswith('\n') and '\t' not in text
-    assert max(map(len, text.splitlines())) <= LONGEST_LINE
 
 
 @every_dialect

@@ -143,13 +143,6 @@ def test_what_may_move_an_axis_otherwise_is_refused_with_line_and_word(tmp_path,
     assert 'plan.json' in str(refused.value)
 
 
-def test_two_work_offsets_are_refused(tmp_path):
-    start = 'G54 G1 X0 Y0 Z0 F100\nG53 Z5\nX5\n'
-    assert len(read(tmp_path, f'{start}G54 Z0\nM30\n').points) == 4
-    with pytest.raises(ConfigError, match=r'line 4: .* moves in G55 after moves in G54'):
-        read(tmp_path, f'{start}G55 Z0\nM30\n')
-
-
 KLARTEXT_REFUSED = {
     'CYCL DEF 7.0 DATUM SHIFT': "line 3: 'CYCL DEF 7.0 DATUM SHIFT' shifts",
     'CYCL DEF 200 DRILLING': 'is a cycle',

@@ -11,12 +11,11 @@ from core_cells import (
     zero_tables,
 )
 
-from otf_core.config import ForecastConfig, PlannerConfig
-from otf_core.errors import ConfigError, InputError
+from otf_core.config import PlannerConfig
+from otf_core.errors import InputError
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.plan import Plan, check_inside
-from otf_core.planning import follow_up
 from otf_core.planning.findings import findings
 from otf_core.planning.forecast import Setup, forecast
 from otf_core.planning.path_creation import plan_path
@@ -105,16 +104,6 @@ def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
     points[2, axis] = (machine.upper if side > 0 else machine.lower)[axis] + side * 0.004
     with pytest.raises(InputError, match=rf'point 2 leaves the range of axis {name} by 4\.000 mm'):
         check_inside(Plan.along(points, [0.1, 0.1], [0, 0, 0]), machine)
-
-
-@pytest.mark.parametrize('acceleration', [0.5, 1.0, 2.0, 3.0])
-def test_the_shortest_time_that_is_said_after_a_diagnosis_suffices(acceleration):
-    config = ForecastConfig(acceleration=acceleration)
-    setup = Setup.of(some_machine(), config=config)
-    with pytest.raises(ConfigError, match='no path takes 1 s or less') as raised:
-        follow_up._candidates(setup, PlannerConfig(), 1.0)
-    enough = float(str(raised.value).split()[-2])
-    assert follow_up._candidates(setup, PlannerConfig(), enough)
 
 
 @pytest.mark.parametrize(

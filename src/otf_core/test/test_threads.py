@@ -31,16 +31,6 @@ def test_what_is_side_by_side_within_another_adds_no_threads():
     assert max(most) <= WORKERS and threading.get_ident() not in seen
 
 
-def test_error_of_the_first_item_that_fails_is_raised():
-    def fails(item):
-        if item:
-            raise ValueError(item)
-        return item
-
-    with pytest.raises(ValueError, match='1'):
-        side_by_side(fails, [0, 1, 2])
-
-
 THREADS = """
 import otf_core.cli, otf_core.cli.__main__
 
