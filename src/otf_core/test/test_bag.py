@@ -184,9 +184,7 @@ def test_trailing_padding_is_ignored_as_rosbags_does(tmp_path):
     padded = [(a, b, c, d + bytes(i % 4)) for i, (a, b, c, d) in enumerate(MESSAGES)]
     assert_same(read_bag(write_mcap(tmp_path / 'a.mcap', padded)))
     padded[9] = (*padded[9][:3], padded[9][3] + bytes(4))
-    with pytest.raises(
-        InputError, match=r'message 8 is not a PointStamped .* follow its last field'
-    ):
+    with pytest.raises(InputError, match=r'message 8 .* follow'):
         read_bag(write_mcap(tmp_path / 'a.mcap', padded))
 
 
@@ -240,7 +238,7 @@ def test_what_a_killed_recorder_left_beside_its_database_is_not_lost(tmp_path):
     folder = write_rosbag(tmp_path / 'bag')
     (file,) = folder.glob('*.db3')
     file.with_name(f'{file.name}-wal').write_bytes(b'frames')
-    with pytest.raises(InputError, match=r'were not merged .* sqlite3 .*wal_checkpoint'):
+    with pytest.raises(InputError, match=r'wal_checkpoint'):
         read_bag(folder)
 
 

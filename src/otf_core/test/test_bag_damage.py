@@ -95,10 +95,10 @@ def test_mcap_cut_off_anywhere_is_read_to_its_last_complete_chunk(tmp_path, capl
             assert found.samples.xyz.tobytes() == CONTENT.samples.xyz[:count].tobytes()
             assert count == total or count >= total * complete // len(ends or [1]) - 40
             assert complete < len(ends) or not ends or count == total
-            assert 'has no end (cut off, or still being recorded)' in caplog.text
+            assert 'cut off' in caplog.text
             assert found.remarks
         elif not cut or cut < 8:
-            with pytest.raises(InputError, match='is empty' if not cut else 'is not an MCAP'):
+            with pytest.raises(InputError, match='is empty' if not cut else 'MCAP'):
                 read_bag(file)
 
 
@@ -107,7 +107,7 @@ def test_damage_inside_needs_recover_and_costs_its_chunk_only(tmp_path):
     data = bytearray(file.read_bytes())
     data[data.index(CONTENT.samples.xyz[60].tobytes())] ^= 1
     file.write_bytes(data)
-    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*recover: true'):
+    with pytest.raises(InputError, match=r'checksum .*recover: true'):
         read_bag(file)
     found = read_bag(file, recover=True)
     lost = set(CONTENT.samples.stamp_ns.tolist()) - set(found.samples.stamp_ns.tolist())
@@ -119,7 +119,7 @@ def test_parts_of_one_run_are_joined_whatever_their_order(tmp_path):
     parts = [MESSAGES[101:], [PATH_MESSAGE, *MESSAGES[1:101]]]
     files = [write_mcap(tmp_path / f'{k}.mcap', part) for k, part in enumerate(parts)]
     assert_same(read_content(files))
-    with pytest.raises(InputError, match='/planner/path is missing'):
+    with pytest.raises(InputError, match='/planner/path'):
         read_bag(files[0])
 
 

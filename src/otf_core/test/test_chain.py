@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from core_cells import constant_tables, error_by_hand, some_machine, zero_tables
+from core_cells import constant_tables, error_of, some_machine, zero_tables
 from scipy.linalg import expm
 
 from otf_core.errors import ShapeError
@@ -29,7 +29,7 @@ def test_first_order_is_the_sum_of_the_contract_for_every_chain(chain):
     rng = np.random.default_rng(len(chain))
     tables = random_tables(machine, 5e-5, rng)
     q = rng.uniform(machine.lower, machine.upper, (8, 3))
-    by_hand = [error_by_hand(tables, point) for point in q]
+    by_hand = error_of(tables, q)
     # both are sums of some twenty terms below 1 mm: rounding only
     np.testing.assert_allclose(displacement(tables, q), by_hand, atol=1e-17, rtol=0)
 
@@ -227,5 +227,5 @@ def test_axis_turns_the_target_right_handed_about_its_direction():
 
 def test_wrong_shape_is_named():
     machine = machine_of('w-C-b-X-Y-Z-t')
-    with pytest.raises(ShapeError, match=r'positions of X, Y, Z, C need shape \(n, 4\)'):
+    with pytest.raises(ShapeError, match=r'\(n, 4\)'):
         displacement(constant(machine), np.zeros((2, 3)))

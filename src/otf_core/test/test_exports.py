@@ -222,10 +222,10 @@ def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
     assert not any('instead of' in remark for remark in made.remarks)
     if name == 'linuxcnc':
         made = exported(name, tables, points=400)
-        assert sum('256 lines, evenly spread, instead of 400' in r for r in made.remarks) == 3
+        assert sum('256 lines' in r for r in made.remarks) == 3
     if name == 'sinumerik-cec':
         dense = random_tables(some_machine(pitch=0.001), 5e-5, np.random.default_rng(11))
-        assert 'tables are limited to 200 points' in exported(name, dense).remarks[-1]
+        assert '200 points' in exported(name, dense).remarks[-1]
 
 
 @pytest.mark.parametrize('chain', ['w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-Z-b-t'])

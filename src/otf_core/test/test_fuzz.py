@@ -83,5 +83,5 @@ def test_packed_file_that_unpacks_to_far_too_much_is_refused_unread(tmp_path, mo
     (file,) = folder.glob('*.zstd')
     assert len(read_bag(folder).samples) == 200
     file.write_bytes(zstandard.ZstdCompressor().compress(bytes(1 << 26)))
-    with pytest.raises(InputError, match='unpacks to more than 4 MB'):
+    with pytest.raises(InputError, match='4 MB'):
         read_bag(folder)

@@ -132,7 +132,7 @@ def test_held_points_are_told_from_rounded_ones():
     samples = stops(4, 5.0)
     held = samples.xyz[np.arange(len(samples)) // 4 * 4]
     text = text_of(noise_report(Samples(samples.stamp_ns, held), SPEED))
-    assert 'measures 4.0 times slower than the stamps say' in text
+    assert '4.0 times' in text
     assert 'rounded' not in text
 
 
@@ -140,7 +140,7 @@ def test_stamps_of_arrival_in_bursts_are_refused():
     samples = stops(1, 5.0)
     packet = np.arange(len(samples)) // 167
     late = START_NS + packet * 334_000_000 + (np.arange(len(samples)) % 167) * 40_000
-    with pytest.raises(InputError, match='times of arrival in bursts'):
+    with pytest.raises(InputError, match='bursts'):
         noise_report(Samples(late, samples.xyz), SPEED)
 
 

@@ -109,8 +109,8 @@ def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
 @pytest.mark.parametrize(
     ('chain', 'hidden', 'needs'),
     [
-        ('w-b-X-Y-t', {'EBX', 'EAY', 'EBY', 'ECY'}, 'target offset that differs'),
-        ('w-b-X-t', {'EXX', 'EAX', 'EBX', 'ECX'}, 'stops at every corner'),
+        ('w-b-X-Y-t', {'EBX', 'EAY', 'EBY', 'ECY'}, 'target offset'),
+        ('w-b-X-t', {'EXX', 'EAX', 'EBX', 'ECX'}, 'stops'),
     ],
 )
 def test_a_gantry_and_a_plotter_plan_and_say_what_they_hide(chain, hidden, needs):

@@ -78,12 +78,12 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
         assert [p.target for p in again.parts] == [p.target for p in parts]
         for one, other in zip(again.parts, parts, strict=True):
             assert np.array_equal(one.positions, other.positions)
-        with pytest.raises(ConfigError, match='holds positions of rotary axes'):
+        with pytest.raises(ConfigError, match='rotary'):
             read_path(tmp_path / file)
     with pytest.raises(InputError, match=r'without a path; .* target,x,y,z,a,c'):
         read_recording([tmp_path / 's.csv'], machine())
     (tmp_path / 'linear.csv').write_text('x,y,z\n0,0,0.2\n0.1,0,0.2\n')
-    with pytest.raises(InputError, match=r'positions are missing: .* or give --path plan.json'):
+    with pytest.raises(InputError, match=r'--path'):
         options = ReadingOptions(path=tmp_path / 'linear.csv')
         read_recording([tmp_path / 's.csv'], machine(), options)
 
@@ -91,10 +91,10 @@ def test_a_text_of_samples_takes_its_parts_from_a_file(tmp_path):
 def test_positions_in_degrees_are_named():
     q = recorded().parts[2].positions.copy()
     q[:, 3:] = np.degrees(q[:, 3:])
-    with pytest.raises(InputError, match=r'axis A by .* rad; is it in degrees'):
+    with pytest.raises(InputError, match=r'axis A .*degrees'):
         AxisPath(machine().axis_names, q).of(machine())
     q[:, 3] = 0.0
-    with pytest.raises(InputError, match=r'axis C turns up to .*; is it in degrees'):
+    with pytest.raises(InputError, match=r'axis C .*degrees'):
         AxisPath(machine().axis_names, q).of(machine())
 
 
@@ -178,7 +178,7 @@ def test_parts_are_told_apart_by_the_broken_beam():
     parts = split_parts(recording.samples, machine(), recording.parts)
     assert [p.path.target for p in parts] == ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
     assert parts[0].first == 0 and parts[-1].last == len(recording.samples)
-    with pytest.raises(InputError, match=r'path has 6 parts, but .* number 4, not 5'):
+    with pytest.raises(InputError, match=r'6 parts'):
         first = recording.parts[0]
         longer = replace(first, positions=np.concatenate([first.positions, first.positions]))
         six = [longer.of(machine()), *recording.parts]

@@ -38,9 +38,7 @@ def ordered(stamps, xyz=XYZ):
 @pytest.mark.parametrize('back', [5 * S, 3600 * S, (1 << 32) * 1_000_000])
 def test_a_clock_that_goes_back_is_refused_with_its_place(back):
     stamps = np.concatenate([STAMPS[:900], STAMPS[900:] - back])
-    with pytest.raises(
-        InputError, match=rf'goes back by {back / S - 0.01:.3f} s at sample 900; the clock'
-    ):
+    with pytest.raises(InputError, match=rf'goes back by {back / S - 0.01:.3f} s at sample 900'):
         ordered(stamps)
 
 
@@ -75,7 +73,7 @@ def test_two_publishers_on_one_topic_are_refused(tmp_path, apart, gap):
         if k >= gap:
             messages += point_messages(Samples(STAMPS[k : k + 1] + apart, other[k : k + 1]))
     rows = [(a, b, START + i, d) for i, (a, b, _, d) in enumerate(messages)]
-    with pytest.raises(InputError, match='runs or trackers are mixed; record each in its own bag'):
+    with pytest.raises(InputError, match='mixed'):
         read_bag(write_mcap(tmp_path / 'run.mcap', rows))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core_cells import (
     CONTRACT_CHAINS,
-    error_by_hand,
+    error_of,
     observed,
     pieces_of,
     small_plan,
@@ -67,10 +67,11 @@ def test_columns_of_errors_are_derivatives_of_the_error_model(chain, bases, exac
                 tables = replace(base, motions={**base.motions, name: table})
             else:
                 tables = replace(base, squareness={**base.squareness, name: ScalarError(1.0)})
-            for row in rows:
-                expected = system.axes[:, row] @ error_by_hand(tables, system.q[row])
-                found = design[:, row, block.start + k]
-                np.testing.assert_allclose(found, expected, atol=exact, err_msg=name)
+            expected = np.einsum(
+                'cpi,pi->cp', system.axes[:, rows], error_of(tables, system.q[rows])
+            )
+            found = design[:, rows, block.start + k]
+            np.testing.assert_allclose(found, expected, atol=exact, err_msg=name)
 
 
 def test_columns_of_the_pose_take_off_a_motion_of_the_tracker():
@@ -96,10 +97,7 @@ def test_deviations_are_the_errors_across_the_path(chain):
     truth = random_tables(machine, 2e-5, np.random.default_rng(0))
     # positions are derived with the tables known, as in the last iteration
     _, _, system = system_of(machine, truth, known=truth)
-    expected = [
-        [axis @ error_by_hand(truth, q) for q, axis in zip(system.q, axes, strict=True)]
-        for axes in system.axes
-    ]
+    expected = np.einsum('cpi,pi->cp', system.axes, error_of(truth, system.q))
     # the position along the path is found to 1e-4 of the errors, which are 1e-4
     np.testing.assert_allclose(system.deviation, expected, atol=1e-10)
 
@@ -151,7 +149,7 @@ def test_rows_of_the_volumetric_error_are_those_of_the_contract(chain):
         values[unknowns.blocks[name]] = tables.motions[name].at(unknowns.knots[name[2]])
     for name, squareness in tables.squareness.items():
         values[unknowns.blocks[name]] = squareness.value
-    expected = [error_by_hand(tables, point) for point in q]
+    expected = error_of(tables, q)
     np.testing.assert_allclose(model_rows(machine, unknowns, q) @ values, expected, atol=1e-15)
 
 

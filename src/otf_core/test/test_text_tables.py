@@ -101,7 +101,7 @@ def test_of_points_and_paths_the_nominal_ones_are_taken(tmp_path):
     )
     points, said = read_points(tmp_path / 'points.csv')
     assert points[0, 0] == float(f'{XYZ[0, 0]:.3f}') + 0.5
-    assert 'the nominal point is columns 2, 3, 4' in said
+    assert 'columns 2, 3, 4' in said
 
 
 MACHINE = 'name: m\nchain: w-b-X-Y-Z-t\naxes:\n' + ''.join(

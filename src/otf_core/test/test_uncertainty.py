@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import (
-    error_by_hand,
     error_of,
     fit_pieces,
     pieces_of,
@@ -101,7 +100,7 @@ def test_prediction_rows_are_derivatives_of_the_error_model():
                 tables = replace(zero, motions=changed)
             else:
                 tables = replace(zero, squareness={**zero.squareness, name: ScalarError(1.0)})
-            expected = [error_by_hand(tables, point) for point in q]
+            expected = error_of(tables, q)
             np.testing.assert_allclose(rows[:, :, column], expected, atol=1e-13, err_msg=name)
             column += 1
     assert column == rows.shape[2]

