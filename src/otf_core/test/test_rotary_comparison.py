@@ -116,5 +116,5 @@ def test_other_nominal_lines_are_refused(tables, tmp_path):
     machine = tables.machine
     moved = replace(machine.axes['C'], centre=(0.0, 0.0, 0.5))
     other = replace(tables, machine=replace(machine, axes={**machine.axes, 'C': moved}))
-    with pytest.raises(ConfigError, match='centre of C'):
+    with pytest.raises(ConfigError, match='direction or centre of C'):
         compared(written(tmp_path, 'a', tables), written(tmp_path, 'b', other))
