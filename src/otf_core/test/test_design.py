@@ -70,19 +70,6 @@ def close(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
 
 
-def test_products_are_those_of_the_dense_rows(case):
-    _, pieces, unknowns, system = case
-    dense, rng = system.rows.dense(slice(None)), np.random.default_rng(5)
-    assert dense.shape == (2, len(pieces), unknowns.full)
-    values = rng.standard_normal((unknowns.full, 3))
-    close(system.rows.times(values[:, 0]), dense @ values[:, 0])
-    close(system.rows.times(values), dense @ values)
-    rows = rng.standard_normal((2, len(pieces), 2))
-    close(system.rows.transposed(rows), np.einsum('cpf,cpk->fk', dense, rows))
-    close(system.rows.transposed(rows[..., 0]), np.einsum('cpf,cp->f', dense, rows[..., 0]))
-    close(system.design.toarray(), dense.reshape(-1, unknowns.full))
-
-
 @pytest.mark.parametrize('held', [False, True], ids=['returns at standstill', 'held'])
 def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     machine, pieces, unknowns, system = cell(linear_bases, reversal=4, held=held)
@@ -101,21 +88,6 @@ def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     for name, column in own.items():
         across = np.einsum('cpi,ip->cp', system.axes, column)
         close(dense[:, :, unknowns.blocks[name].start], across)
-
-
-def test_rows_of_touched_unknowns_leave_nothing_out(case):
-    _, pieces, unknowns, system = case
-    dense = system.rows.dense(slice(None))
-    touched = []
-    for own in np.split(np.arange(len(pieces)), np.flatnonzero(np.diff(pieces.leg)) + 1):
-        columns, rows = system.rows.touched(own, width=2)
-        assert np.all(np.diff(columns) > 0)
-        whole = np.zeros((2, len(own), unknowns.full))
-        whole[:, :, columns] = rows[:, :, :-2]
-        np.testing.assert_array_equal(whole, dense[:, own])
-        assert not rows[:, :, -2:].any()
-        touched.append(len(columns))
-    assert min(touched) < 0.8 * unknowns.full
 
 
 def test_mean_over_a_piece_is_that_of_its_two_gauss_points():
