@@ -14,6 +14,7 @@ from otf_core.comparison.compare import (
     source_of_measurement,
     source_of_tables,
 )
+from otf_core.comparison.document import document_of
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.machine import AXES
@@ -24,14 +25,17 @@ from otf_core.prediction.calibration_document import (
     PackedCovariance,
 )
 from otf_core.reports.comparison import (
-    comparison_to_dict,
     format_comparison,
 )
 from otf_core.sim.cell import random_tables
 
 
+def to_dict(result):
+    return document_of(result, {}).to_dict()
+
+
 def text_of(result):
-    return format_comparison(comparison_to_dict(result))
+    return format_comparison(to_dict(result))
 
 
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -235,7 +239,7 @@ def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     one = compared(a, b).errors['C0Y']
     assert (one.a[0], one.b[0]) == (pytest.approx(1e-5), pytest.approx(-5e-6))
     assert one.normalised[0] == pytest.approx(1.5e-5 / (2 * 2.5e-6))
-    data = comparison_to_dict(compared(a, b))['squareness']['C0Y']
+    data = to_dict(compared(a, b))['squareness']['C0Y']
     assert data['normalised_error'] == pytest.approx(3.0)
     assert re.search(
         r'^C0Y +urad +15\.00 .* 3\.00 +0 %$',

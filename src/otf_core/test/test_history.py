@@ -2,6 +2,7 @@
 """Calibrations of years: store, drift that is there and that is not, next calibration."""
 
 import json
+import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from core_cells import error_of
 
 from otf_core.errors import InputError
 from otf_core.history.control_chart import MachineStatus, history_of
+from otf_core.history.document import machine_history
 from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -19,14 +21,15 @@ from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
-from otf_core.reports.history_report import (
-    format_history,
-    history_to_dict,
-)
+from otf_core.reports.history_report import format_history, history_pages
+
+
+def to_dict(history):
+    return machine_history(history).to_dict()
 
 
 def text_of(history):
-    return format_history(history_to_dict(history))
+    return format_history({'machines': [to_dict(history)]})
 
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
@@ -164,9 +167,26 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.standing is MachineStatus.DRIFT and not h.drift.bent and not h.due.withheld
 
 
+def page_of(*histories):
+    return history_pages({'machines': [to_dict(h) for h in histories]})['history.html']
+
+
+def head_of(*histories):
+    """Badge, its class and sentence of a page."""
+    found = re.search(
+        r'class="badge (\w+)">(.*?)</span>.*?class="verdict">(.*?)</p>',
+        page_of(*histories), re.S,
+    )  # fmt: skip
+    return found.groups()
+
+
 def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
     h = history(tmp_path, found, [0.0, 1e-5], 24)
-    assert h.standing is MachineStatus.CHANGED
+    assert (
+        h.standing is MachineStatus.CHANGED
+        and 'cannot distinguish a drift from a jump' in head_of(h)[2]
+    )
+    assert 'if it continues evenly' in text_of(h)
 
 
 def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
@@ -176,7 +196,10 @@ def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, t
     assert h.due.days is None and h.due.latest is None and h.due.withheld
     # no later than by the last step alone, and that is far sooner than by the line
     assert h.due.earliest <= limit / h.last.volume < 0.6 * limit / h.drift.volume
-    assert history_to_dict(h)['next_calibration']['at'] is None
+    assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
+    shown = to_dict(h)['next_calibration']
+    assert shown['at'] is None and 'straight line' in shown['withheld']
+    assert 'no date' in text_of(h)
 
 
 def test_after_an_event_drift_begins_anew_and_what_changed_is_said(found, tmp_path):

@@ -31,7 +31,7 @@ def without(samples, dropped):
 
 
 def named(report, severity):
-    return [name for name, problem in report.problems if problem.severity == severity]
+    return [problem.check for problem in report.problems if problem.severity == severity]
 
 
 def test_a_good_recording_is_usable_and_says_what_it_shows(cell, samples, calibrated, checked):

@@ -15,8 +15,9 @@ from cli_cells import run
 
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
+from otf_core.fleet.document import fleet_document
 from otf_core.fleet.fleet import read_list
-from otf_core.reports.fleet_report import fleet_document, fleet_rows
+from otf_core.reports.fleet_report import fleet_rows
 
 STUB = """
 import json, os, pathlib, sys
@@ -80,7 +81,7 @@ def test_broken_bags_end_nothing_but_themselves_and_workers_change_no_bit(plant,
     }  # fmt: skip
     page = (plant / 'one/fleet.html').read_text()
     assert 'broken-2' in page and '://' not in page
-    assert '4 of 6' in capsys.readouterr().out
+    assert '4 of 6 runs done, 2 failed' in capsys.readouterr().out
 
 
 def test_a_fleet_goes_on_where_it_stopped_and_sees_changed_inputs(plant):
@@ -122,11 +123,11 @@ def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plan
 @pytest.mark.parametrize(
     ('text', 'said'),
     [
-        ('bag,machine\n', 'line 1'),
+        ('bag,machine\n', 'line 1: expected the header name,bag,machine'),
         ('name,bag,machine\n', 'lists no runs'),
-        ('name,bag,machine\na,b\n', 'line 2'),
+        ('name,bag,machine\na,b\n', 'line 2: expected name,bag,machine'),
         ('name,bag,machine\n../a,b,m\n', 'not a folder name'),
-        ('name,bag,machine\na,b,m\na,c,m\n', 'line 3'),
+        ('name,bag,machine\na,b,m\na,c,m\n', 'line 3: the name a appears twice'),
     ],
 )
 def test_a_wrong_list_is_refused_with_its_line(tmp_path, text, said):
@@ -192,14 +193,15 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
                      'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
-        'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},
+        'not_identifiable': ['B0Z', 'EAZ'],
+        'target_offset_bound': {'offset': [0.0, 0.0, 0.0], 'contains': {}},
         'squareness': {'C0Y': {'value': 1e-6, 'u': 5e-8}, 'B0Z': {'value': 0.0, 'u': 0.0},
                        'A0Z': {'value': 0.0, 'u': 5e-8}},
     }  # fmt: skip
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
     done = {'flat': fleet_module.JobResult(0, '', 'digest')}
-    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done))
+    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done).to_dict())
     shown = dict(zip(columns, row, strict=True))
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',

@@ -20,6 +20,8 @@ from otf_core.planning.forecast import (
     free_uncertainty,
     planned_systematic,
 )
+from otf_core.planning.plan_report import PlanReport
+from otf_core.reports.plan_files import plan_summary
 
 
 def described(tracker=None, uncertainty=None):
@@ -74,10 +76,10 @@ def test_given_keys_win_over_presets():
             {'preset': 'shed'},
             "uncertainty: preset: 'shed' is not a preset; known here: labor",
         ),
-        ({'preset': 3}, None, 'tracker: preset:'),
-        ({'preset': 'ltd-class', 'u_rang': 1e-6}, None, 'tracker: u_rang:'),
-        ({'preset': 'ltd-class', 'u_range': 0}, None, 'tracker: u_range:'),
-        ({'u_range': 1e-6}, None, 'tracker: u_angle:'),
+        ({'preset': 3}, None, 'tracker: preset: expected text'),
+        ({'preset': 'ltd-class', 'u_rang': 1e-6}, None, 'tracker: u_rang: unknown key'),
+        ({'preset': 'ltd-class', 'u_range': 0}, None, 'tracker: u_range: 0 is out of range'),
+        ({'u_range': 1e-6}, None, 'tracker: u_angle: missing'),
         (
             {'preset': 'workshop'},
             None,
@@ -123,7 +125,7 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
     typical = partly.typical
     assert typical.missing == ('air', 'tracker angles')
     assert set(typical.assumed) == {'tracker_angle', 'air_pressure'}
-    assert partly.warnings[0].startswith('machine.yaml declares nothing')
+    assert partly.warnings[0].startswith('machine.yaml declares nothing for air, tracker angles: ')
     assert partly.headline.systematic == 'typical'
     for name in ('EXX', 'EYX', 'EAX'):
         u = whole.tables.motions[name].u
@@ -134,9 +136,13 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
 
 
 def planned(machine, plan):
-    """What the forecast says of systematic contributions."""
+    """What the forecast says of systematic contributions, and its text."""
     setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
-    return planned_systematic(forecast(plan, setup))
+    found = forecast(plan, setup)
+    systematic = planned_systematic(found)
+    report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, (), {})
+    data = report.document.to_dict()
+    return systematic, plan_summary(data), data
 
 
 def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(cell):
@@ -144,11 +150,12 @@ def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(c
     rotation, place = np.eye(3), Setup.of(machine).place
     samples = cell.recording.measured(cell.truth, pose=(rotation, place))
     result = calibrate(samples, cell.path, machine)
-    found = planned(machine, cell.plan)
+    found, text, _ = planned(machine, cell.plan)
     assert found.missing == ()
     nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
     free = free_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))
     stated = np.linalg.norm(free, axis=1).mean()
     assert found.with_declared == pytest.approx(stated, rel=0.05)
     first = result.headline
+    assert text.splitlines()[0].endswith('systematic contributions as declared)')
     assert found.expected.expanded == pytest.approx(first.expanded, rel=0.05)
