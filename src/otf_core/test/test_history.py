@@ -40,7 +40,9 @@ def found(calibrated):
     """Plain data of a real calibration, and the root of its covariance."""
     values, vectors = np.linalg.eigh(calibrated.covariance_run)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return SimpleNamespace(data=json.loads(json.dumps(calibrated.to_dict())), root=root)
+    data = json.loads(json.dumps(calibrated.to_dict()))
+    data['provenance'].pop('runs')  # every file stands for a run of its own
+    return SimpleNamespace(data=data, root=root)
 
 
 def moved(data, size):
