@@ -14,7 +14,6 @@ from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import PlannerConfig
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.errors import InputError
-from otf_core.model.axis_path import AxisPath
 from otf_core.model.chain import Sight, displacement
 from otf_core.model.evaluation import evenly_spread
 from otf_core.model.machine import facing_names, machine_from_dict
@@ -80,39 +79,6 @@ def predict_u(result, q):
     return prediction_uncertainty(m, nodes, result.covariance_run, q)
 
 
-@cache
-def circles_only(tilted):
-    """Lines with the tool; circles of C and arcs of A on three places, never both at once."""
-    m, paths = machine(), []
-    for part in parts():
-        q = part.positions
-        if part.target.startswith('nest'):
-            a = (0.5, 1.2) if tilted else (0.0,)
-            rows = [[0, 0, 0, a[0], 0]]
-            for angle in a:
-                rows += [[0, 0, 0, angle, c] for c in (0, 2 * np.pi, 0)]
-            rows += [[0, 0, 0, x, 0] for x in (-0.5, 1.6, -0.5)]
-            q = np.array(rows, dtype=float)
-        paths.append(AxisPath(m.axis_names, q, part.target))
-    return calibrate_recordings([simulated(paths, 11)[0]])
-
-
-def test_circles_alone_do_not_show_the_angular_positioning():
-    result = circles_only(False)
-    assert {'ECC', 'EAA'} <= set(result.not_identifiable)
-    seen = {'EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'X0C', 'Y0C', 'A0C'}
-    assert not seen & set(result.not_identifiable)
-    assert not result.tables.motions['ECC'].value.any()
-    assert 'both senses' in result.advice['ECC']
-
-
-def test_circles_at_a_tilted_table_leave_the_zero_of_the_tilting_axis_open():
-    result = circles_only(True)
-    assert {'ECC', 'EAA', 'A0C'} <= set(result.not_identifiable)
-    assert 'EXC' not in result.not_identifiable
-    assert not result.tables.location['A0C'].identifiable
-
-
 def test_axis_that_turns_the_other_way_is_named_with_the_sign_that_fits():
     m = machine()
     axes = {**m.axes, 'C': replace(m.axes['C'], direction=(0.0, 0.0, -1.0))}
@@ -137,29 +103,6 @@ def test_reversal_that_changes_along_a_rotary_axis_is_found_as_a_table():
     assert np.all(np.abs(table.value - true) < 3.0 * table.u) and table.u.max() < 6e-6
 
 
-def test_lag_of_an_axis_is_found_and_leaves_the_tables_alone():
-    plain, run = simulated(parts())
-    lag = AppliedEffect(EVERY['servo_mismatch'], {'T_C': 2e-4})
-    recording, _ = simulated(parts(), effects=[lag])
-    without, result = (calibrate_recordings([r]) for r in (plain, recording))
-    assert not without.reversal.motions and not without.lags
-    # driven at one feed the axis might as well reverse: the other one is named beside it
-    found = result.reversal
-    assert [*found.motions, *(one.axis for one in result.lags)] in (['ECC'], ['C'])
-    assert {'ECC_0', 'lag C'} & set(found.evidence['indistinguishable_from'].split(', '))
-    for one in result.lags:
-        assert one.value == pytest.approx(2e-4, abs=3 * one.u) and one.u < 1e-5
-    q = evenly_spread(machine().lower, machine().upper, 400)
-    assert left(result.tables, run.truth, q) < 1.1 * left(without.tables, run.truth, q)
-    for motion, table in result.tables.motions.items():
-        if motion.axis not in machine().rotary_names:
-            continue  # driven alone: another start of the same search moves EYZ with EAZ by 2 u
-        change = np.abs(table.value - without.tables.motions[motion].value)
-        small = 5e-7 if motion.unit == 'm' else 2e-6
-        # the roughness that is most likely may be another one: within its share of u
-        assert np.all(change < np.maximum(small, 3.0 * table.u_run)), motion
-
-
 def with_tracker_moved(part, size):
     """The recorded run with the tracker moved before a part."""
     samples = recorded().samples
@@ -173,11 +116,6 @@ def test_tracker_that_moved_a_little_between_parts_is_named():
     moved = with_tracker_moved(1, 6e-5)
     (text,) = calibrate_recordings([moved]).failed_gates
     assert 'part 2' in text and 'tracker' in text
-
-
-def test_step_of_the_tracker_that_keeps_a_solution_from_converging_is_named():
-    with pytest.raises(InputError, match=r'part 4'):
-        calibrate_recordings([with_tracker_moved(3, 2.5e-4)])
 
 
 def test_facings_of_a_reflector_are_one_nest_to_the_solution():
