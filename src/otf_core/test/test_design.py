@@ -17,8 +17,7 @@ from core_cells import (
 )
 from scipy.linalg import block_diag
 
-from otf_core.effects.catalogue.backlash import Backlash
-from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.catalogue.machine import backlash, direction_dependent_tables
 from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import Misfit
@@ -80,10 +79,10 @@ def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     own = {
         reversal_block(f'E{axis}{axis}', 0): column
         for axis, column in zip(
-            'XYZ', Backlash().terms(state, {'held': held}).columns.T, strict=True
+            'XYZ', backlash.terms(state, {'held': held}).columns.T, strict=True
         )
     }
-    tables = DirectionDependentTables().terms(state, {'held': held, 'order': 3.0})
+    tables = direction_dependent_tables.terms(state, {'held': held, 'order': 3.0})
     own |= dict(zip(tables.names, tables.columns.T, strict=True))
     assert set(own) == {name for name in unknowns.blocks if is_reversal(name)}
     for name, column in own.items():
