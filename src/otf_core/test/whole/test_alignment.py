@@ -22,7 +22,6 @@ from otf_core.errors import InputError
 from otf_core.model.frames import rigid_fit
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.sim.cell import random_tables
 from otf_core.tracking.alignment import align, line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.measured_track import simplify
@@ -66,7 +65,7 @@ def check(recording, tables=None, seed=0, share=0.97, config=CONFIG):
     return found
 
 
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('seed', range(2))
 def test_any_rotation_and_place_of_the_tracker_is_found(cell, seed):
     found = check(cell.recording, cell.truth, seed)
     assert found.coverage == pytest.approx(1.0, abs=0.01)  # ends of legs are cut by a hop
@@ -116,15 +115,6 @@ def test_moves_before_and_after_the_path_are_set_aside(cell, before, after):
     assert found.coverage > 0.98
 
 
-def test_approach_leaves_no_sample_on_the_path(cell):
-    before = [(0.1, -0.1, 0.2), (0.0, 0.0, 0.2)]
-    recording = cell.recording.with_moves(before)
-    lead = len(recording.q) - len(cell.recording.q)
-    found = check(recording, share=0.9)
-    # up to one hop of the approach may be counted to the first leg
-    assert np.all(found.leg[: lead - 5] == OFF_PATH)
-
-
 @pytest.mark.parametrize('passes', [2, 3])
 def test_laps_forward_and_backward_at_another_feed_keep_their_order(passes):
     machine = some_machine()
@@ -141,12 +131,6 @@ def test_pauses_in_the_middle_of_lines_change_nothing(cell):
     paused = check(recording, cell.truth)
     plain = check(cell.recording, cell.truth)
     assert paused.coverage == pytest.approx(plain.coverage, abs=1e-3)
-
-
-def test_long_stop_at_corners_changes_nothing():
-    machine = some_machine()
-    found = check(record(machine, small_plan(machine, corner_dwell=1.0), rate=50))
-    assert found.coverage > 0.97
 
 
 @pytest.mark.parametrize(
@@ -247,11 +231,6 @@ def refusal(samples, path, config=CONFIG):
     return str(caught.value)
 
 
-def test_millimetres_are_named(cell):
-    samples = cell.recording.measured()
-    assert 'mm' in refusal(Samples(samples.stamp_ns, 1e3 * samples.xyz), cell.path)
-
-
 @pytest.mark.parametrize('axis', range(3))
 def test_left_handed_coordinates_are_named(cell, axis):
     samples = cell.recording.measured(seed=axis)
@@ -260,17 +239,11 @@ def test_left_handed_coordinates_are_named(cell, axis):
     assert 'mirrored' in refusal(Samples(samples.stamp_ns, samples.xyz * flip), cell.path)
 
 
-@pytest.mark.parametrize('factor', [0.8, 0.95, 1.05, 1.2, 39.37])
+@pytest.mark.parametrize('factor', [0.95, 39.37])
 def test_scaled_points_do_not_follow_the_path(cell, factor):
     samples = cell.recording.measured()
     message = refusal(Samples(samples.stamp_ns, factor * samples.xyz), cell.path)
     assert 'samples do not follow the path' in message
-
-
-def test_path_of_another_machine_is_refused(cell):
-    other = some_machine(ranges=((0, 0.4), (0, 0.37), (-0.3, 0)))
-    message = refusal(cell.recording.measured(), small_plan(other).path)
-    assert 'do bag and path belong together' in message
 
 
 def test_path_in_another_order_is_refused(cell):
@@ -348,12 +321,6 @@ def test_standing_still_is_named(cell, count):
     assert 'hardly moved' in refusal(still.measured(), cell.path)
 
 
-def test_noise_is_no_track(cell):
-    samples = cell.recording.measured()
-    xyz = np.random.default_rng(0).normal(size=samples.xyz.shape)
-    assert 'samples do not follow' in refusal(Samples(samples.stamp_ns, xyz), cell.path)
-
-
 # ---------------------------------------------------------------- the parts
 
 
@@ -391,9 +358,3 @@ def test_line_step_undoes_a_small_motion_of_points_on_lines(each):
     # what is left is of second order: 1e-6 of a motion of 1e-6
     np.testing.assert_allclose(translation, -shift, atol=1e-11)
     np.testing.assert_allclose(rotation_vector, -turn, atol=1e-11)
-
-
-def test_machine_with_errors_of_several_tenths_of_a_millimetre_aligns(cell):
-    tables = random_tables(cell.machine, 3e-4, np.random.default_rng(8))
-    samples = cell.recording.measured(tables)
-    assert align(samples, cell.path, CONFIG).coverage > 0.97

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -42,67 +41,6 @@ def bags(tmp_path_factory):
 
 # ---------------------------------------------------------------- --out before any work
 
-VERBS = {
-    'calibrate': ('calibrate', 'no-bag', '--machine', 'no.yaml'),
-    'diagnose': ('diagnose', 'no-bag', '--machine', 'no.yaml'),
-    'noise': ('noise', 'no-bag'),
-    'compare': ('compare', 'no.json', 'no.json'),
-    'plan': ('plan', '--machine', 'no.yaml'),
-    'simulate': ('simulate', '--machine', 'no.yaml'),
-}
-
-
-@pytest.mark.parametrize('verb', VERBS)
-def test_every_verb_looks_at_its_folder_first(place, capsys, verb):
-    Path('file').write_text('')
-    Path('folder').mkdir()
-    Path('folder', 'mine.txt').write_text('mine')
-    for out, words in (
-        ('file', 'file: is a file'),
-        ('file/below', 'is a file'),
-        ('folder', 'mine.txt'),
-    ):
-        for extra in ((), ('--overwrite',)):
-            assert run(*VERBS[verb], '--out', out, *extra) == 2
-            assert words in message(capsys)
-    assert sorted(os.listdir()) == ['file', 'folder', 'machine.yaml']
-    assert os.listdir('folder') == ['mine.txt']
-
-
-def test_prediction_looks_at_its_file_first(place, capsys):
-    arguments = ('predict', '--tables', 'no.json', '--points', 'no.csv', '--out')
-    Path('mine.csv').write_text('x,y,z\n1,2,3\n')
-    for out, extra, words in (
-        ('.', (), 'is a folder'),
-        ('mine.csv', (), 'exists already'),
-        ('mine.csv', ('--overwrite',), 'not a result of this command'),
-        ('machine.yaml/e.csv', (), 'is a file'),
-    ):
-        assert run(*arguments, out, *extra) == 2
-        assert words in message(capsys)
-    assert Path('mine.csv').read_text() == 'x,y,z\n1,2,3\n'
-
-
-def test_results_are_refused_then_replaced(bags, place, capsys):
-    arguments = ('calibrate', bags.folder / 'run', '--machine', 'machine.yaml', '--out', 'out')
-    assert run(*arguments) in (0, 4)
-    names = sorted(os.listdir('out'))
-    assert {'error_tables.json', 'manifest.json'} < set(names)
-    capsys.readouterr()
-    assert run(*arguments) == 2
-    assert 'out: holds files already' in message(capsys)
-    Path('out', 'report.html').touch()  # another date, the same content
-    assert run(*arguments, '--overwrite') in (0, 4)
-    assert sorted(os.listdir('out')) == names
-
-
-def test_a_bag_is_not_replaced_by_its_own_results(bags, place, capsys):
-    bag = bags.folder / 'run'
-    arguments = ('--machine', bags.machine, '--out', bag, '--overwrite')
-    assert run('calibrate', bag, *arguments) == 2
-    assert f'holds the input {bag}' in message(capsys)
-    assert (bag / 'bag_0.mcap').exists()
-
 
 def test_recorded_bag_is_never_replaced_by_a_simulated_one(bags, place, capsys):
     for name in ('bag_0.mcap', 'metadata.yaml'):  # as ros2 bag record leaves them
@@ -115,34 +53,6 @@ def test_recorded_bag_is_never_replaced_by_a_simulated_one(bags, place, capsys):
         assert run(*arguments, *QUICK) == 2
         assert 'never' in message(capsys)
     assert sorted(os.listdir('recorded')) == ['bag_0.mcap', 'metadata.yaml']
-
-
-def test_simulated_bags_are_replaced_if_asked(bags, place):
-    for out in ('run', 'run.mcap'):
-        arguments = ('simulate', '--machine', 'machine.yaml', '--out', out, *QUICK)
-        assert run(*arguments, '--seed', '1') == 0
-        before = sorted(p.name for p in Path().rglob('*'))
-        assert run(*arguments, '--seed', '2') == 2
-        assert run(*arguments, '--seed', '2', '--overwrite') == 0
-        assert sorted(p.name for p in Path().rglob('*')) == before
-    seeds = [json.loads(Path(name).read_text())['seed'] for name in TRUTH]
-    assert seeds == [2, 2]
-
-
-def test_command_ended_by_a_signal_leaves_nothing(bags, place):
-    source = Path(next(iter(otf_core.__path__))).parent
-    words = ['plan', '--machine', 'machine.yaml', '--out', 'out', '--time-budget', '300']
-    child = subprocess.Popen(
-        [sys.executable, '-m', 'otf_core.cli', *words],
-        env={**os.environ, 'PYTHONPATH': str(source)},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    with child:
-        time.sleep(1.0)
-        child.send_signal(signal.SIGTERM)
-        said = child.communicate(timeout=30)
-    assert (child.returncode, said) == (-signal.SIGTERM, (b'', b''))
-    assert os.listdir() == ['machine.yaml']
 
 
 FINALIZER = """
@@ -237,35 +147,6 @@ def test_truth_explains_the_samples_to_within_effect_and_noise(bags, name):
 
 
 # ---------------------------------------------------------------- mistakes
-
-
-@pytest.mark.parametrize(
-    ('bag', 'machine', 'words'),
-    [
-        ('machine.yaml', 'run', 'it is a folder; is that the bag?'),
-        ('machine.yaml', 'run.mcap', 'it is a recording; is that the bag?'),
-        ('machine.yaml', 'machine.yaml', 'is that machine.yaml?'),
-        ('run', 'machne.yaml', 'machine.yaml?'),
-        ('run', 'nothing-like-it', 'No such file or directory)'),
-    ],
-)
-def test_swapped_or_misspelt_inputs(bags, capsys, bag, machine, words, tmp_path):
-    names = [bags.folder / name for name in (bag, machine)]
-    arguments = ('calibrate', names[0], '--machine', names[1], '--out', tmp_path / 'out')
-    assert run(*arguments) == 2
-    assert message(capsys).endswith(words)
-
-
-def test_path_in_millimetres_is_named(bags, place, capsys):
-    from otf_core.bags.bag import BagContent, write_bag
-    from otf_core.model.path import NominalPath
-
-    content = read_bag(bags.folder / 'run')
-    wrong = BagContent(content.samples, NominalPath(1e3 * content.path.points))
-    write_bag('mm', wrong)
-    arguments = ('--machine', 'machine.yaml', '--out', 'out')
-    assert run('calibrate', 'mm', *arguments) == 3
-    assert 'the path seems to be in mm, expected m' in message(capsys)
 
 
 def test_full_output_is_said_and_the_results_are_there(place):

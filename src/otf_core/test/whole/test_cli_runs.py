@@ -70,66 +70,6 @@ def test_three_target_offsets_show_all_motions_as_they_are(runs, three):
         assert np.all(np.abs(table.value - true) <= 4 * table.u + 1e-12), name
 
 
-def test_tables_file_and_page_tell_of_every_run(three):
-    data = json.loads((three / 'error_tables.json').read_text())
-    assert [r['target_offset'] for r in data['runs']] == list(OFFSETS)
-    assert [r['name'] for r in data['runs']] == ['bag0', 'bag1', 'bag2']
-    assert data['alignment'] == data['runs'][0]['alignment']
-    assert data['machine']['target_offset'] == OFFSETS[0]
-    places = np.array([r['alignment']['translation'] for r in data['runs']])
-    assert np.all(np.linalg.norm(np.diff(places, axis=0), axis=1) > 0.05)
-    assert sum(r['samples'] for r in data['runs']) == data['fit']['samples']
-    for entry in data['runs']:
-        assert entry['coverage'] > 0.98
-        assert entry['noise']['u_angle'] == pytest.approx([2e-6] * 2, rel=0.7)
-    page = (three / 'report.html').read_text(encoding='utf-8')
-    assert all(f'bag{k}' in page for k in range(3))
-
-
-def test_stops_of_several_runs_are_solved_as_one(runs, tmp_path):
-    data = solve_runs(runs, tmp_path, (0, 1, 2), '--method', 'standstill')
-    assert data['not_identifiable'] == []
-    assert len(data['runs']) == 3
-    assert data['fit']['path_mae_after'] < 0.05 * data['fit']['path_mae_before']
-
-
-@pytest.mark.parametrize(
-    ('change', 'words'),
-    [
-        ({'chain': 'w-Y-b-X-Z-t'}, 'chain: w-Y-b-X-Z-t, but w-b-X-Y-Z-t'),
-        ({'axes': {'Y': {'max': 0.26}}}, 'axes: Y: max: 0.26, but 0.25'),
-        ({'axes': {'Z': {'table_pitch': 0.05}}}, 'axes: Z: table_pitch: 0.05, but 0.1'),
-    ],
-)
-def test_bags_of_different_machines_are_refused_naming_bag_and_key(
-    runs, tmp_path, capsys, change, words
-):
-    data = yaml.safe_load((runs / 'machine1.yaml').read_text())
-    for axis, part in change.get('axes', {}).items():
-        data['axes'][axis] |= part
-    data['chain'] = change.get('chain', data['chain'])
-    (tmp_path / 'other.yaml').write_text(yaml.safe_dump(data))
-    bags, out = (runs / 'bag0', runs / 'bag1'), tmp_path / 'out'
-    arguments = ('--machine', runs / 'machine0.yaml', '--machine', tmp_path / 'other.yaml')
-    assert run('calibrate', *bags, *arguments, '--out', out) == 2
-    message = capsys.readouterr().err
-    assert message.count('\n') == 1
-    assert message.startswith(f'otf calibrate: {runs / "bag1"}: {words}')
-    assert not out.exists()
-
-
-def test_bag_that_does_not_fit_its_machine_is_named_among_several(runs, tmp_path, capsys):
-    data = yaml.safe_load((runs / 'machine0.yaml').read_text())
-    data['axes']['X']['max'] = 0.2
-    (tmp_path / 'small.yaml').write_text(yaml.safe_dump(data))
-    arguments = ('--machine', tmp_path / 'small.yaml', '--out', tmp_path / 'out')
-    assert run('calibrate', runs / 'bag1', runs / 'bag2', *arguments) == 3
-    message = capsys.readouterr().err
-    assert message.count('\n') == 1
-    assert str(runs / 'bag1') in message
-    assert str(runs / 'bag2') not in message
-
-
 # ---------------------------------------------------------------- simulate a written plan
 
 
@@ -142,22 +82,6 @@ def planned(tmp_path_factory):
                {'passes': 1, 'levels': 2, 'corner_dwell': 0.3, 'rate': 100})  # fmt: skip
     assert code == 0
     return folder
-
-
-def test_simulated_plan_drives_its_path_feeds_and_dwells_before_its_tracker(planned, tmp_path):
-    from otf_core.bags.bag import read_bag
-
-    plan = json.loads((planned / 'plan' / 'plan.json').read_text())
-    code = run('simulate', '--machine', planned / 'machine.yaml', '--path',
-               planned / 'plan' / 'plan.json', '--out', tmp_path / 'bag', '--rate', '100',
-               '--error-size', '0')  # fmt: skip
-    assert code == 0
-    bag = read_bag(tmp_path / 'bag')
-    np.testing.assert_array_equal(bag.path.points, plan['parts'][0]['positions'])
-    assert bag.samples.time[-1] == pytest.approx(plan['duration'], abs=0.02)
-    distance = np.linalg.norm(bag.samples.xyz[0])
-    start = np.array(plan['parts'][0]['positions'][0]) - plan['assumed']['tracker_place']
-    assert distance == pytest.approx(np.linalg.norm(start), abs=1e-4)
 
 
 def test_dwells_of_a_plan_may_be_made_longer_for_the_standstill_method(planned, tmp_path):

@@ -8,7 +8,7 @@ is noise and what the alignment did, not the shape of the errors.
 import numpy as np
 import pytest
 from nature import Cell, judge
-from programs import arc, drive, helix, programs, record, rounded, without
+from programs import arc, drive, programs, record, rounded
 
 from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig
@@ -37,9 +37,8 @@ def as_planned(once):
 
 @pytest.mark.parametrize(
     'name',
-    ['restarted from an earlier corner', 'four corners skipped',
-     'a leg aborted, half driven back'],
-)  # fmt: skip
+    ['restarted from an earlier corner', 'a leg aborted, half driven back'],
+)
 def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_planned):
     run = calibrate_recordings([record(CELL, drive(PROGRAMS[name], FEED, rate=RATE), rate=RATE)])
     found = judge(CELL, run.tables, run.covariance)
@@ -62,12 +61,9 @@ def test_a_second_lap_is_worth_its_samples(once, as_planned):
     assert twice.tables.squareness['C0Y'].u_run < 0.85 * once.tables.squareness['C0Y'].u_run
 
 
-@pytest.mark.parametrize(
-    ('reach', 'tolerance', 'exclusion'), [(0.02, 0.002, 0.008), (0.03, 0.004, 0.03)]
-)
-def test_smooth_corners_are_left_out_as_far_as_they_reach(reach, tolerance, exclusion, as_planned):
-    recording = record(CELL, drive(rounded(P, reach), FEED, rate=RATE), rate=RATE)
-    config = CalibrationConfig(match_tolerance=tolerance, corner_exclusion=exclusion)
+def test_smooth_corners_are_left_out_as_far_as_they_reach(as_planned):
+    recording = record(CELL, drive(rounded(P, 0.03), FEED, rate=RATE), rate=RATE)
+    config = CalibrationConfig(match_tolerance=0.004, corner_exclusion=0.03)
     run = calibrate_recordings([recording], config)
     found = judge(CELL, run.tables, run.covariance)
     assert found.left_percent < 1.35 * as_planned.left_percent
@@ -78,15 +74,6 @@ def test_corners_rounded_too_far_are_refused_with_what_to_set():
     recording = record(CELL, drive(rounded(P, 0.03), FEED, rate=RATE), rate=RATE)
     with pytest.raises(InputError, match=r'its corners are rounded: raise match_tolerance to'):
         align(recording.samples, recording.path, CalibrationConfig())
-
-
-def test_smooth_corners_twice_with_the_beam_lost():
-    path = rounded(P, 0.02)
-    q = drive(np.concatenate([path, path[1:]]), FEED, rate=RATE)
-    recording = without(record(CELL, q, rate=RATE), (0.1, 0.12), (0.45, 0.47), (0.8, 0.82))
-    run = calibrate_recordings([recording])
-    assert judge(CELL, run.tables).left_percent < 1.5
-    assert not run.failed_gates
 
 
 # ---------------------------------------------------------------- curves
@@ -120,25 +107,11 @@ def lines_only():
     return left(P, P)[1]
 
 
-@pytest.mark.parametrize('chord', [1e-4, 1e-3])
-def test_circles_of_chords_beside_lines_leave_no_more_than_lines(chord, lines_only):
-    path = np.concatenate([P, circles(chord)])
+def test_circles_of_chords_beside_lines_leave_no_more_than_lines(lines_only):
+    path = np.concatenate([P, circles(1e-3)])
     run, found = left(path, path)
     assert found.left_percent < 1.2 * lines_only.left_percent
     assert found.within_2u_percent > 80
-    assert not run.warnings[1:]  # the first says what u contains
-
-
-def test_a_helix_beside_lines_leaves_no_more_than_lines(lines_only):
-    path = np.concatenate([P, helix(CENTRE - [0, 0, 0.08], 0.08, 0.02, 8)])
-    assert left(path, path)[1].left_percent < 1.2 * lines_only.left_percent
-
-
-def test_arcs_driven_where_chords_of_1_mm_are_published_leave_little_more(lines_only):
-    published = np.concatenate([P, circles(1e-3)])
-    driven = np.concatenate([P, circles(1e-4)])  # sagitta 0.01 um: as good as arcs
-    run, found = left(driven, published)
-    assert found.left_percent < 1.6 * lines_only.left_percent  # a sagitta of 1.4 um
     assert not run.warnings[1:]  # the first says what u contains
 
 
@@ -150,12 +123,6 @@ def test_circles_alone_give_tables_where_they_were_driven():
     found = judge(cell, run.tables, run.covariance)
     assert found.left_percent < 10
     assert found.within_2u_percent > 75
-
-
-def test_circles_twice_and_back_are_followed(lines_only):
-    path = np.concatenate([P, circles(1e-3)])
-    found = left(np.concatenate([path, path[::-1][1:]]), path)[1]
-    assert found.left_percent < 1.2 * lines_only.left_percent
 
 
 def program_of(lines, radius=0.09, begin=0.3):
