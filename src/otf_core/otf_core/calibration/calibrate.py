@@ -26,7 +26,11 @@ from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.part_steps import LEAST, find_steps
-from otf_core.contradictions.recording_checks import check_recordings
+from otf_core.contradictions.recording_checks import (
+    check_recordings,
+    losses_stated_first,
+    lost_words,
+)
 from otf_core.contradictions.table_checks import check_table_pitch
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress, silent
@@ -159,6 +163,14 @@ def solve_recordings(
     """
     progress('aligning', 0.0)
     check_recordings(recordings)
+    with losses_stated_first(recordings):
+        return _solve(recordings, config, progress, method, same_station, repair)
+
+
+def _solve(
+    recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress, method: str,
+    same_station: bool, repair: bool,
+) -> SolvedRecordings:  # fmt: skip
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
     runs, nodes = prepare_runs(recordings, config, method, progress, same_station=same_station)
 
@@ -173,6 +185,9 @@ def solve_recordings(
     else:
         solution, steps = solve_with_reversal(runs, nodes, config, progress), []
 
+    if any(f.severity == GATE for f in (*contradictions, *steps)):
+        lost = filter(None, map(lost_words, recordings))
+        remarks = [*(Finding('recording', GATE, text) for text in lost), *remarks]
     left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
     return SolvedRecordings(runs, nodes, (*remarks, *contradictions, *steps, *left_out), solution)
 
