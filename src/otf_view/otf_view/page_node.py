@@ -48,8 +48,8 @@ class Page(Node):
         run = self._ears.run
         if self._shown != self._ears.news:
             self._shown = self._ears.news
-            self._server.events.put('scene', scene(run))
-        self._server.events.put('now', now(run))
+            self._server.put('scene', scene(run))
+        self._server.put('now', now(run))
         if self._ears.folder != self._offered and self._server.offer(self._ears.folder):
             self._offered = self._ears.folder  # the report is written after the result is out
 
