@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -43,6 +44,25 @@ def ns_from_time(time: Time) -> int:
 def header(stamp: Time, frame: str = '') -> Header:
     """Return a header; of the frame of the machine, if no other is named."""
     return Header(stamp=stamp, frame_id=frame or frames.machine())
+
+
+def fields_of(kind: Any, source: object, **own: Any) -> dict[str, Any]:
+    """Fields of a message that an object has under the same name; arrays as lists.
+
+    Parameters
+    ----------
+    **own : object
+        Fields that are not as they are there.
+    """
+    names = [name for name in kind.get_fields_and_field_types() if hasattr(source, name)]
+    found = {name: getattr(source, name) for name in names} | own
+    return {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in found.items()}
+
+
+def columns_of(entries: Mapping[str, Any], name: str, *columns: str) -> dict[str, list[Any]]:
+    """Fields of a message that list entries of a document: NAME their names, NAME_column."""
+    values = {f'{name}_{c}': [getattr(e, c) for e in entries.values()] for c in columns}
+    return {name: list(entries), **values}
 
 
 def points_to_messages(samples: Samples) -> Iterator[PointStamped]:
