@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
@@ -130,8 +129,7 @@ class PathReceiver:
             return
         self._shown = path
         track = nominal_track(path.machine, path.parts, places, SHOWN_TURN)
-        now = self._node.get_clock().now().to_msg()
-        self._track.publish(convert.path_to_message(track, now))
+        self._track.publish(convert.path_to_message(track, convert.now(self._node)))
 
     def _receive_parts(self, messages: list[JointTrajectory], _: list[int | None]) -> None:
         for message in messages:
@@ -211,8 +209,7 @@ def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
 def _take(node: Node, intake: Intake, spec: SignalSpec, message: Any) -> None:
     """Take a value at its stamp; one without a stamp at its time of reception."""
     header = getattr(message, 'header', None)
-    now = node.get_clock().now().nanoseconds or time.time_ns()  # a bag that is played has a clock
-    stamp = now if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+    stamp = convert.now_ns(node) if header is None else ns_from_time(header.stamp)
     value = float(getattr(message, SIGNAL_FIELDS[spec.type]))
     intake.take_signal(spec, stamp, value, serialize_message(message))
 

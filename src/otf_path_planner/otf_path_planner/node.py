@@ -48,7 +48,7 @@ class PathPlanner(Node):
         files, config = self._settings.read(PlannerFiles), self._settings.read(PlannerConfig)
         machine = read_machine(files)
         plan, track = make_plan(machine, files, config)
-        now = self.get_clock().now().to_msg()
+        now = convert.now(self)
         if plan.is_plain:
             self._path_publisher.publish(convert.path_to_message(plan.path, now))
         for part in () if plan.is_plain else plan.parts:

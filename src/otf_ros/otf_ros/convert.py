@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -12,6 +13,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
+from rclpy.node import Node
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -36,9 +38,19 @@ def time_from_ns(stamp_ns: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def ns_from_time(time: Time) -> int:
+def ns_from_time(stamp: Time) -> int:
     """Return integer nanoseconds of a message time."""
-    return int(time.sec) * NS + int(time.nanosec)
+    return int(stamp.sec) * NS + int(stamp.nanosec)
+
+
+def now_ns(node: Node) -> int:
+    """Time of the graph, ns: of the computer, or of ``/clock`` once it is there."""
+    return node.get_clock().now().nanoseconds or time.time_ns()
+
+
+def now(node: Node) -> Time:
+    """The same for a message."""
+    return time_from_ns(now_ns(node))
 
 
 def header(stamp: Time, frame: str = '') -> Header:
