@@ -28,6 +28,7 @@ from otf_core.model.chain import Sight
 from otf_core.model.expanded import quantity
 from otf_core.model.machine import Axis, Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
+from otf_core.model.path import MOVING
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution, unknowns_of
@@ -116,7 +117,8 @@ def choose_reversal(
     late = [lag_block(a) for a in machine.axis_names]
     every = _reversal(machine, seen, CONSTANT if given == CONSTANT else TABLES)
     tried: list[tuple[float, Unknowns, Selection]] = []
-    for held in (False, True):
+    rests = any(np.any((r.pieces.side != 0.0) & (np.abs(r.pieces.step) <= MOVING)) for r in runs)
+    for held in (False, True) if rests else (False,):
         unknowns = unknowns_of(runs, bases, every, machine.axis_names, held=held)
         held_out = HeldOutLines.of(joint, unknowns, np.full(len(every) + len(late), MOST))
         found = Selection(tuple(every), 0.0, 0.0)
@@ -171,11 +173,15 @@ def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
 
 @dataclass(frozen=True)
 class AxisLag:
-    """Time by which an axis is late behind the others, s, and its standard uncertainty."""
+    """Time by which an axis is late behind the others, s, and its standard uncertainties.
+
+    ``u_run`` is that by noise and misfit of the run alone.
+    """
 
     axis: str
     value: float
     u: float
+    u_run: float | None = None
 
 
 def lags(joint: JointSolution, covariance: Array) -> list[AxisLag]:
@@ -201,12 +207,15 @@ class ReversalTable:
         Forward minus backward, and its standard uncertainty (k = 1).
     identifiable : bool
         False if the data cannot see it; its values are zero then.
+    u_run : ndarray, shape (k,), optional
+        Standard uncertainty by noise and misfit of the run alone.
     """
 
     position: Array
     value: Array
     u: Array
     identifiable: bool
+    u_run: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -217,10 +226,13 @@ class Backlash:
     ----------
     value, u : float, m
         Forward minus backward, mean along the middle line of the axis; standard uncertainty.
+    u_run : float, m, optional
+        The same by noise and misfit of the run alone.
     """
 
     value: float
     u: float
+    u_run: float | None = None
 
     @property
     def words(self) -> str:

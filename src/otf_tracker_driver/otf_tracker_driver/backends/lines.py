@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points as lines: where they come from, how lines are read; a YAML file describes both.
 
-Nothing in them is believed. See docs/tracker-protocol.md for every key, and two examples that are
-tried.
+Nothing in them is believed. See docs/trackers.md for every key, and two examples that are tried.
 """
 
 from __future__ import annotations
