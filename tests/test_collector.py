@@ -9,7 +9,7 @@ import pytest
 
 from otf_calibrator.inputs import GONE, GONE_BESIDE, PublisherOfRun
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.run import ALIVE, LATE, SAME_RUN, SILENT, Collector, PathTaken
+from otf_calibrator.run import ALIVE, LATE, SAME_RUN, SILENT, Collector
 from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
@@ -364,47 +364,25 @@ def test_path_that_comes_late_keeps_the_samples():
     collector = Collector(CalibrationConfig)
     add(collector, 100)
     assert not complete(collector, now=100.0)
-    assert collector.set_path(PATH) == PathTaken.USED
-    assert collector.set_path(PATH) == PathTaken.KNOWN
+    collector.set_path(PATH)
     assert len(collector.buffer) == 100
     assert collector.travelled == pytest.approx(0.099)
 
 
 @pytest.mark.parametrize('over', [True, False])
-def test_another_path_before_the_target_drives_starts_over(collector, over):
+def test_another_path_starts_over(collector, over):
     add(collector, 100 if over else 5)
     collector.taken = over
-    assert collector.set_path(NominalPath(PATH.points + 1e-9)) == PathTaken.KNOWN
-    assert collector.set_path(NominalPath(PATH.points + 0.1), b'2') == PathTaken.USED
-    assert (len(collector.buffer), collector.taken, collector.remarks) == (0, False, [])
-    assert collector.path_message == b'2'
+    collector.set_path(NominalPath(PATH.points + 0.1))
+    assert (len(collector.buffer), collector.taken) == (0, False)
 
 
-def test_path_that_is_published_while_the_target_leaves_a_calibrated_run_is_that_of_the_next(
-    collector,
-):
+def test_target_that_leaves_a_calibrated_run_does_not_drive_the_next_one_yet(collector):
     add(collector, 100)
     collector.taken = True
-    long, other = (NominalPath(PATH.points * scale) for scale in (10.0, 11.0))
-    collector.path = long
+    collector.path = NominalPath(PATH.points * 10.0)
     add(collector, 50, start=120)  # 2 % of the path
-    assert not collector.taken and collector.travelled > 0.01
-    assert collector.set_path(other) == PathTaken.USED and collector.path is other
-    assert len(collector.buffer) == 0
-
-
-@pytest.mark.parametrize('again', [True, False])
-def test_another_path_in_mid_run_is_kept_for_the_next_run(collector, again):
-    other = NominalPath(PATH.points + 0.1)
-    add(collector, 100)
-    assert collector.set_path(other, b'2') == PathTaken.NEXT
-    assert collector.set_path(other, b'2') == PathTaken.KNOWN
-    if again:  # the newest counts
-        assert collector.set_path(PATH) == PathTaken.KNOWN
-    add(collector, 100, start=100)
-    assert len(collector.buffer) == 200 and collector.path is PATH
-    assert collector.use_next_path() != again and not collector.use_next_path()
-    assert (collector.path is PATH) == again and (collector.path_message == b'2') != again
+    assert not collector.taken and collector.travelled > 0.01 and not collector.driving
 
 
 def test_silence_after_nearly_the_whole_path_completes_a_run_whatever_the_driver_says(collector):

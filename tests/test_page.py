@@ -18,7 +18,7 @@ from otf_core.model.evaluation import VolumeErrors
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_view.page import page
-from otf_view.server import MOST_READERS, PageServer
+from otf_view.server import PageServer
 
 BROWSER = next(filter(shutil.which, ('chromium', 'chromium-browser', 'google-chrome')), None)
 CORNERS = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0], [0, 0, -0.2]])
@@ -70,12 +70,12 @@ def test_page_needs_nothing_from_elsewhere():
     text = page()
     assert not re.findall(r'(?:src|href)="(?!data:)', text)
     assert not re.findall(r'https?://|@import|url\(', text)
-    assert 'EventSource' in text and '--ink' in text
+    assert 'state.json' in text and '--ink' in text
 
 
-def test_server_answers_page_state_and_events_and_nothing_else():
+def test_server_answers_page_and_state_and_nothing_else():
     with served() as server:
-        server.events.put('now', {'a': 1})
+        server.put('now', {'a': 1})
         with asked(server, '/') as answer:
             assert (answer.status, answer.read().decode()) == (200, page())
             assert "default-src 'none'" in answer.headers['Content-Security-Policy']
@@ -83,11 +83,6 @@ def test_server_answers_page_state_and_events_and_nothing_else():
             assert json.load(answer) == {'now': {'a': 1}}
         with asked(server, '/../server.py') as answer:
             assert answer.status == 404
-        with asked(server, '/events') as answer:
-            assert answer.readline() + answer.readline() == b'event: now\ndata: {"a":1}\n'
-            server.events.put('scene', None)
-            answer.readline()
-            assert answer.readline() == b'event: scene\n'
 
 
 def test_report_of_the_result_is_served_once_there_is_one_and_no_other_file(tmp_path):
@@ -95,34 +90,19 @@ def test_report_of_the_result_is_served_once_there_is_one_and_no_other_file(tmp_
         assert not server.offer(None) and not server.offer(tmp_path)  # not yet
         with asked(server, '/report.html') as answer:
             assert answer.status == 404
-        assert 'report' not in server.events.everything()
+        assert 'report' not in server.state
         (tmp_path / 'report.html').write_text('µm', encoding='utf-8')
         (tmp_path / 'error_tables.json').write_text('{}')
         assert server.offer(tmp_path)
         with asked(server, '/report.html') as answer:
             assert (answer.status, answer.read().decode()) == (200, 'µm')
-        assert json.loads(server.events.everything()) == {'report': 'report.html'}
+        assert server.state == {'report': '"report.html"'}
         for other in ('/error_tables.json', '/../report.html', '/x/report.html'):
             with asked(server, other) as answer:
                 assert answer.status == 404
         (tmp_path / 'report.html').unlink()
         with asked(server, '/report.html') as answer:
             assert answer.status == 404
-
-
-def test_every_reader_but_too_many_gets_the_end():
-    server = PageServer('127.0.0.1', 0)
-    place = urlsplit(server.url).netloc
-    links = [http.client.HTTPConnection(place, timeout=10) for _ in range(MOST_READERS)]
-    for link in links:
-        link.request('GET', '/events')
-    answers = [link.getresponse() for link in links]
-    with asked(server, '/events') as answer:
-        assert answer.status == 503
-    server.close()
-    assert all(b'event: ended' in answer.read() for answer in answers)
-    for used in (*answers, *links):
-        used.close()
 
 
 def test_address_that_is_taken_is_refused_with_what_to_do():
@@ -135,9 +115,9 @@ def test_address_that_is_taken_is_refused_with_what_to_do():
 @pytest.mark.skipif(BROWSER is None, reason='no browser')
 def test_browser_shows_the_run(tmp_path):
     with served() as server:
-        server.events.put('scene', scene(a_run()))
-        server.events.put('now', now(a_run()))
-        server.events.put('ended', True)  # or the browser would wait for more
+        server.put('scene', scene(a_run()))
+        server.put('now', now(a_run()))
+        server.put('ended', True)  # or the browser would wait for more
         command = [
             BROWSER,
             '--headless',

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.parts import TOGETHER, PartsCollector
+from otf_calibrator.plans import TOGETHER, Plans
 from otf_calibrator.session import Session
 from otf_core.bags.bag import read_bag
 from otf_core.bags.cdr import encode_axes
@@ -15,9 +15,11 @@ from otf_core.bags.journal import Journal
 from otf_core.config import CalibrationConfig
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import load_machine
+from otf_core.model.path import NominalPath
 
 CELL = Path(__file__).parents[1] / 'bags' / 'trunnion'
 TARGETS = ['tool', 'long', 'nest-1', 'nest-2', 'nest-3']
+CORNERS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]])
 LATER = 10 * TOGETHER
 SETTINGS = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
 
@@ -29,11 +31,11 @@ def part(target, end=0.1):
 A, B, C = (part(name) for name in ('tool', 'nest-1', 'nest-2'))
 
 
-class Plans:
+class Heard:
     """What a calibrator makes of parts."""
 
     def __init__(self):
-        self.heard, self.now = PartsCollector(), 100.0
+        self.heard, self.now = Plans(), 100.0
 
     def take(self, parts, stamps, driving=False, apart=0.0):
         found = []
@@ -43,19 +45,19 @@ class Plans:
         return found
 
     def targets(self):
-        return [one.target for one in self.heard.plan.parts]
+        return [one.target for one in self.heard.plan.items]
 
 
 @pytest.mark.parametrize('stamps', [(1, 1, 1, 1), (1, 2, 3, 4)])
 def test_parts_of_one_sending_are_one_plan_even_if_one_comes_twice(stamps):
-    plans = Plans()
+    plans = Heard()
     assert plans.take([A, B, C, A], stamps) == ['NEW', 'ADDED', 'ADDED', 'ADDED']
     assert plans.targets() == ['tool', 'nest-1', 'nest-2', 'tool']
 
 
 @pytest.mark.parametrize('driving', [False, True])
 def test_plan_of_a_planner_that_was_started_again_is_the_same(driving):
-    plans = Plans()
+    plans = Heard()
     plans.take([A, B], [1, 1])
     plans.now += LATER
     assert plans.take([A, B], [2, 2], driving) == ['KNOWN', 'KNOWN']
@@ -64,27 +66,38 @@ def test_plan_of_a_planner_that_was_started_again_is_the_same(driving):
 
 
 def test_another_plan_is_used_at_once_or_after_the_run():
-    plans = Plans()
+    plans = Heard()
     plans.take([A, B], [1, 1])
     assert plans.take([A, C], [2, 2]) == ['KNOWN', 'NEW'] and plans.targets() == ['tool', 'nest-2']
     plans.now += LATER
     assert plans.take([part('tool', 0.2), B], [3, 3], driving=True) == ['NEXT', 'NEXT']
     assert plans.targets() == ['tool', 'nest-2']
-    assert plans.heard.use_next_plan() and plans.targets() == ['tool', 'nest-1']
-    assert not plans.heard.use_next_plan()
+    assert plans.heard.use_next() and plans.targets() == ['tool', 'nest-1']
+    assert not plans.heard.use_next()
 
 
 def test_parts_that_come_one_by_one_as_they_are_driven_are_one_plan():
-    plans = Plans()
+    plans = Heard()
     found = plans.take([A], [1]) + plans.take([B, C, A], [2, 3, 4], True, apart=LATER)
     assert found == ['NEW', 'ADDED', 'ADDED', 'ADDED']
 
 
 def test_bag_that_is_played_again_after_its_run_brings_the_same_plan():
-    plans = Plans()
+    plans = Heard()
     plans.take([A, B], [1, 1])
     plans.now += LATER
     assert plans.take([A, B], [1, 1]) == ['KNOWN', 'KNOWN']
+
+
+def test_another_path_in_mid_run_is_kept_for_the_next_run_and_the_newest_counts():
+    path, other, plans = NominalPath(CORNERS), NominalPath(CORNERS + 0.1), Heard()
+    assert plans.take([path, NominalPath(CORNERS + 1e-9)], [1, 2]) == ['NEW', 'KNOWN']
+    assert plans.take([other, other], [3, 3], driving=True) == ['NEXT', 'KNOWN']
+    assert plans.heard.plan.items == [path]
+    assert plans.heard.use_next() and plans.heard.plan.items == [other]
+    assert plans.take([path, other], [4, 5], driving=True) == ['NEXT', 'KNOWN']
+    assert not plans.heard.use_next()
+    assert plans.take([path], [6]) == ['NEW']
 
 
 def life(folder, samples):
@@ -95,9 +108,7 @@ def life(folder, samples):
     session.intake.journal = Journal(folder, {})
     said = session.intake.resume_run(None)
     heard = [
-        session.intake.take_part(
-            one, machine, encode_axes(one.axes, one.positions, 7, one.target), 7
-        ).name
+        session.intake.take_path(one, encode_axes(one.axes, one.positions, 7, one.target), 7).name
         for one in read_bag(CELL / 'bag').axis_paths
     ]
     session.take({'tracker': (samples.stamp_ns, samples.xyz)})

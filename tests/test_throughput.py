@@ -36,13 +36,12 @@ def start_cell(graph, machine_file, rate, **driver):
     return node
 
 
-@pytest.mark.parametrize(('rate', 'time_scale'), [(1000.0, 1.0), (2000.0, 50.0)])
-def test_no_sample_is_lost_however_fast_they_are_wanted(graph, machine_file, rate, time_scale):
-    start_cell(graph, machine_file, rate=rate, time_scale=time_scale)
+def test_no_sample_is_lost_however_fast_they_are_wanted(graph, machine_file):
+    start_cell(graph, machine_file, rate=2000.0, time_scale=50.0)
     status, state = wait_for_the_end(graph)
     assert state.samples == status.samples_published == status.samples_expected
     assert state.samples_lost == 0 and state.stream_id == status.stream_id
-    assert 0.0 < status.real_time_factor < max(1.1, 0.5 * time_scale)
+    assert 0.0 < status.real_time_factor < 25.0
 
 
 def wait_for_the_end(graph):

@@ -5,6 +5,7 @@ import json
 import math
 import re
 import threading
+import time
 import urllib.request
 from pathlib import Path as FilePath
 
@@ -30,7 +31,7 @@ MOST = 10_000
 
 
 class Reader:
-    """Reads the events of a page as a browser does, in a thread."""
+    """Asks a page as a browser does, in a thread, until it is told that this is the end."""
 
     def __init__(self, graph, page):
         def address():
@@ -38,30 +39,22 @@ class Reader:
 
         graph.wait(address, 'the page')
         self.url = address()[1]
-        self.heard = {}
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def _read(self):
-        with urllib.request.urlopen(f'{self.url}events', timeout=60) as stream:
-            assert stream.headers['Content-Type'] == 'text/event-stream'
-            name = ''
-            for line in stream:
-                kind, _, text = line.decode().rstrip('\n').partition(': ')
-                if kind == 'event':
-                    name = text
-                elif kind == 'data':
-                    self.heard.setdefault(name, []).append(json.loads(text))
+        while not self.latest().get('ended'):
+            time.sleep(0.5)
 
     def latest(self):
-        """What the page says to those who ask once."""
+        """What the page says."""
         with urllib.request.urlopen(f'{self.url}state.json', timeout=10) as answer:
             return json.load(answer)
 
     def ended(self):
-        """Wait for the end of the stream; True if it was said to be the end."""
+        """Wait for the thread; True if it was told the end."""
         self._thread.join(10)
-        return not self._thread.is_alive() and self.heard.get('ended') == [True]
+        return not self._thread.is_alive()
 
 
 def start_cell(graph, machine_file, truth):

@@ -66,10 +66,10 @@ def core_key():
 
 
 def core_ready():
-    """Whether .venv holds the core requirements; the first line of the stamp is not compared."""
+    """Whether .venv holds the core requirements."""
     try:
         with open(CORE_STAMP, encoding='utf-8') as file:
-            stamp = file.read().partition('\n')[2]
+            stamp = file.read()
     except OSError:
         return False
     return stamp == core_key() and os.access(PYTHON, os.X_OK)

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import layout
-import ros
 import workspace
 
 ROOT = Path(layout.ROOT)
@@ -63,7 +62,7 @@ class Check:
 
 def core_environment() -> dict[str, str]:
     hidden = ('ROS', 'RMW', 'AMENT', 'COLCON', 'CMAKE_PREFIX', 'FASTRTPS', 'FASTDDS', 'LD_LIBRARY')
-    env = {k: v for k, v in ros.clean(os.environ).items() if not k.startswith(hidden)}
+    env = {k: v for k, v in workspace.clean(os.environ).items() if not k.startswith(hidden)}
     return {**env, 'PYTHONPATH': str(ROOT / 'src/otf_core')}
 
 

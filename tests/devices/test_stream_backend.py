@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points as lines: two unlike formats over real sockets and a serial line, and bad lines."""
+"""Points as lines: two unlike formats over real sockets, and bad lines."""
 
-import itertools
 import json
-import os
-import pty
 import random
 import socket
 import time
@@ -82,31 +79,6 @@ def test_two_unlike_sources_give_the_points_and_times_that_were_sent(make, tmp_p
     # offset of the two clocks: common to all samples
     off = samples.stamp_ns / 1e9 - true
     assert np.ptp(off) < 0.01
-
-
-def test_serial_line_is_read_and_told_to_start_and_stop(make, tmp_path):
-    ours, theirs = pty.openpty()
-    try:
-        url = f'serial://{os.ttyname(theirs)}:115200'
-        changes = {'source': url, 'start': r'GO\r\n', 'stop': r'HALT\r\n'}
-        backend = make(described(tmp_path, **changes))
-        backend.connect()
-        backend.start()
-        assert os.read(ours, 100) == b'GO\r\n'
-        begun, number = time.monotonic(), itertools.count(1000)
-
-        def further():
-            stamp = time.monotonic() - begun
-            os.write(ours, f'{stamp:.6f};{next(number)};-20.5;7\n'.encode())
-            time.sleep(0.001)
-
-        samples = take(backend, 300, further)
-        np.testing.assert_allclose(samples.xyz[0], (1.0, -0.0205, 0.007), atol=1e-12)
-        backend.stop()
-        assert os.read(ours, 100) == b'HALT\r\n'
-    finally:
-        os.close(ours)
-        os.close(theirs)
 
 
 def test_host_stamps_are_taken_only_where_declared_and_with_a_warning(make, tmp_path):
@@ -275,26 +247,12 @@ def test_lines_of_text_between_points_are_no_trouble(make, tmp_path):
         assert said == {''} and backend.health.unreadable > 100
 
 
-def test_two_clocks_in_one_stream_are_said(make, tmp_path):
-    lines = [f'{k + 5000 * (k % 2)};10;20;30' for k in range(5000)]
-    with sender('tcp', CARTESIAN, lines=lines) as source:
-        backend = make(described(tmp_path, source=source.url, time='ms', stamp=0))
-        backend.connect()
-        backend.start()
-        until(lambda: 'do two sources send here' in backend.trouble)
-
-
-def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):
+def test_points_whose_times_repeat_are_left_out_and_counted(make, tmp_path):
     with sender('tcp', CARTESIAN, lines=['1;10;20;30', '1;11;20;30', '2;12;20;30']) as source:
         backend = make(described(tmp_path, source=source.url))
         backend.connect()
         backend.start()
-        until(
-            lambda: (
-                'time is not later than that of the point before; check stamp' in backend.trouble
-            )
-        )
-        assert backend.health.left_out['time had been there'] > 60
+        until(lambda: backend.health.left_out.get('time had been there', 0) > 60)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +260,6 @@ def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):
     [
         ({'source': 'http://x:1'}, "source: 'http://x:1'; give tcp://"),
         ({'source': 'tcp://x:70000'}, 'source: port 70000'),
-        ({'source': 'serial:///dev/null:123'}, 'source: 123 baud; possible: 9600'),
         ({'format': 'xml'}, "format: 'xml'; possible: text, json"),
         ({'length': 'cm'}, "length: 'cm'; possible: m, mm"),
         ({'length': None}, 'length: missing'),
@@ -317,15 +274,7 @@ def test_mistakes_in_a_description_are_said_by_their_key(tmp_path, changes, said
         read_description(described(tmp_path, **changes))
 
 
-@pytest.mark.parametrize(
-    'url',
-    [
-        'tcp://127.0.0.1:1',
-        'serial:///dev/none:9600',
-        'serial:///dev/null:9600',
-        'udp://no.such.host.invalid:9',
-    ],
-)
+@pytest.mark.parametrize('url', ['tcp://127.0.0.1:1', 'udp://no.such.host.invalid:9'])
 def test_source_that_cannot_be_opened_is_said_in_one_line(make, tmp_path, url):
     with pytest.raises(InputError, match='cannot be opened') as caught:
         make(described(tmp_path, source=url)).connect()

@@ -19,6 +19,8 @@ PATIENCE = 20.0
 class Scripted(Transport):
     """Gives what a script says, one step a call: bytes, a stream on or off, or its loss."""
 
+    datagrams, age_ns, dropped = False, 0, 0
+
     def __init__(self, *steps):
         self._steps, self.reader = iter(steps), None
         self.ready, self.done = threading.Event(), threading.Event()
@@ -105,15 +107,3 @@ def test_line_that_began_before_the_stream_is_read_whole(scripted):
     run = scripted(Scripted(*steps), columns={'x': 0, 'y': 1, 'z': 2}, stamp='host', time=None)
     points = run.poll().xyz
     np.testing.assert_allclose(points, [[0.0125, 0.02, 0.03], [0.004, 0.005, 0.006]])
-
-
-@pytest.mark.parametrize(('start', 'first'), [('', 0.004), ('GO', 0.001)])
-def test_line_that_a_serial_line_opens_within_is_left_out(scripted, start, first):
-    class Serial(Scripted):
-        cuts_in = True
-
-    changes = {'start': start} if start else {}
-    columns = {'x': 0, 'y': 1, 'z': 2}
-    steps = 'on', b'1;20;30\n4;5;6\n'
-    run = scripted(Serial(*steps), columns=columns, stamp='host', time=None, **changes)
-    assert run.poll().xyz[0, 0] == pytest.approx(first)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
@@ -17,8 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from otf_calibrator.intake import Intake, SignalBuffer, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.parts import PartReception
-from otf_calibrator.run import PathTaken
+from otf_calibrator.plans import Item, Reception
 from otf_calibrator.session import Session, Settings
 from otf_core.arrays import Array
 from otf_core.bags.bag_signals import topic_of
@@ -37,7 +35,7 @@ from otf_ros.definitions import message_text
 from otf_ros.drain import Drain
 from otf_ros.topic_watch import senders
 
-A = TypeVar('A')
+A = TypeVar('A', bound=Any)
 MOST_MISSED = 1000
 """Messages in a row that the publisher of the run may lose while there is another one."""
 GONE, GONE_BESIDE = 1.0, 10.0
@@ -131,58 +129,50 @@ class PathReceiver:
             return
         self._shown = path
         track = nominal_track(path.machine, path.parts, places, SHOWN_TURN)
-        now = self._node.get_clock().now().to_msg()
-        self._track.publish(convert.path_to_message(track, now))
+        self._track.publish(convert.path_to_message(track, convert.now(self._node)))
 
     def _receive_parts(self, messages: list[JointTrajectory], _: list[int | None]) -> None:
         for message in messages:
-            self._receive_part(message)
-
-    def _receive_part(self, message: JointTrajectory) -> None:
-        log, sender = self._node.get_logger(), senders(self._node, self._axes)
-        intake = self._session.intake
-        try:
-            part = convert.axes_from_message(message)
-            self.machine = load_machine(self._settings()[0].machine_file)
-            if not self.machine.rotary_names:
-                self._receive(convert.path_of_part(part.of(self.machine), message.header.stamp))
-                return
-            stamp_ns = ns_from_time(message.header.stamp)
-            data = encode_axes(part.axes, part.positions, stamp_ns, part.target)
-            heard = intake.take_part(part, self.machine, data, stamp_ns)
-        except OtfError as error:
-            log.error(f'{self._axes} of {sender} ignored: {error}')
-            return
-        text = f"part '{part.target}' of {len(part.positions)} corners"
-        if heard == PartReception.NEXT:
-            log.warning(f'{text} was published in mid-run by {sender}; {heard.value}')
-        elif heard != PartReception.KNOWN:
-            log.info(f'{text}, for {len(self._session.collector.buffer)} samples so far')
+            self._take(self._axes, message, self._read_part)
 
     def _receive(self, message: Path) -> None:
-        sender, log = senders(self._node, self._topic), self._node.get_logger()
+        self._take(self._topic, message, self._read_path)
+
+    def _take(self, topic: str, message: A, read: Callable[[A], tuple[Item, bytes, str]]) -> None:
+        """Hand over what a message holds, and state what becomes of it."""
+        sender, log = senders(self._node, topic), self._node.get_logger()
+        intake, collector = self._session.intake, self._session.collector
         try:
-            path = convert.path_from_message(message)
-            self.machine = load_machine(self._settings()[0].machine_file)
-            if self.machine.rotary_names:
-                raise InputError(
-                    f'{self.machine.name} has the rotary axes '
-                    f'{", ".join(self.machine.rotary_names)}; publish axis positions on '
-                    f'{self._axes}'
-                )
-            check_path(path, self.machine)
+            self.machine = intake.machine = load_machine(self._settings()[0].machine_file)
+            item, data, words = read(message)
+            heard = intake.take_path(item, data, ns_from_time(message.header.stamp))
         except OtfError as error:
-            log.error(f'{self._topic} of {sender} ignored: {error}')
+            log.error(f'{topic} of {sender} ignored: {error}')
             return
+        if heard == Reception.NEXT:
+            text = f'another {words}, was published in mid-run by {sender}; {heard.value}'
+            collector.remarks.append(text)
+            log.warning(text)
+        elif heard != Reception.KNOWN:
+            log.info(f'new {words}, for {len(collector.buffer)} samples so far')
+
+    def _read_part(self, message: JointTrajectory) -> tuple[Item, bytes, str]:
+        part, stamp = convert.axes_from_message(message), message.header.stamp
+        if not self.machine.rotary_names:
+            return self._read_path(convert.path_of_part(part.of(self.machine), stamp))
+        data = encode_axes(part.axes, part.positions, ns_from_time(stamp), part.target)
+        return part, data, f"part, '{part.target}' of {len(part.positions)} corners"
+
+    def _read_path(self, message: Path) -> tuple[Item, bytes, str]:
+        path = convert.path_from_message(message)
+        if self.machine.rotary_names:
+            raise InputError(
+                f'{self.machine.name} has the rotary axes {", ".join(self.machine.rotary_names)}; '
+                f'publish axis positions on {self._axes}'
+            )
+        check_path(path, self.machine)
         data = serialize_message(convert.path_for_journal(message))
-        fate = self._session.intake.take_path(path, data)
-        collector, points = self._session.collector, len(message.poses)
-        if fate == PathTaken.USED:
-            log.info(f'new path of {points} points, for {len(collector.buffer)} samples so far')
-        elif fate == PathTaken.NEXT:
-            text = f'another path, of {points} points, was published in mid-run by {sender}'
-            collector.remarks.append(f'{text}; {fate.value}')
-            log.warning(collector.remarks[-1])
+        return path, data, f'path, of {len(message.poses)} points'
 
 
 def status_of(message: TrackerStatus) -> Status:
@@ -219,8 +209,7 @@ def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
 def _take(node: Node, intake: Intake, spec: SignalSpec, message: Any) -> None:
     """Take a value at its stamp; one without a stamp at its time of reception."""
     header = getattr(message, 'header', None)
-    now = node.get_clock().now().nanoseconds or time.time_ns()  # a bag that is played has a clock
-    stamp = now if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+    stamp = convert.now_ns(node) if header is None else ns_from_time(header.stamp)
     value = float(getattr(message, SIGNAL_FIELDS[spec.type]))
     intake.take_signal(spec, stamp, value, serialize_message(message))
 

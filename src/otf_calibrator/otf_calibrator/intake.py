@@ -9,20 +9,21 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_calibrator.parts import PartReception, PartsCollector
-from otf_calibrator.run import Collector, PathTaken, lost_words
+from otf_calibrator.plans import Item, Plans, Reception
+from otf_calibrator.run import Collector, lost_words
 from otf_calibrator.worker import Request
 from otf_core.bags.bag_signals import MIN_MESSAGES, read_signals, signal_of, topic_of
 from otf_core.bags.cdr import DecodedPoints, decode_axes, decode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.rosbag2_metadata import AXES, GAP, PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import AXES, GAP, PATH, POINT, STATUS, Topic
 from otf_core.bags.sample_order import screen_points
 from otf_core.errors import InputError
-from otf_core.model.axis_path import AxisPath, PartsTrack, nominal_track
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.machine import TOOL, Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -94,7 +95,7 @@ class Intake:
     Attributes
     ----------
     machine : Machine or None
-        As described when the last part arrived, or at the start.
+        As described when the last path or part arrived, or at the start.
     """
 
     def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
@@ -102,48 +103,37 @@ class Intake:
         self.journal: Journal | None = None
         self.signals = SignalBuffer()
         self.machine: Machine | None = None
-        self._parts = PartsCollector()
+        self._plans = Plans()
         self._left_out, self._second = 0, ''
         self._gaps: set[bytes] = set()
         self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
         self._size = np.zeros(0, np.int64)  # of the run with each of them
         self._at = self._held_at = 0
 
-    def take_path(self, path: NominalPath, message: bytes) -> PathTaken:
-        """Use a path; its message goes to the journal if it is that of the run."""
-        fate = self._collector.set_path(path, message)
-        if fate == PathTaken.USED and self.journal:
-            self.journal.message(PATH, message)
-        return fate
-
-    def take_part(
-        self, part: AxisPath, machine: Machine, message: bytes, stamp_ns: int
-    ) -> PartReception:
-        """Use a part of a run of a machine with rotary axes.
+    def take_path(self, item: Item, message: bytes, stamp_ns: int = 0) -> Reception:
+        """Use a path, or a part of a run of a machine with rotary axes.
 
         Raises
         ------
         InputError
-            If the part is not of this machine.
+            If a part is not of this machine.
         """
-        part.of(machine)
-        collector, now = self._collector, time.monotonic()
-        self.machine = machine
-        heard = self._parts.take(part, message, stamp_ns, now, collector.driving)
-        if heard in (PartReception.ADDED, PartReception.NEW):
-            self._use_parts(further=heard == PartReception.ADDED)
+        if isinstance(item, AxisPath):
+            assert self.machine is not None, 'known at the start'
+            item.of(self.machine)
+        now, driving = time.monotonic(), self._collector.driving
+        heard = self._plans.take(item, message, stamp_ns, now, driving)
+        if heard in (Reception.ADDED, Reception.NEW):
+            self._collector.set_path(self._track(), further=heard == Reception.ADDED)
+            self._journal_plan()
         return heard
 
-    def _use_parts(self, *, further: bool) -> None:
-        """Use the parts of the plan for the run."""
-        self._collector.set_parts(self._track(), further=further)
+    def _journal_plan(self) -> None:
         if self.journal:
-            self.journal.message(AXES, *self._parts.plan.messages)
+            self.journal.message(self._plans.plan.topic, *self._plans.plan.messages)
 
-    def _track(self) -> PartsTrack:
-        """Track of the parts of the plan."""
-        assert self.machine is not None, 'of which the parts are'
-        return nominal_track(self.machine, self._parts.plan.parts)
+    def _track(self) -> NominalPath:
+        return self._plans.plan.track(cast('Machine', self.machine))  # asked of parts alone
 
     def take_gap(self, message: bytes) -> None:
         """Journal a gap of the stream that the driver reports; it repeats it after a restart."""
@@ -201,14 +191,11 @@ class Intake:
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
 
     def _prepare_next(self) -> None:
-        """Use the path or plan that was published during the run, if one was."""
-        collector, self._left_out = self._collector, 0
-        if collector.use_next_path() and self.journal:
-            self.journal.message(PATH, collector.path_message)
-        if self._parts.use_next_plan():
-            collector.path = self._track()
-            if self.journal:
-                self.journal.message(AXES, *self._parts.plan.messages)
+        """Use the plan that was published during the run, if one was."""
+        self._left_out = 0
+        if self._plans.use_next():
+            self._collector.path = self._track()
+            self._journal_plan()
 
     def decide(self, may_end: bool = True) -> None:
         """Assign the latest samples to a run if it is known by now to which."""
@@ -290,13 +277,9 @@ class Intake:
                             self._collector.screening.foreign(content.foreign)
                         self._take(content.stamp_ns, content.xyz)
                         self._write_known()
-                    elif topic == PATH:
-                        path = NominalPath(decode_path(content, PATH.frame))
-                        self._collector.set_path(path, content)
-                        journal.message(PATH, content)
-                    elif topic == AXES:
-                        wrong = wrong or self._restore_part(content)
-                        journal.keep(AXES, *self._parts.plan.messages)
+                    elif topic in (PATH, AXES):
+                        wrong = wrong or self._restore(topic, content)
+                        journal.keep(topic, *self._plans.plan.messages)
                     elif topic == GAP:
                         self._gaps.add(content)
                     else:
@@ -313,17 +296,20 @@ class Intake:
             said += [f'its parts are not of this machine: {wrong}'] if wrong else []
         return '; '.join(said)
 
-    def _restore_part(self, message: bytes) -> str:
-        """Restore a part of a resumed run; return what is wrong with it, empty if nothing."""
-        frame, names, positions = decode_axes(message)
-        part = AxisPath(names, positions, frame or TOOL)
-        try:
-            assert self.machine is not None, 'known at the start'
-            part.of(self.machine)
-        except InputError as error:
-            return str(error)
-        self._parts.restore(part, message, time.monotonic())
-        self._collector.set_parts(self._track(), further=True)
+    def _restore(self, topic: Topic, message: bytes) -> str:
+        """Restore a path or part of a resumed run; return what is wrong with it, if anything."""
+        item: Item
+        if topic == PATH:
+            item = NominalPath(decode_path(message, PATH.frame))
+        else:
+            frame, names, positions = decode_axes(message)
+            item = AxisPath(names, positions, frame or TOOL)
+            try:
+                item.of(cast('Machine', self.machine))
+            except InputError as error:
+                return str(error)
+        self._plans.restore(item, message, time.monotonic())
+        self._collector.set_path(self._track(), further=topic == AXES)
         return ''
 
     def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:

@@ -18,7 +18,7 @@ from otf_calibrator.session import Session
 from otf_calibrator.worker import check_files
 from otf_core.config import CalibrationConfig
 from otf_msgs.msg import TrackerGap, TrackerStatus
-from otf_ros import app, convert, qos, services
+from otf_ros import convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
@@ -127,12 +127,3 @@ class Calibrator(Node):
 def _when(names: Collection[str]) -> str:
     """When parameters count, if not at once."""
     return 'counts at the next calibration' if AT_CALIBRATION & set(names) else ''
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    return app.run(Calibrator, args)
-
-
-if __name__ == '__main__':
-    raise SystemExit(main())

@@ -26,7 +26,7 @@ from otf_core.live.stages import TimeLeft
 from otf_core.model.axis_path import PartsTrack
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import CalibratorState, ErrorTables, GapReport, VolumeErrors
-from otf_ros import convert_gap, convert_result, qos
+from otf_ros import convert, convert_gap, convert_result, qos
 from otf_ros.diagnostics import PERIOD, Diagnostics, Finding, Level, disk, memory
 
 try:
@@ -136,7 +136,7 @@ class StatePublisher:
             stream_id=collector.stream_id,
             taken=self._taken,
         )
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = convert.now(self._node)
         self._publisher.publish(message)
 
     def _warn(self, troubles: list[str]) -> None:
@@ -228,7 +228,7 @@ class OutcomePublisher:
     """
 
     def __init__(self, node: Node, session: Session, state: StatePublisher) -> None:
-        self._clock, self._log = node.get_clock(), node.get_logger()
+        self._node, self._log = node, node.get_logger()
         self._session, self._state = session, state
         self.latest: ResultMessage | None = None
         self._unpublished: Request | None = None
@@ -252,7 +252,7 @@ class OutcomePublisher:
                 error, self._unpublished = defect, job.result().request
         text, code = self._words(error)
         if not isinstance(error, Cancelled):
-            now = self._clock.now().to_msg()
+            now = convert.now(self._node)
             self._tell(convert_result.failure_to_message(code, text, now))
         text += self._session.intake.journal_words()
         if isinstance(error, Cancelled):
@@ -262,7 +262,7 @@ class OutcomePublisher:
 
     def _publish(self, outcome: CalibrationOutput) -> None:
         """Publish a calibration, tables first, the result last."""
-        now, request, result = self._clock.now().to_msg(), outcome.request, outcome.result
+        now, request, result = convert.now(self._node), outcome.request, outcome.result
         messages = convert_result.messages_of(
             result, now, request.files.method, provisional=not request.final
         )
@@ -290,7 +290,7 @@ class OutcomePublisher:
 
     def publish_sight(self, sight: FirstSight) -> None:
         """Publish where the tracker stands."""
-        now = self._clock.now().to_msg()
+        now = convert.now(self._node)
         self._place_tracker(convert_result.alignment_to_message(sight.T_machine_tracker, now))
         self._log.info(sight.words)
 
@@ -301,14 +301,14 @@ class OutcomePublisher:
             self._undiagnosed(outcome, *reversed(self._words(error)))
             return
         answer = diagnosis.answer.result()
-        message = convert_gap.gap_to_message(answer, self._clock.now().to_msg())
+        message = convert_gap.gap_to_message(answer, convert.now(self._node))
         message.output_directory = str(outcome.folder)
         self._tell_gap(message, outcome)
         text = f'{answer["verdict"]}: {answer["sentence"]} Files in {outcome.folder}'
         self._state.diagnosed(1.0, text)
 
     def _undiagnosed(self, outcome: CalibrationOutput, code: int, text: str) -> None:
-        now = self._clock.now().to_msg()
+        now = convert.now(self._node)
         self._tell_gap(convert_gap.gap_failure_to_message(code, text, now), outcome)
         words = f'no diagnosis: {text}; correct it and call calibrator/diagnose'
         self._state.diagnosed(0.0, words)

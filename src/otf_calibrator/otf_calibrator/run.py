@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
@@ -52,8 +51,6 @@ NEARLY = 0.9
 does so whatever the driver says."""
 BEGUN = 0.05
 """The same before the state speaks of the next run instead of the last result."""
-SAME_PATH = 1e-6
-"""m; paths that differ by less are the same."""
 
 
 @dataclass
@@ -148,14 +145,6 @@ def lost_words(count: int) -> str:
     return f'{count} samples were lost on the way'
 
 
-class PathTaken(Enum):
-    """What becomes of a path that arrives."""
-
-    KNOWN = 'it is known already'
-    USED = 'from now on the samples are compared with it'
-    NEXT = 'it is kept for the next run; calibrator/reset switches to it at once'
-
-
 class Collector:
     """Buffers the samples of a run without loss and decides when the run is complete.
 
@@ -168,8 +157,8 @@ class Collector:
 
     Attributes
     ----------
-    path_message : bytes
-        The path as it was received.
+    path : NominalPath or None
+        Of a machine with rotary axes the track of all parts.
     buffer : SampleBuffer
         Samples of the present run.
     screening : Screening
@@ -195,8 +184,6 @@ class Collector:
     ) -> None:
         self._config, self._set_aside = config, set_aside
         self.path: NominalPath | None = None
-        self.path_message = b''
-        self._next_path: tuple[NominalPath, bytes] | None = None
         self.buffer = SampleBuffer()
         self.screening = Screening()
         self.remarks: list[str] = []
@@ -280,40 +267,17 @@ class Collector:
         """Whether a run is being driven; not yet where the target only moves on after one."""
         return not self.taken and self.travelled > MOTION and not self.beginning
 
-    def set_path(self, path: NominalPath, message: bytes = b'') -> PathTaken:
-        """Use a path, or keep it for the next run; samples before the first path are kept."""
-        if self.path is not None:
-            waiting, self._next_path = self._next_path, None
-            if _same(path, self.path):
-                return PathTaken.KNOWN
-            if self.driving:
-                self._next_path = path, message
-                known = waiting is not None and _same(path, waiting[0])
-                return PathTaken.KNOWN if known else PathTaken.NEXT
-            if self.taken or len(self.buffer):
-                self._next_run('another path was published')
-        self.path, self.path_message = path, message
-        self._watch()
-        return PathTaken.USED
-
-    def use_next_path(self) -> bool:
-        """Use the path that was published during the run; return whether there is one."""
-        if self._next_path is None:
-            return False
-        (self.path, self.path_message), self._next_path = self._next_path, None
-        return True
-
-    def set_parts(self, path: PartsTrack, *, further: bool) -> None:
-        """Use the parts of a machine with rotary axes; samples that arrived before are kept.
+    def set_path(self, path: NominalPath, *, further: bool = False) -> None:
+        """Use a path; samples that arrived before the first one are kept.
 
         Parameters
         ----------
         further : bool
-            They continue the parts that are known, and the run goes on; otherwise the samples so
-            far are set aside.
+            It continues the one that is known, and the run goes on; otherwise the samples so far
+            are set aside.
         """
         if self.path is not None and not further and (self.taken or len(self.buffer)):
-            self._next_run('other parts were published')
+            self._next_run('another path was published')
         self.path = path
         self._watch()
 
@@ -530,8 +494,3 @@ class Collector:
             samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True
         ):
             self.watcher.add(stamp_ns, x, y, z)
-
-
-def _same(a: NominalPath, b: NominalPath) -> bool:
-    shape = a.points.shape == b.points.shape
-    return shape and bool(np.max(np.abs(a.points - b.points)) < SAME_PATH)

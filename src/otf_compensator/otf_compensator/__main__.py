@@ -5,11 +5,7 @@ from __future__ import annotations
 
 from otf_ros import entry
 
-
-def main() -> int:
-    """Run the node; returns the exit code."""
-    return entry.main('otf_compensator.node')
-
+main = entry.node('otf_compensator.node', 'Compensator')
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
-from std_msgs.msg import Header
 
 from otf_compensator.tables import Tables
 from otf_core.errors import OtfError
 from otf_msgs.msg import Compensation
 from otf_msgs.srv import Compensate
-from otf_ros import frames
+from otf_ros import convert
 
 
 class CompensationServer:
@@ -38,8 +37,7 @@ class CompensationServer:
     def _on_request(
         self, request: Compensate.Request, response: Compensate.Response
     ) -> Compensate.Response:
-        stamp = self._node.get_clock().now().to_msg()
-        header = Header(stamp=stamp, frame_id=frames.machine())
+        header = convert.header(convert.now(self._node))
         try:
             tables = self._tables_in_use()
             points = tables.points([(p.x, p.y, p.z) for p in request.wanted], request.turned)

@@ -9,9 +9,8 @@ from otf_compensator.answers import CompensationServer
 from otf_compensator.params import CompensatorConfig
 from otf_compensator.tables import Tables
 from otf_core.errors import InputError, OtfError
-from otf_core.threads import one_thread
 from otf_msgs.msg import ErrorTables
-from otf_ros import app, qos, services
+from otf_ros import qos, services
 from otf_ros.diagnostics import PERIOD as DIAGNOSED_EVERY
 from otf_ros.diagnostics import Diagnostics, Finding, Level, memory
 from otf_ros.lifecycle import SteadyLifecycleNode
@@ -136,13 +135,3 @@ class Compensator(SteadyLifecycleNode):
         if self._tables is None or not self._active:
             raise InputError(INACTIVE)
         return self._tables
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    with one_thread():
-        return app.run(Compensator, args)
-
-
-if __name__ == '__main__':
-    raise SystemExit(main())

@@ -18,7 +18,7 @@ from otf_core.errors import OtfError
 from otf_msgs.msg import Plan
 from otf_path_planner.params import PlannerFiles
 from otf_path_planner.planning import check_files, make_plan, read_machine
-from otf_ros import app, convert, qos, services
+from otf_ros import convert, qos, services
 from otf_ros.params import NodeParameters
 
 
@@ -48,7 +48,7 @@ class PathPlanner(Node):
         files, config = self._settings.read(PlannerFiles), self._settings.read(PlannerConfig)
         machine = read_machine(files)
         plan, track = make_plan(machine, files, config)
-        now = self.get_clock().now().to_msg()
+        now = convert.now(self)
         if plan.is_plain:
             self._path_publisher.publish(convert.path_to_message(plan.path, now))
         for part in () if plan.is_plain else plan.parts:
@@ -74,12 +74,3 @@ class PathPlanner(Node):
 def _when(names: Collection[str]) -> str:
     """State when parameters count that are set now."""
     return 'counts when planner/replan is called' if set(names) - {'use_sim_time'} else ''
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    return app.run(PathPlanner, args)
-
-
-if __name__ == '__main__':
-    raise SystemExit(main())

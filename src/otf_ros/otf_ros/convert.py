@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
+from rclpy.node import Node
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -35,14 +38,43 @@ def time_from_ns(stamp_ns: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def ns_from_time(time: Time) -> int:
+def ns_from_time(stamp: Time) -> int:
     """Return integer nanoseconds of a message time."""
-    return int(time.sec) * NS + int(time.nanosec)
+    return int(stamp.sec) * NS + int(stamp.nanosec)
+
+
+def now_ns(node: Node) -> int:
+    """Time of the graph, ns: of the computer, or of ``/clock`` once it is there."""
+    return node.get_clock().now().nanoseconds or time.time_ns()
+
+
+def now(node: Node) -> Time:
+    """The same for a message."""
+    return time_from_ns(now_ns(node))
 
 
 def header(stamp: Time, frame: str = '') -> Header:
     """Return a header; of the frame of the machine, if no other is named."""
     return Header(stamp=stamp, frame_id=frame or frames.machine())
+
+
+def fields_of(kind: Any, source: object, **own: Any) -> dict[str, Any]:
+    """Fields of a message that an object has under the same name; arrays as lists.
+
+    Parameters
+    ----------
+    **own : object
+        Fields that are not as they are there.
+    """
+    names = [name for name in kind.get_fields_and_field_types() if hasattr(source, name)]
+    found = {name: getattr(source, name) for name in names} | own
+    return {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in found.items()}
+
+
+def columns_of(entries: Mapping[str, Any], name: str, *columns: str) -> dict[str, list[Any]]:
+    """Fields of a message that list entries of a document: NAME their names, NAME_column."""
+    values = {f'{name}_{c}': [getattr(e, c) for e in entries.values()] for c in columns}
+    return {name: list(entries), **values}
 
 
 def points_to_messages(samples: Samples) -> Iterator[PointStamped]:

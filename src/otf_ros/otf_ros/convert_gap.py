@@ -4,17 +4,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Vector3
 
 from otf_msgs.msg import GapCause, GapPlace, GapReport
 from otf_ros.convert import header
 
-UM = 1e-6
+SI = {'_um': 1e-6, '_percent': 1e-2}
+"""Factor to SI units by the end of a name, which the fields of the messages lack."""
 GROUPING = 'by_'
 """Begins the names of the lists of places in gap.json."""
+
+
+def _si(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return numbers in SI units, under names without a unit, and all else as it is."""
+    found = {}
+    for name, value in data.items():
+        end = next((end for end in SI if name.endswith(end)), '')
+        array = np.multiply(value, SI[end]).tolist() if end else value
+        found[name.removesuffix(end)] = array
+    return found
+
+
+def _fields(kind: Any, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a message that data have under the same name, in SI units."""
+    known = kind.get_fields_and_field_types()
+    return {
+        name: float(value) if known[name] == 'double' else value
+        for name, value in _si(data).items()
+        if name in known
+    }
 
 
 def gap_to_message(data: Mapping[str, Any], stamp: Time) -> GapReport:
@@ -25,34 +48,33 @@ def gap_to_message(data: Mapping[str, Any], stamp: Time) -> GapReport:
     data : mapping
         In the layout of gap.json.
     """
-    gap, unexplained, where = data['gap'], data['unexplained'], data['where']
-    low, high = gap['shrink_interval_percent']
-    smallest = data['smallest_found_um']
+    gap, unexplained, where = _si(data['gap']), data['unexplained'], data['where']
+    smallest, hidden, considered = (
+        data[name] for name in ('smallest_found_um', 'not_visible', 'considered')
+    )
     return GapReport(
         header=header(stamp),
         status=GapReport.OK,
         message=data['sentence'],
         runs=list(data['runs']),
         verdict=data['verdict'],
-        measured=UM * gap['measured_um'],
-        simulated=UM * gap['simulated_um'],
-        gap_before=UM * gap['before_um'],
-        gap_after=UM * gap['after_um'],
-        shrink=gap['shrink_percent'] / 100,
-        shrink_low=low / 100,
-        shrink_high=high / 100,
+        **_fields(GapReport, data['gap']),
+        gap_before=gap['before'],
+        gap_after=gap['after'],
+        shrink_low=gap['shrink_interval'][0],
+        shrink_high=gap['shrink_interval'][1],
         causes=[_cause(cause) for cause in data['causes']],
-        table_change=UM * data['table_change_um'],
-        unexplained=UM * unexplained['rms_um'],
+        table_change=SI['_um'] * data['table_change_um'],
+        unexplained=_si(unexplained)['rms'],
         unexplained_where=unexplained['where'],
-        not_visible=[hidden['effect'] for hidden in data['not_visible']],
-        not_visible_needs=[hidden['needs'] for hidden in data['not_visible']],
+        not_visible=[one['effect'] for one in hidden],
+        not_visible_needs=[one['needs'] for one in hidden],
         where=where['summary'],
         places=list(_places(where)),
-        considered=[rival['effect'] for rival in data['considered']],
-        log_odds=[rival['log_odds'] for rival in data['considered']],
+        considered=[rival['effect'] for rival in considered],
+        log_odds=[rival['log_odds'] for rival in considered],
         effects=list(smallest),
-        smallest_found=[UM * size for size in smallest.values()],
+        smallest_found=[SI['_um'] * size for size in smallest.values()],
     )
 
 
@@ -62,47 +84,36 @@ def gap_failure_to_message(exit_code: int, text: str, stamp: Time) -> GapReport:
 
 
 def _cause(cause: Mapping[str, Any]) -> GapCause:
-    names = list(cause['parameters'])
+    names, si = list(cause['parameters']), _si(cause)
+    given = {k: v for k, v in cause.items() if k != 'u'}  # there by the names of parameters
     return GapCause(
-        effect=cause['effect'],
-        axes=list(cause['axes']),
+        **_fields(GapCause, given),
         parameter=names,
         value=[float(cause['parameters'][name]) for name in names],
         u=[float(cause['u'].get(name, math.nan)) for name in names],
         unit=[cause['units'][name] for name in names],
-        gap_before=UM * cause['before_um'],
-        gap_after=UM * cause['after_um'],
-        shrink=cause['shrink_percent'] / 100,
-        confidence=float(cause['confidence']),
-        indistinguishable_from=list(cause['indistinguishable_from']),
+        gap_before=si['before'],
+        gap_after=si['after'],
     )
 
 
 def _places(where: Mapping[str, Any]) -> Iterator[GapPlace]:
     for name, rows in where.items():
-        if not name.startswith(GROUPING):
-            continue
-        for row in rows:
+        for row in rows if name.startswith(GROUPING) else ():
+            si = _si(row)
+            mean = si.pop('mean', (0.0, 0.0, 0.0))
+            leg = {'start': si.pop('from', ()), 'end': si.pop('to', ())}
             place = GapPlace(
+                **_fields(GapPlace, {'leg': -1, **si}),
                 grouping=name.removeprefix(GROUPING),
-                kind=row['kind'],
-                label=row['label'],
-                measured=UM * row['rms_um'],
-                expected=UM * row['expected_um'],
-                significance=float(row['significance']),
-                pieces=row['pieces'],
-                legs=row['legs'],
-                leg=row.get('leg', -1),
+                measured=si['rms'],
             )
             if place.leg >= 0:
-                _add_leg(place, row)
+                # of a machine with rotary axes their angles follow
+                place.start, place.end = (Point(**_xyz(p)) for p in leg.values())
+                place.mean = Vector3(**_xyz(mean))
             yield place
 
 
-def _add_leg(place: GapPlace, row: Mapping[str, Any]) -> None:
-    place.time = row['time']
-    for point, name in ((place.start, 'from'), (place.end, 'to')):
-        point.x, point.y, point.z = row[name][
-            :3
-        ]  # of a machine with rotary axes their angles follow
-    place.mean.x, place.mean.y, place.mean.z = (UM * part for part in row['mean_um'])
+def _xyz(values: Sequence[float]) -> dict[str, float]:
+    return dict(zip('xyz', values, strict=False))

@@ -33,7 +33,13 @@ from otf_msgs.msg import ErrorTable, TargetPlace
 from otf_msgs.msg import ErrorTables as TablesMessage
 from otf_msgs.msg import VolumeErrors as VolumeMessage
 from otf_ros import frames
-from otf_ros.convert import header, time_from_ns, transform_to_message
+from otf_ros.convert import (
+    columns_of,
+    fields_of,
+    header,
+    time_from_ns,
+    transform_to_message,
+)
 
 MACHINE_STATES = {
     NOT_STATED: ResultMessage.LIMITS_NOT_STATED,
@@ -50,17 +56,13 @@ def _tables_to_messages(document: CalibrationDocument) -> list[ErrorTable]:
     """Return one message per error motion, EXX to ECZ first."""
     return [
         ErrorTable(
-            motion=name,
-            axis=table.axis,
-            unit=table.unit,
-            position_unit=table.position_unit,
-            position=table.position.tolist(),
-            value=table.value.tolist(),
-            u=table.u.tolist(),
-            u_run=table.u_run.tolist(),
-            identifiable=table.identifiable,
-            node_identifiable=table.nodes_seen.tolist(),
-            gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
+            **fields_of(
+                ErrorTable,
+                table,
+                motion=name,
+                node_identifiable=table.nodes_seen,
+                gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
+            )
         )
         for name, table in document.motions.items()
     ]
@@ -69,7 +71,7 @@ def _tables_to_messages(document: CalibrationDocument) -> list[ErrorTable]:
 def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> TablesMessage:
     """Return all errors of one calibration; where its files lie is left empty."""
     document, run = result.document, result.origin[0]
-    machine, squareness, location = document.machine, document.squareness, document.location
+    machine, columns = document.machine, ('value', 'u', 'u_run', 'identifiable')
     return TablesMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -78,16 +80,8 @@ def tables_to_message(result: CalibrationResult, stamp: Time, method: str) -> Ta
         method=method,
         passed=not result.failed_gates,
         tables=_tables_to_messages(document),
-        squareness=list(squareness),
-        squareness_value=[entry.value for entry in squareness.values()],
-        squareness_u=[entry.u for entry in squareness.values()],
-        squareness_u_run=[entry.u_run for entry in squareness.values()],
-        squareness_identifiable=[entry.identifiable for entry in squareness.values()],
-        location=list(location),
-        location_value=[entry.value for entry in location.values()],
-        location_u=[entry.u for entry in location.values()],
-        location_u_run=[entry.u_run for entry in location.values()],
-        location_identifiable=[entry.identifiable for entry in location.values()],
+        **columns_of(document.squareness, 'squareness', *columns),
+        **columns_of(document.location, 'location', *columns),
         targets=[
             TargetPlace(
                 name=name,
@@ -141,15 +135,7 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         method=method,
         tracker_link=machine.tracker.link,
         alignment=transform_to_message(result.T_machine_tracker),
-        samples=fit.samples,
-        used=fit.used,
-        pieces=fit.pieces,
-        unknowns=fit.unknowns,
-        rank=fit.rank,
-        coverage=fit.coverage,
-        path_mae_before=fit.path_mae_before,
-        path_mae_after=fit.path_mae_after,
-        residual_rms=fit.residual_rms,
+        **fields_of(ResultMessage, fit),
         volumetric_error_mean=first.error['mean'],
         volumetric_error_largest=first.error['max'],
         u_mean=first.u['mean'],
@@ -161,8 +147,7 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         motions=list(sizes),
         motion_largest=[largest for largest, _ in sizes.values()],
         motion_u=[u for _, u in sizes.values()],
-        location=list(location),
-        location_value=[entry.value for entry in location.values()],
+        **columns_of(location, 'location', 'value'),
         location_u=[v.u if v.identifiable else math.nan for v in location.values()],
         not_identifiable=list(result.not_identifiable),
         needs=[result.advice.get(name, '') for name in result.not_identifiable],

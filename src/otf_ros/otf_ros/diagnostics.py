@@ -13,7 +13,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from otf_ros import qos
+from otf_ros import convert, qos
 from otf_ros.timers import create_timer
 
 PERIOD = 1.0
@@ -71,7 +71,7 @@ class Diagnostics:
     def _publish(self) -> None:
         name, hardware = self._node.get_fully_qualified_name().lstrip('/'), self._hardware()
         message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = convert.now(self._node)
         for task, look in self._tasks.items():
             finding = look()
             message.status.append(

@@ -14,6 +14,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from otf_ros import qos as qos_profiles
 from otf_ros.timers import create_timer
 
 AT_ONCE = 500
@@ -34,6 +35,10 @@ class PolledSubscription(CallbackGroup):
 
     def ending_execution(self, entity: Any) -> None:
         """Nothing was begun."""
+
+
+def _never(message: Any) -> None:
+    raise AssertionError('the message is asked for')
 
 
 class Drain:
@@ -64,13 +69,9 @@ class Drain:
         self._callback = callback
         self._depth = qos.depth
         self.subscription = node.create_subscription(
-            msg_type, topic, self._never, qos, callback_group=PolledSubscription()
+            msg_type, topic, _never, qos, callback_group=PolledSubscription()
         )
         self._timer = create_timer(node, period, self.take_turn)
-
-    @staticmethod
-    def _never(message: Any) -> None:
-        raise AssertionError('the timer reads this subscription')
 
     def take_turn(self) -> None:
         """Hand over what is pending, but only so much that other work gets its turn."""
@@ -93,3 +94,26 @@ class Drain:
                 numbers.append(received[1]['publication_sequence_number'])
         if messages:
             self._callback(messages, numbers)
+
+
+class LatestMessage:
+    """A subscription of which only the newest message is read, when it is asked for.
+
+    Parameters
+    ----------
+    msg_type : type
+        Message class.
+    """
+
+    def __init__(self, node: Node, msg_type: type, topic: str) -> None:
+        group = PolledSubscription()
+        self._subscription = node.create_subscription(
+            msg_type, topic, _never, qos_profiles.GLANCE, callback_group=group
+        )
+
+    def newest(self) -> Any | None:
+        """Return the newest message if there is one that was not returned before."""
+        handle = self._subscription.handle
+        with handle:
+            received = handle.take_message(self._subscription.msg_type, False)
+        return received[0] if received else None

@@ -30,7 +30,6 @@ import sys
 import time
 from collections import deque
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,10 +197,6 @@ class Line:
         drift = self.rate * (np.asarray(device_ns) - self.origin)
         return np.asarray(self.base + np.rint(drift).astype(np.int64))
 
-    def ahead(self, step_ns: int) -> Line:
-        """Return the same of a clock that is ahead of this one by a step."""
-        return replace(self, origin=self.origin + step_ns, base=self.base - step_ns)
-
 
 def lower_line(
     device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64], known: ClockPrior = NOTHING
@@ -310,18 +305,6 @@ LATE_FOR = 5 * 10**9
 """ns; if all packets are late for so long, the clock has jumped back. A backlog that is read at
 once, after this process stood still, is late, too, but does not come for so long; a pause in which
 nothing comes counts for ``HELD_UP``."""
-RAISED = 3 * 10**6
-"""ns; and if the least late ones of ``RAISED_FOR`` are late by more, beyond the usual delay."""
-RAISED_FOR = 40
-"""buckets"""
-
-
-class Verdict(Enum):
-    """What a packet means for those that wait for their stamps."""
-
-    WAIT = 'the line is not known yet, or in doubt'
-    STAMP = 'the line holds'
-    STEPPED = 'the line holds, on a clock that has jumped within the packet'
 
 
 @dataclass(frozen=True)
@@ -369,12 +352,11 @@ class DeviceClock:
     """
 
     def __init__(self) -> None:
-        self._line: Line | None = None
+        self.line: Line | None = None
         self.ended: Line | None = None
         self.epoch = 0
         self._packets = self._jumps = self._late = 0
         self._delay = self._spread = 0.0
-        self._ahead = 0
         self._points: deque[tuple[int, int]] = deque()
         self._suspects: list[tuple[int, int]] = []
         self._late_ns = 0
@@ -383,27 +365,22 @@ class DeviceClock:
         self._quickest = NEVER
 
     @property
-    def line(self) -> Line | None:
-        """Host minus device time."""
-        return self._line and self._line.ahead(self._ahead)
-
-    @property
     def state(self) -> ClockState:
         """What is known now."""
-        rate = self._line.rate if self._line else 0.0
-        known = self._line is not None
+        rate = self.line.rate if self.line else 0.0
+        known = self.line is not None
         numbers = self._spread, self._delay, self._jumps, self._late
         return ClockState(known, self._packets, rate, *numbers)
 
     def restart(self) -> None:
         """Begin a new epoch: the device's clock starts again, at the rate that it has."""
         self.epoch += 1
-        if self._line is not None:
+        if self.line is not None:
             delay = max(self._spread * 1e9, 1.0)
-            u_rate = math.hypot(self._line.u_rate, WANDERS)
-            self._known = ClockPrior(self._line.rate, u_rate, delay)
+            u_rate = math.hypot(self.line.u_rate, WANDERS)
+            self._known = ClockPrior(self.line.rate, u_rate, delay)
         self._known = replace(self._known, floor=None, ceiling=None)
-        self._line, self._ahead = None, 0
+        self.line = None
         self._points.clear()
         self._suspects.clear()
 
@@ -422,34 +399,24 @@ class DeviceClock:
         ceiling = ordered_ns + latest if latest < NEVER else None
         self._known = replace(self._known, floor=ordered_ns, ceiling=ceiling)
 
-    def take(self, device_ns: int, arrival_ns: int, step_ns: int = 0) -> Verdict:
-        """Take the time of a packet's last sample on both clocks.
-
-        ``step_ns`` is what the samples of the packet skip beyond their interval. If the packet is
-        early by as much, no sample is missing: the clock has jumped by just that.
-        """
+    def take(self, device_ns: int, arrival_ns: int) -> bool:
+        """Take the time of a packet's last sample on both clocks; tell whether the line holds."""
         self._packets += 1
-        device_ns -= self._ahead
         delay = arrival_ns - device_ns
-        if self._line is None:
+        if self.line is None:
             return self._settle(device_ns, delay, arrival_ns)
-        above = delay - int(self._line.at(device_ns))
-        stepped = above < -EARLY <= above + step_ns <= LATE
-        if stepped:
-            self.ended, self.epoch = self.line, self.epoch + 1
-            self._jumps, self._ahead = self._jumps + 1, self._ahead + step_ns
-            device_ns, delay, above = device_ns - step_ns, delay + step_ns, above + step_ns
+        above = delay - int(self.line.at(device_ns))
         self._delay = above * 1e-9
         if above < -EARLY:
-            return self._jump([(device_ns, delay)], self._line)
+            return self._jump([(device_ns, delay)], self.line)
         if above > LATE:
             self._late += 1
             self._suspect(device_ns, delay)
-            return self._jump(self._suspects, None) if self._late_for_long() else Verdict.WAIT
+            return self._jump(self._suspects, None) if self._late_for_long() else False
         self._suspects.clear()
         if self._add(device_ns, delay):
             self._fit()
-        return Verdict.STEPPED if stepped else Verdict.STAMP
+        return True
 
     def _suspect(self, device_ns: int, delay: int) -> None:
         """Keep a late packet, and for how long such have come one after another."""
@@ -468,36 +435,34 @@ class DeviceClock:
     def give_up_waiting(self) -> None:
         """Take the best line there is; nothing more will come in this epoch."""
         self._suspects.clear()
-        if self._line is None and self._points:
+        if self.line is None and self._points:
             self._fit()
 
-    def _settle(self, device_ns: int, delay: int, arrival_ns: int) -> Verdict:
+    def _settle(self, device_ns: int, delay: int, arrival_ns: int) -> bool:
         least = min((other for _, other in self._points), default=delay)
         if delay < least - LATE:
             if len(self._points) > 1 or delay < least - HELD_UP:
                 self._fit()
-                return self._jump([(device_ns, delay)], self._line)
+                return self._jump([(device_ns, delay)], self.line)
             self._points.clear()  # the first packet was late
         if not self._points:
             self._began = arrival_ns
         self._add(device_ns, delay)
         return self._settled(arrival_ns - self._began)
 
-    def _settled(self, lasted: int) -> Verdict:
+    def _settled(self, lasted: int) -> bool:
         """Draw the first line of an epoch if enough is known."""
         line = lower_line(*self._arrays(), self._known)
         enough = lasted >= SETTLING and len(self._points) > 1
         sure = lasted >= UNSURE_FOR or (math.isinf(line.bound) and line.u_base <= SURE)
         if line.bound > CERTAIN and not (enough and sure):
-            return Verdict.WAIT
+            return False
         self._fit()
-        return Verdict.STAMP
+        return True
 
-    def _jump(self, points: list[tuple[int, int]], ended: Line | None) -> Verdict:
+    def _jump(self, points: list[tuple[int, int]], ended: Line | None) -> bool:
         """Begin a new epoch with these points; those that wait may belong to the one before."""
-        self._jumps += 1
-        ahead, self.ended = self._ahead, ended and ended.ahead(self._ahead)
-        points = [(device_ns + ahead, delay - ahead) for device_ns, delay in points]
+        self._jumps, self.ended, points = self._jumps + 1, ended, list(points)
         self.restart()
         self._began = sum(points[0])
         for device_ns, delay in points:
@@ -520,25 +485,13 @@ class DeviceClock:
     def _fit(self) -> None:
         device, delay = self._arrays()
         line = lower_line(device, delay, self._known)
-        above = delay - line.at(device)
-        if len(above) > 2 * RAISED_FOR and self._raised(above):
-            self._jumps += 1
-            self._points = deque(list(self._points)[-RAISED_FOR:])
-            self._fit()
-            return
-        self._spread = float(np.median(above)) * 1e-9
-        self._line = line
+        self._spread = float(np.median(delay - line.at(device))) * 1e-9
+        self.line = line
         self._quickest = int(min(self._quickest, line.started))
 
     def _arrays(self) -> NDArray[np.int64]:
         """Device times and delays of the points, shape (2, n), ns."""
         return np.array(self._points, dtype=np.int64).T
-
-    @staticmethod
-    def _raised(above: np.ndarray) -> bool:
-        """Return whether the newest packets are late without exception."""
-        older, newest = above[:-RAISED_FOR], above[-RAISED_FOR:]
-        return bool(newest.min() > RAISED + np.median(older))
 
 
 SLEW = 1e-3
@@ -547,8 +500,6 @@ REPEATED = 10**9
 """ns; a packet that goes back by less is an old one; by more: the device's clock has restarted."""
 STEP = 1000
 """ns; least time between stamps."""
-FEW, REGULAR = 5, 1.5
-"""Fewer samples do not tell their interval, nor do those whose intervals vary by that factor."""
 
 
 class HostClock:
@@ -667,17 +618,13 @@ class Stamper:
         packet = self._increasing(packet)
         if not len(packet.device_ns):
             return rest
-        cut, step = _largest_step(self._device, packet.device_ns)
         self._device = int(packet.device_ns[-1])
-        verdict = self._clock.take(last_ns, arrival_ns, step)
+        known = self._clock.take(last_ns, arrival_ns)
         if self._epoch != self._clock.epoch:
-            if verdict is Verdict.STEPPED:
-                self._waiting.append(packet.part(slice(cut)))
-                packet = packet.part(slice(cut, None))
             rest += self._release(self._clock.ended)
             self._epoch, self._given = self._clock.epoch, None
         self._waiting.append(packet)
-        return rest if verdict is Verdict.WAIT else rest + self._release(self._clock.line)
+        return rest + self._release(self._clock.line) if known else rest
 
     def _increasing(self, packet: Packet) -> Packet:
         """Leave out samples that are not later than all before them."""
@@ -708,13 +655,3 @@ class Stamper:
         self._last_ns = int(stamp[-1])
         self._given = int(device[-1]), self._last_ns
         return Samples(stamp[packet.kept], packet.xyz[packet.kept])
-
-
-def _largest_step(last: int | None, device_ns: NDArray[np.int64]) -> tuple[int, int]:
-    """Return before which sample most time has passed, and how much more than usual, ns."""
-    steps = np.diff(device_ns, prepend=device_ns[0] if last is None else last)
-    if len(steps) < FEW:
-        return 0, 0
-    at, usual = int(np.argmax(steps)), int(np.median(steps))
-    regular = np.delete(steps, at).max() < REGULAR * usual
-    return at, int(steps[at]) - usual if regular else 0

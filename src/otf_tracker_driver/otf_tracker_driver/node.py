@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from otf_core.errors import InputError, OtfError
 from otf_msgs.msg import Plan, TrackerStatus
-from otf_ros import app, qos, services
+from otf_ros import qos, services
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.params import NodeParameters
 from otf_tracker_driver.auto_start import AutoStart
@@ -143,8 +143,3 @@ class TrackerDriver(SteadyLifecycleNode):
         backend = self._status.message.backend
         own = self._settings.read(BACKENDS[backend].parameters, backend)
         return self._streamer.backend.operate(name, own)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    return app.run(TrackerDriver, args)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from otf_core.model.observation import Samples
 from otf_msgs.msg import TrackerGap, TrackerStatus
-from otf_ros import frames, qos
+from otf_ros import convert, frames, qos
 from otf_ros.convert import NS, header, time_from_ns
 from otf_ros.diagnostics import Diagnostics, Finding, Level, memory
 from otf_ros.timers import create_timer
@@ -193,7 +193,7 @@ class Status:
 
     def _publish_gap(self, gap: Gap) -> None:
         message = TrackerGap(
-            header=header(self._node.get_clock().now().to_msg(), frames.tracker()),
+            header=header(convert.now(self._node), frames.tracker()),
             stream_id=self.message.stream_id,
             last=time_from_ns(gap.last_ns),
             first=time_from_ns(gap.first_ns),
@@ -209,7 +209,7 @@ class Status:
 
     def _publish(self) -> None:
         message, health = self.message, self.health
-        message.header = header(self._node.get_clock().now().to_msg(), frames.tracker())
+        message.header = header(convert.now(self._node), frames.tracker())
         message.beam = int(health.beam)
         message.interruptions = health.interruptions
         message.samples_left_out = sum(health.left_out.values())

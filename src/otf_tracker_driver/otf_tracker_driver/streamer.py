@@ -106,7 +106,7 @@ class Streamer:
         self._node, self._status, self._config = node, status, config
         self.backend = backend
         backend.cancelled = app.is_ending
-        backend.now_ns = lambda: node.get_clock().now().nanoseconds or time.time_ns()
+        backend.now_ns = lambda: convert.now_ns(node)
         try:
             self.description = backend.connect()
         except OtfError:
@@ -124,7 +124,7 @@ class Streamer:
 
     def _offer_path(self) -> list[Publisher]:
         """Publish the path that comes with the samples, if one does."""
-        publishers, now = [], self._node.get_clock().now().to_msg()
+        publishers, now = [], convert.now(self._node)
         if self.backend.path is not None:
             publishers.append(self._node.create_publisher(Path, 'planner/path', qos.PATH))
             publishers[-1].publish(convert.path_to_message(self.backend.path, now))

@@ -16,7 +16,7 @@ from otf_core.live.live_run import LiveRun, LiveSolution, RunProgress
 from otf_core.model.motions import SQUARENESS
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
 from otf_ros import convert, convert_result, qos
-from otf_ros.glance import LatestMessage
+from otf_ros.drain import LatestMessage
 from otf_ros.timers import create_timer
 
 LOOK = 0.2

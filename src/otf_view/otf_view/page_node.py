@@ -8,7 +8,6 @@ from pathlib import Path
 from rclpy.node import Node
 
 from otf_core.live.live_run import now, scene
-from otf_ros import app
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
 from otf_view.listening import LiveRunListener
@@ -48,16 +47,7 @@ class Page(Node):
         run = self._ears.run
         if self._shown != self._ears.news:
             self._shown = self._ears.news
-            self._server.events.put('scene', scene(run))
-        self._server.events.put('now', now(run))
+            self._server.put('scene', scene(run))
+        self._server.put('now', now(run))
         if self._ears.folder != self._offered and self._server.offer(self._ears.folder):
             self._offered = self._ears.folder  # the report is written after the result is out
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    return app.run(Page, args)
-
-
-if __name__ == '__main__':
-    raise SystemExit(main())

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 from otf_core.live.layers import moving, scene
-from otf_ros import app, qos
+from otf_ros import qos
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
 from otf_view.listening import LiveRunListener
@@ -47,12 +47,3 @@ class Viewer(Node):
         scale = self._settings.read(ViewerConfig).scale
         layers = moving(run.path, run.progress.travelled, run.track, run.pose, scale)
         self._live.publish(to_markers(layers, Time()))
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; returns the exit code."""
-    return app.run(Viewer, args)
-
-
-if __name__ == '__main__':
-    raise SystemExit(main())

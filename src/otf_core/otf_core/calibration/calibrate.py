@@ -27,7 +27,11 @@ from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import METHODS, OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.part_steps import LEAST, find_steps
-from otf_core.contradictions.recording_checks import check_recordings
+from otf_core.contradictions.recording_checks import (
+    check_recordings,
+    losses_stated_first,
+    lost_words,
+)
 from otf_core.contradictions.table_checks import check_table_pitch
 from otf_core.errors import ConfigError, InputError
 from otf_core.live.stages import Progress, silent
@@ -190,6 +194,14 @@ def solve_recordings(
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     progress('aligning', 0.0)
     check_recordings(recordings)
+    with losses_stated_first(recordings):
+        return _solve(recordings, config, progress, method, same_station, repair)
+
+
+def _solve(
+    recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress, method: str,
+    same_station: bool, repair: bool,
+) -> SolvedRecordings:  # fmt: skip
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
     runs, nodes = prepare_runs(recordings, config, method, progress, same_station=same_station)
 
@@ -209,5 +221,8 @@ def solve_recordings(
     # not before: places that are 0.1 mm off along the path look like a step
     steps = [Finding('steps', GATE, words) for words in find_steps(solution.joint)]
     runs = solution.whole
+    if any(f.severity == GATE for f in (*contradictions, *steps)):
+        lost = filter(None, map(lost_words, recordings))
+        remarks = [*(Finding('recording', GATE, text) for text in lost), *remarks]
     left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
     return SolvedRecordings(runs, nodes, (*remarks, *contradictions, *steps, *left_out), solution)

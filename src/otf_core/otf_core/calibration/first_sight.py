@@ -85,7 +85,7 @@ def first_sight(
             samples.in_order(), path.machine, path.parts, quick=True, in_any_order=False
         )
         distance = float(np.mean([part.distance for part in matched.parts]))
-        return FirstSight(matched.T_machine_tracker, distance, matched.places)
+        return _near(FirstSight(matched.T_machine_tracker, distance, matched.places), config)
     beginning = NominalPath(driven_part(path, travelled))
     alignment = align(samples.in_order(), beginning, config)
     if alignment.coverage < MIN_FOLLOWED_SHARE:
@@ -96,6 +96,11 @@ def first_sight(
     few = np.unique(np.linspace(0, len(samples) - 1, MAX_SAMPLES).astype(int))
     points = alignment.T_machine_tracker.apply(samples.xyz[few])
     distance = float(np.linalg.norm(PathDistance(path).deviation(points), axis=1).mean())
-    if distance > config.match_tolerance:
-        raise InputError(f'the target is {1e3 * distance:.3g} mm from the path on average')
-    return FirstSight(alignment.T_machine_tracker, distance)
+    return _near(FirstSight(alignment.T_machine_tracker, distance), config)
+
+
+def _near(sight: FirstSight, config: CalibrationConfig) -> FirstSight:
+    """Return what is seen; InputError if that is no target that follows the path."""
+    if sight.distance > config.match_tolerance:
+        raise InputError(f'the target is {1e3 * sight.distance:.3g} mm from the path on average')
+    return sight

@@ -9,7 +9,8 @@ different machines.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import combinations
 
 import numpy as np
@@ -23,6 +24,8 @@ from otf_core.model.axis_path import PartsTrack
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.noise.report import MAX_LOST_SHARE
+from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.runs import Recording, errors_of
 
 SAME_PLACE = 1e-7
@@ -31,6 +34,36 @@ MIN_COMMON_SHARE = 0.002
 """Share of the shorter recording from which on common samples are no chance."""
 MIN_COPIED_SHARE = 0.5
 """The same where the stamps differ: rounded coordinates may be equal by chance."""
+
+
+@contextmanager
+def losses_stated_first(recordings: Sequence[Recording]) -> Iterator[None]:
+    """State what a recording lacks before anything that contradicts it.
+
+    Raises
+    ------
+    InputError
+        As the block does; if more than 1 % of the samples are missing, that comes first.
+    """
+    try:
+        yield
+    except InputError as error:
+        if said := '; '.join(filter(None, map(lost_words, recordings))):
+            raise InputError(f'{said}; what follows may come of that: {error}') from None
+        raise
+
+
+def lost_words(recording: Recording) -> str:
+    """State how many samples are missing by the stamps; empty if at most 1 % are."""
+    samples, path = recording.samples, recording.path
+    lost = lost_samples(samples, len(path.parts) if isinstance(path, PartsTrack) else 1)
+    whole = lost.samples + len(samples)
+    if lost.samples <= MAX_LOST_SHARE * whole:
+        return ''
+    return (
+        f'{recording.name or "the recording"}: {lost.samples} of {whole} samples '
+        f'({100 * lost.samples / whole:.0f} %) are missing by the stamps, in {lost.gaps} gaps'
+    )
 
 
 def check_same_samples(recordings: Sequence[Recording]) -> None:

@@ -100,6 +100,19 @@ def test_outliers_are_told_from_noise(share, severity):
     assert said == pytest.approx(100 * share, abs=5)
 
 
+def test_losses_are_stated_before_a_contradiction_that_may_come_of_them():
+    healthy = recorded()
+    count = len(healthy.samples)
+    kept = np.random.default_rng(1).random(count) > 0.3
+    thinned = Samples(healthy.samples.stamp_ns[kept], healthy.samples.xyz[kept])
+    mirrored = replace(thinned, xyz=thinned.xyz * [1.0, -1.0, 1.0])
+    with pytest.raises(InputError, match=r'^run 1: \d+ of \d+ samples \(30 %\) are missing'):
+        calibrate_recordings([replace(healthy, samples=mirrored)], CONFIG)
+    wrong = with_machine(replace(healthy, samples=thinned), chain=Chain.parse('w-b-Y-X-Z-t'))
+    first, *others = calibrate_recordings([wrong], CONFIG).failed_gates
+    assert 'are missing by the stamps' in first and 'chain' in ' '.join(others)
+
+
 @pytest.mark.parametrize('factor', [0.01, 100.0])
 def test_a_specification_far_from_the_noise_is_said(factor):
     a = recorded()

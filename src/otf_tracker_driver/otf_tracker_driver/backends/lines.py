@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points as lines: where they come from, how lines are read; a YAML file describes both.
 
-TCP, UDP and serial lines are one thing: bytes come, bytes go. Nothing in them is believed. See
-docs/trackers.md for every key, and two examples that are tried.
+Nothing in them is believed. See docs/trackers.md for every key, and two examples that are tried.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import select
 import socket
-import termios
-import tty
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +28,6 @@ CARTESIAN = ('x', 'y', 'z')
 SPHERICAL = ('azimuth', 'zenith', 'distance')
 TEXT, JSON = 'text', 'json'
 DECIMALS = ('.', ',')
-BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 SENSES = ('clockwise', 'counterclockwise')
 MOST_COLUMNS = 1000
 REQUIRED = ('source', 'format', 'columns', 'keys', 'length', 'stamp')
@@ -59,11 +52,9 @@ class Source:
     Attributes
     ----------
     kind : str
-        'tcp', 'udp' or 'serial'.
+        'tcp' or 'udp'.
     host : str
-        Address to connect to, or to listen on; device file of a serial line.
-    port : int
-        TCP or UDP port, or baud rate.
+        Address to connect to, or to listen on.
     """
 
     kind: str
@@ -157,15 +148,12 @@ def read_description(path: str | Path) -> Description:
 
 def _source(top: Fields) -> Source:
     text = top.text('source')
-    address = re.fullmatch(r'(tcp|udp|serial)://(.+):(\d{1,7})', text)
+    address = re.fullmatch(r'(tcp|udp)://(.+):(\d{1,7})', text)
     if not address:
-        top.fail('source', f'{value_text(text)}; give tcp://HOST:PORT, '
-                 f'udp://ADDRESS:PORT (listens there) or '
-                 f'serial:///dev/ttyUSB0:115200')  # fmt: skip
+        top.fail('source', f'{value_text(text)}; give tcp://HOST:PORT, or udp://ADDRESS:PORT '
+                 f'(listens there)')  # fmt: skip
     kind, host, port = address[1], address[2], int(address[3])
-    if kind == 'serial' and port not in BAUDS:
-        top.fail('source', f'{port} baud; possible: {", ".join(map(str, BAUDS))}')
-    if kind != 'serial' and not 0 < port < 65536:
+    if not 0 < port < 65536:
         top.fail('source', f'port {port}; possible: 1 to 65535')
     return Source(kind, host, port)
 
@@ -205,11 +193,6 @@ def _escaped(text: str) -> str:
 class Lines:
     """Cuts a byte stream into lines; holds one unfinished line at most.
 
-    Parameters
-    ----------
-    cut_in : bool
-        The first bytes may be the end of a line, and are left out.
-
     Attributes
     ----------
     too_long : int
@@ -218,9 +201,9 @@ class Lines:
         A line has begun that is not complete.
     """
 
-    def __init__(self, cut_in: bool = False) -> None:
+    def __init__(self) -> None:
         self._held = b''
-        self._skipping = cut_in
+        self._skipping = False
         self.too_long = 0
         self.partial = False
 
@@ -341,45 +324,20 @@ def _cartesian(
     return distance * sine * math.cos(azimuth), -y if clockwise else y, distance * math.cos(zenith)
 
 
-class Transport(ABC):
-    """An open source of bytes; OSError where it has ended.
+class Transport:
+    """TCP connection, or UDP port that is listened to; OSError where it has ended.
 
     Attributes
     ----------
     datagrams : bool
         What comes is whole messages.
-    cuts_in : bool
-        The first bytes may be the end of a line.
     age_ns : int, ns
         How long ago what was received last had arrived.
     """
 
-    datagrams = cuts_in = False
-    age_ns = 0
-
-    @property
-    def dropped(self) -> int:
-        """Messages that came and that this computer had no room for."""
-        return 0
-
-    @abstractmethod
-    def receive(self, timeout: float) -> bytes | None:
-        """Return what has come, or None if nothing comes within the timeout, s."""
-
-    @abstractmethod
-    def send(self, data: bytes) -> bool:
-        """Send to the source; False if nobody knows yet where that is."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close; afterwards nothing may be called."""
-
-
-class Socket(Transport):
-    """TCP connection, or UDP port that is listened to."""
-
-    def __init__(self, opened: socket.socket, datagrams: bool, only: str = '') -> None:
-        self._socket, self.datagrams, self._only = opened, datagrams, only
+    def __init__(self, opened: socket.socket, only: str = '') -> None:
+        self._socket, self._only, self.age_ns = opened, only, 0
+        self.datagrams = opened.type == socket.SOCK_DGRAM
         self._peer: object = None
         self._arrivals = Arrivals(opened)
 
@@ -389,7 +347,7 @@ class Socket(Transport):
         return self._arrivals.dropped
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return what has come; a TCP peer that has closed is an OSError."""
+        """Return what has come, or None if nothing comes within the timeout, s."""
         self._socket.settimeout(timeout)
         try:
             data, self.age_ns, peer = self._arrivals.receive(CHUNK)
@@ -403,7 +361,7 @@ class Socket(Transport):
         return data
 
     def send(self, data: bytes) -> bool:
-        """Send; over UDP to whoever has sent last, so not before that."""
+        """Send; over UDP to whoever has sent last, False while nobody has."""
         if not self.datagrams:
             self._socket.sendall(data)
             return True
@@ -413,44 +371,8 @@ class Socket(Transport):
         return True
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; afterwards nothing may be called."""
         self._socket.close()
-
-
-class Serial(Transport):
-    """Serial line, 8N1, no handshake."""
-
-    cuts_in = True
-
-    def __init__(self, device: str, baud: int) -> None:
-        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            tty.setraw(self._file)
-            settings = termios.tcgetattr(self._file)
-            settings[4] = settings[5] = getattr(termios, f'B{baud}')
-            settings[2] |= termios.CLOCAL | termios.CREAD
-            termios.tcsetattr(self._file, termios.TCSANOW, settings)
-        except termios.error as error:
-            os.close(self._file)
-            raise OSError(error.args[0], 'no serial line') from None
-
-    def receive(self, timeout: float) -> bytes | None:
-        """Return what has come."""
-        if not select.select([self._file], [], [], timeout)[0]:
-            return None
-        data = os.read(self._file, CHUNK)
-        if not data:
-            raise ConnectionError('the serial line is gone')
-        return data
-
-    def send(self, data: bytes) -> bool:
-        """Send to the line."""
-        os.write(self._file, data)
-        return True
-
-    def close(self) -> None:
-        """Close the line."""
-        os.close(self._file)
 
 
 def open_source(source: Source, peer: str = '') -> Transport:
@@ -462,12 +384,10 @@ def open_source(source: Source, peer: str = '') -> Transport:
         If it cannot be opened; says which and why.
     """
     try:
-        if source.kind == 'serial':
-            return Serial(source.host, source.port)
         if source.kind == 'udp':
-            return Socket(_listening(source), True, socket.gethostbyname(peer) if peer else '')
+            return Transport(_listening(source), socket.gethostbyname(peer) if peer else '')
         address = source.host, source.port
-        return Socket(_probed(socket.create_connection(address, CONNECT_WITHIN)), False)
+        return Transport(_probed(socket.create_connection(address, CONNECT_WITHIN)))
     except (OSError, UnicodeError) as error:
         reason = getattr(error, 'strerror', None) or error
         raise Unreachable(

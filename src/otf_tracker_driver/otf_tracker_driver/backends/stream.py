@@ -15,7 +15,6 @@ from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import CommonConfig, Flow, Health
 from otf_tracker_driver.backends.lines import (
     JSON,
-    LATEST,
     LONGEST,
     Description,
     Lines,
@@ -27,7 +26,6 @@ from otf_tracker_driver.backends.lines import (
     read_point,
 )
 from otf_tracker_driver.backends.live import LiveBackend
-from otf_tracker_driver.clock import REPEATED
 
 BY_HOST = (
     'WARNING: stamped on arrival, as its description declares: batches and delays of the network '
@@ -39,8 +37,6 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts to connect again, doubled each time."""
 SILENT_FOR, WRONG_FOR = 3.0, 1.0
 """s; lines without a point are said to be wrong if no other has come for so long."""
-MANY, FEW = 100, 0.05
-"""If more than this share of so many points is left out, or goes back in time, it is trouble."""
 NO_ROOM = 'datagrams that came while there was no room'
 
 
@@ -63,10 +59,7 @@ class Stream(LiveBackend):
 
     def __init__(self, common: CommonConfig, own: StreamConfig) -> None:
         super().__init__(common, own)
-        self.points = self._back = self._next_example = 0
-        self._begun, self._stamp_before = (0, 0), -int(LATEST)
-        self._warning = self._owed = ''
-        self._last_point = 0.0
+        self._next_example, self._last_point, self._owed = 0, 0.0, ''
 
     def connect(self) -> str:
         """Read the description and open the source."""
@@ -82,11 +75,6 @@ class Stream(LiveBackend):
         self.remark = BY_HOST if how.stamp is None else ''
         self.connected, self.connections = True, 1
         self.begin_work()
-
-    @property
-    def trouble(self) -> str:
-        """What is wrong with the stream just now; empty if nothing."""
-        return super().trouble or self._warning
 
     @property
     def health(self) -> Health:
@@ -123,9 +111,7 @@ class Stream(LiveBackend):
 
     def _read(self) -> None:
         """Read until the source is lost or the thread shall end."""
-        # a source that is told to start is silent before, as a rule
-        self._lines = Lines(self._transport.cuts_in and not self._how.start)
-        started = 0
+        self._lines, started = Lines(), 0
         while not self.ended.is_set():
             wanted = self.wanted
             if wanted != started:
@@ -153,9 +139,7 @@ class Stream(LiveBackend):
     def _begin(self) -> None:
         """Begin a stream, or go on with it after a loss."""
         self.begin()
-        self._begun = self.points, self.stamper.dropped
-        self._back, self._stamp_before = 0, -int(LATEST)
-        self._last_point, self._warning = time.monotonic(), ''
+        self._last_point = time.monotonic()
         if self.served:
             self._tell(self._how.start)
 
@@ -189,37 +173,17 @@ class Stream(LiveBackend):
             wrong = wrong or f'line of more than {LONGEST} bytes'
         now = time.monotonic()
         if xyz:
-            self.points += len(xyz)
             self._stamp(np.array(stamps, np.int64), np.array(xyz), arrival_ns)
             self._last_point, self._next_example = now, 0
-            self._warning = self._repeating()
         elif (
             wrong and now - self._last_point >= WRONG_FOR and self.unreadable >= self._next_example
         ):
             self._next_example = 2 * self.unreadable
             self.hinder(Flow.SILENT, f'{self.source}: {wrong}; check the description')
 
-    def _repeating(self) -> str:
-        """State that times repeat, or go back and forth; empty if they do not."""
-        points, repeated = self.points - self._begun[0], self.stamper.dropped - self._begun[1]
-        if points < MANY or max(repeated, self._back) <= FEW * points:
-            return ''
-        if self._back > FEW * points:
-            return (
-                f'{self.source}: times go back again and again; do two sources send here, or is '
-                f'stamp in the description another column?'
-            )
-        return (
-            f'{self.source}: points are left out, since their time is not later than that of the '
-            f'point before; check stamp and time in the description'
-        )
-
     def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:
         if self._how.stamp is None:
             first = max(arrival_ns, self._last_ns + 1)
             self.hand_on([Samples(first + np.arange(len(xyz), dtype=np.int64), xyz)])
             return
-        steps = np.diff(stamps, prepend=self._stamp_before)
-        self._back += int(np.count_nonzero(steps < -REPEATED))
-        self._stamp_before = int(stamps[-1])
         self.measured(stamps, xyz, arrival_ns)

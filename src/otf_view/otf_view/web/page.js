@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Takes the events of the server and shows them.
+// Asks the server for the state of the run and shows it.
 'use strict';
 
 const KIND = { WAITING_FOR_PATH: 'wait', BUFFERING: 'work', ALIGNING: 'work', SOLVING: 'work',
@@ -13,7 +13,7 @@ const ROWS = [
   ['rotation about X', a => `EA${a}`], ['rotation about Y', a => `EB${a}`],
   ['rotation about Z', a => `EC${a}`]];
 
-let scene = null, now = null, last = false;
+let scene = null, now = null;
 
 const byId = id => document.getElementById(id);
 const micro = words => words.replace(/(^|[^\w])u(m|rad)(?!\w)/g, '$1µ$2').replace(/\+\/-/g, '±');
@@ -154,22 +154,24 @@ function draw() {
     : 'Dots: measured along the run.' + (solved ? ' Line: mean that compensation leaves.' : ''));
 }
 
-function listen() {
-  const source = new EventSource('events');
-  source.onopen = () => badge('link', 'good', 'live');
-  source.onerror = () => { if (!last) badge('link', 'bad', 'no connection; trying again'); };
-  source.addEventListener('scene', e => { scene = JSON.parse(e.data); showSolved(); draw(); });
-  source.addEventListener('now', e => { now = JSON.parse(e.data); showNow(); draw(); });
-  source.addEventListener('report', e => {
-    byId('report').href = JSON.parse(e.data);
-    byId('offered').hidden = false;
-  });
-  source.addEventListener('ended', () => {
-    last = true;
-    source.close();
-    badge('link', 'wait', 'the nodes have ended; this is the last they reported');
-    byId('offered').hidden = true;  // nobody serves it any more
-  });
+async function ask() {
+  try {
+    const told = await (await fetch('state.json')).json();
+    const news = JSON.stringify(told.scene) !== JSON.stringify(scene);
+    scene = told.scene || null;
+    now = told.now || null;
+    if (news) showSolved();
+    if (now) showNow();
+    draw();
+    byId('report').href = told.report || '';
+    byId('offered').hidden = !told.report || told.ended;  // nobody serves it any more
+    badge('link', ...(told.ended
+      ? ['wait', 'the nodes have ended; this is the last they reported'] : ['good', 'live']));
+    if (told.ended) return;
+  } catch {
+    badge('link', 'bad', 'no connection; trying again');
+  }
+  setTimeout(ask, 500);
 }
 
 function turning() {
@@ -197,4 +199,4 @@ window.addEventListener('resize', draw);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
 turning();
 draw();
-listen();
+ask();
