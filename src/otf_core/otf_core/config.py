@@ -15,7 +15,7 @@ from typing import Any
 
 from otf_core.errors import ConfigError
 
-OTF, STANDSTILL = METHODS = ('otf', 'standstill')
+OTF, STANDSTILL, POINTS = METHODS = ('otf', 'standstill', 'points')
 """Of calibration: on the fly, or from the stops at the corner points."""
 AUTO, NONE = 'auto', 'none'
 """Effects to take off a calibration: those that a diagnosis finds; none."""

@@ -15,8 +15,6 @@ from otf_core.bags import bag
 from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import (
-    OTF,
-    STANDSTILL,
     CalibrationConfig,
     ForecastConfig,
     PlannerConfig,
@@ -260,8 +258,6 @@ def _fill_folder(
 
 Recordings = Recording | Iterable[Recording]
 
-METHODS = (OTF, STANDSTILL)
-
 
 def calibrate(
     recordings: Recordings,
@@ -284,7 +280,7 @@ def calibrate(
     effects : str or Path, optional
         Effects to take off: 'auto' for those that a diagnosis finds, or an effects.yaml.
     same_station : bool
-        The tracker was not moved between the recordings; for machines with rotary axes.
+        The tracker was not moved between the recordings; for runs of one target offset.
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -312,8 +308,6 @@ def calibrate(
     True
     """
     runs = _several(recordings)
-    if method not in METHODS:
-        raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
     from otf_core.diagnosis.diagnose import calibrate_with_effects

@@ -187,7 +187,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
-    from otf_core.comparison.compare import compare, load_source
+    from otf_core.comparison.compare import compare, load_sources
     from otf_core.files.strict_yaml import read_json
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
@@ -196,7 +196,9 @@ def run_compare(arguments: argparse.Namespace) -> int:
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine) if arguments.machine else None
-    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
+    (a, b), remarks = load_sources([arguments.a, arguments.b], machine, arguments.sign)
+    for remark in remarks:
+        note(f'otf compare: {remark}')
     points = None
     if arguments.points:
         own = a.tables.machine

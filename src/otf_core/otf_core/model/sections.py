@@ -67,6 +67,8 @@ DECLARABLE: dict[str, tuple[str, float]] = {
 }
 """Unit and largest value of every key."""
 TARGET_OFFSET = 'target_offset'
+OF_BEAM = ('tracker_range_offset', 'tracker_offset', 'tracker_angle')
+"""Contributions that depend on where the beam begins."""
 
 
 def declarable_keys(rotary: bool) -> tuple[str, ...]:
