@@ -4,13 +4,12 @@
 Ten cells of the nature of the blind trial (``bench/blind/nature.py``), each with one reflector in
 the spindle or with two lengths: a trunnion, one whose axes turn in the reversed sense, four axes
 with the tracker on the turning table (the target creeps), a swivel head (likewise), and stops
-(``--method standstill``) of four and of five axes with the tracker on the bed. The error of the tool at 300 positions spread over
-all axes is that of the exact transforms with the drawn errors, and with the tables in their place;
-the rigid motion of the table is removed of both sides. Left: mean length after over before; within
-2 u: share of the components, by ``covariance_run``.
+(``--method standstill``) of four and of five axes with the tracker on the bed. The error of the
+tool at 300 positions spread over all axes is that of the exact transforms with the drawn errors,
+and with the tables in their place; the rigid motion of the table is removed of both sides. Left:
+mean length after over before; within 2 u: share of the components, by ``covariance_run``.
 
-Usage: python bench/five_axis_cells.py --seed S [--count N] [--tree CHECKOUT]
-           [--out DIR]
+Usage: python bench/five_axis_cells.py --seed S [--count N] [--tree CHECKOUT] [--out DIR]
 """
 
 from __future__ import annotations
@@ -89,8 +88,12 @@ def judge(run, document, rng):
     """Left, %, and components within 2 u, %."""
     machine, low, high = run.machine, *run.machine.ends(run.machine.letters)
     q = rng.uniform(low, high, (POINTS, len(low)))
-    tables = {n: (np.array(t['position']), np.array(t['value'])) for n, t in document['motions'].items()}
-    scalars = {n: s['value'] for part in ('squareness', 'location') for n, s in document[part].items()}
+    tables = {
+        n: (np.array(t['position']), np.array(t['value'])) for n, t in document['motions'].items()
+    }
+    scalars = {
+        n: s['value'] for part in ('squareness', 'location') for n, s in document[part].items()
+    }
     own = Errors({n: lambda at, t=t: np.interp(at, *t) for n, t in tables.items()}, scalars)
     step = 1e-6
     columns = [field(machine, q, Errors({}, {n: step}))[..., None] / step for n in scalars]
@@ -142,12 +145,17 @@ def main(given, folder):
             (own / 'machine.yaml').write_text(yaml.safe_dump(run.machine.spec, sort_keys=False))
             write_bag(own / 'bag', run, *run.measured(run.plain, run.noise))
         try:
-            seconds, document = calibrated(own, given.tree, 'standstill' if kind in STOPS else 'otf')
+            seconds, document = calibrated(
+                own, given.tree, 'standstill' if kind in STOPS else 'otf'
+            )
         except SystemExit as refused:
             print(row((f'{kind}, {lengths}', refused)), flush=True)
             continue
         found.append(judge(run, document, np.random.default_rng([given.seed, k, 1])))
-        print(row((f'{kind}, {lengths}', *(f'{v:.2f}' for v in found[-1]), f'{seconds:.1f}')), flush=True)
+        print(
+            row((f'{kind}, {lengths}', *(f'{v:.2f}' for v in found[-1]), f'{seconds:.1f}')),
+            flush=True,
+        )
     left, within = np.array(found).T
     print(f'\nleft {np.median(left):.2f} % in the median, {left.max():.2f} % at worst; within 2 u '
           f'{within.mean():.1f} % on average, {within.min():.1f} % at worst')  # fmt: skip

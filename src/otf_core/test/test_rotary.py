@@ -126,8 +126,13 @@ def test_positions_in_degrees_are_named():
 
 def test_places_on_legs_hold_all_corners():
     q = np.array([[0.0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.1, 0, 0, 0, 3.0]])
-    place = along_legs(q, 0.01, 0.1)
+    place = along_legs(tuple('XYZAC'), q, 0.01, 0.1)
     assert {0.0, 1.0, 2.0} <= set(place.tolist()) and len(place) == 41
+    for axes, columns in (
+        (('C',), [4]),
+        (('X', 'C'), [0, 4]),
+    ):  # however many linear ones there are
+        assert len(along_legs(axes, q[1:, columns], 0.01, 0.1)) == 31
     assert np.allclose(position_at(q, np.array([1.5])), [[0.1, 0, 0, 0, 1.5]])
     assert len(nominal_track(machine(), recorded().parts).points) > 1000
 
