@@ -107,8 +107,8 @@ def judge(run, document, rng):
     covariance = np.zeros((rows.shape[1],) * 2)
     covariance[np.tril_indices(len(covariance))] = lower
     covariance += np.tril(covariance, -1).T
-    rigid = np.concatenate([np.tile(np.eye(3), (POINTS, 1, 1)),
-                            np.cross(np.eye(3), machine.at(q)[:, None]).swapaxes(1, 2)], axis=2)  # fmt: skip
+    turn = np.cross(np.eye(3), machine.at(q)[:, None]).swapaxes(1, 2)
+    rigid = np.concatenate([np.tile(np.eye(3), (POINTS, 1, 1)), turn], axis=2)
     basis = np.linalg.qr(rigid.reshape(3 * POINTS, 6))[0]
     truth = field(machine, q, run.errors).ravel()
     off = field(machine, q, own).ravel() - truth
@@ -121,10 +121,15 @@ def judge(run, document, rng):
 def calibrated(folder, tree, method):
     """Processor seconds of ``otf calibrate`` and its document; SystemExit if it is refused."""
     out = folder / tree.name
-    words = ['-m', 'otf_core.cli', 'calibrate', folder / 'bag', '--machine',
-             folder / 'machine.yaml', '--out', out, '--method', method, '--overwrite']  # fmt: skip
-    run = subprocess.Popen([sys.executable, *map(str, words)], env=core_on_path(tree),
-                           stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    words = ['-m', 'otf_core.cli', 'calibrate', folder / 'bag', '--overwrite', '--method', method]
+    words += ['--machine', folder / 'machine.yaml', '--out', out]
+    run = subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        env=core_on_path(tree),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     said = run.stderr.read()
     _, status, used = os.wait4(run.pid, 0)
     if os.waitstatus_to_exitcode(status) not in (0, 4, 5):
@@ -144,18 +149,15 @@ def main(given, folder):
             own.mkdir(parents=True)
             (own / 'machine.yaml').write_text(yaml.safe_dump(run.machine.spec, sort_keys=False))
             write_bag(own / 'bag', run, *run.measured(run.plain, run.noise))
+        method = 'standstill' if kind in STOPS else 'otf'
         try:
-            seconds, document = calibrated(
-                own, given.tree, 'standstill' if kind in STOPS else 'otf'
-            )
+            seconds, document = calibrated(own, given.tree, method)
         except SystemExit as refused:
             print(row((f'{kind}, {lengths}', refused)), flush=True)
             continue
         found.append(judge(run, document, np.random.default_rng([given.seed, k, 1])))
-        print(
-            row((f'{kind}, {lengths}', *(f'{v:.2f}' for v in found[-1]), f'{seconds:.1f}')),
-            flush=True,
-        )
+        columns = (f'{v:.2f}' for v in found[-1])
+        print(row((f'{kind}, {lengths}', *columns, f'{seconds:.1f}')), flush=True)
     left, within = np.array(found).T
     print(f'\nleft {np.median(left):.2f} % in the median, {left.max():.2f} % at worst; within 2 u '
           f'{within.mean():.1f} % on average, {within.min():.1f} % at worst')  # fmt: skip
