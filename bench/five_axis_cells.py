@@ -21,6 +21,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +67,6 @@ def run_of(kind, lengths, rng):
     if kind == 'reversed':
         for axis in 'AC':
             spec['axes'][axis]['direction'] = [-v for v in spec['axes'][axis]['direction']]
-    for one in spec['targets'].values():
-        one['u'] = max(one['u'], 2e-5)  # the spindle is tilted by some 80 urad
     machine = Machine(spec)
     if kind in STOPS:
         nests = [n for n in spec['targets'] if n.startswith('nest')]
@@ -76,7 +75,10 @@ def run_of(kind, lengths, rng):
         parts = [lines_of(machine, rng), *parts_of_rotary(machine, rng)[1:]]
     if lengths == ONE:
         parts = [p for p in parts if p.target not in ('long', 'side')]
-    return run_along(machine, parts, rng)
+    run = run_along(machine, parts, rng)
+    zero = {n: np.clip(0.0, *machine.range_of(n[2])) for n in run.errors.motions}
+    motions = {n: lambda q, f=f, at=zero[n]: f(q) - f(at) for n, f in run.errors.motions.items()}
+    return replace(run, errors=Errors(motions, run.errors.constants))  # targets are as stated
 
 
 def field(machine, q, errors):
