@@ -3,7 +3,7 @@
 
     python bench/real_machine.py PLATE [PLATE ...]
 
-Each PLATE is a table of nominal and measured X and Y of holes (docs/real-machines.md says where
+Each PLATE is a table of nominal and measured X and Y of holes (docs/trials.md says where
 such data are public). Of every tenth of the holes the deviations are predicted from the others.
 Printed is what is left in X and Y, root mean square, beside offset, rotation, scale and skew
 alone, positioning and straightness alone (polynomials), and a free field over both coordinates;
@@ -21,9 +21,6 @@ import numpy as np
 
 import otf_core
 from otf_core.arrays import Array
-from otf_core.calibration.calibrate import calibrate_pairs
-from otf_core.inputs.point_pairs import read_point_pairs
-from otf_core.pieces.point_pairs import PointPairs
 
 FOLDS, SEED = 10, 20240607
 CHAINS = ('w-b-X-Y-t', 'w-b-Y-X-t')
@@ -41,7 +38,7 @@ def machine_of(chain: str, reach: float) -> otf_core.Machine:
     })  # fmt: skip
 
 
-def held_out(pairs: PointPairs, fold: Array) -> tuple[Array, Array]:
+def held_out(pairs: otf_core.PointPairs, fold: Array) -> tuple[Array, Array]:
     """Deviations of every hole from their prediction, and their u; both (n, 2), m."""
     left, u = np.empty((2, len(fold), 2))
     for k in range(FOLDS):
@@ -52,7 +49,7 @@ def held_out(pairs: PointPairs, fold: Array) -> tuple[Array, Array]:
             measured=pairs.measured[~out],
             target=pairs.target[: (~out).sum()],
         )
-        result = calibrate_pairs([some])
+        result = otf_core.calibrate([some], method='points')
         points = np.pad(pairs.q[out], ((0, 0), (0, 1)))
         predicted = otf_core.predict(result, points)
         pose = result.runs[0].T_machine_tracker
@@ -105,7 +102,7 @@ def main() -> int:
     parser.add_argument('plates', nargs='+')
     plates: list[tuple[str, Array, Array]] = []
     for name in parser.parse_args().plates:
-        loose = read_point_pairs(name, machine_of(CHAINS[0], 10.0))[0]
+        loose = otf_core.read_point_pairs(name, machine_of(CHAINS[0], 10.0))[0]
         reach = 1.02 * float(np.abs(loose.q).max())
         fold = np.random.default_rng(SEED).permutation(len(loose.q)) % FOLDS
         deviation = loose.measured[:, :2] - loose.q
@@ -115,7 +112,7 @@ def main() -> int:
             left = left_by(columns_of(x, y, kind), deviation, fold)
             print(f'  {kind:38s} {words_of(left)}')
         for chain in CHAINS:
-            left, u = held_out(read_point_pairs(name, machine_of(chain, reach))[0], fold)
+            left, u = held_out(otf_core.read_point_pairs(name, machine_of(chain, reach))[0], fold)
             within = np.mean(np.abs(left) < 2.0 * u)
             print(f'  calibrated as {chain:24s} {words_of(left)}, {100 * within:.0f} % within 2 u')
         plates.append((name, loose.q, deviation))

@@ -7,10 +7,22 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / 'docs' / 'schema.md'
+DOCUMENTS = (
+    ('prediction.calibration_document', 'CalibrationDocument'),
+    ('diagnosis.document', 'GapDocument'),
+    ('planning.document', 'PlanDocument'),
+    ('noise.report', 'NoiseReport'),
+    ('comparison.document', 'ComparisonDocument'),
+    ('history.document', 'HistoryDocument'),
+    ('fleet.document', 'FleetDocument'),
+    ('checking.checks', 'CheckReport'),
+    ('sim.bag_files', 'SimulationDocument'),
+)
 INTRODUCTION = """<!-- made by python3 tools/schema_page.py -->
 # Fields of the result files
 
@@ -28,11 +40,11 @@ def schema_page() -> str:
         sys.path.append(folder)
     from otf_core.documents import schema_rows
     from otf_core.files.message_text import with_micro_sign
-    from otf_core.prediction.calibration_document import CalibrationDocument
 
-    documents: dict[str, type] = {'error_tables.json': CalibrationDocument}
     parts = [INTRODUCTION]
-    for file, document in documents.items():
+    for module, name in DOCUMENTS:
+        document = getattr(import_module(f'otf_core.{module}'), name)
+        file = document.file or 'otf check --json'
         first, *_ = (document.__doc__ or '').partition('\n')
         rows = ['| field | type | unit | meaning |', '|---|---|---|---|']
         rows += [f'| `{path}` | {kind} | {unit} | {meaning} |'

@@ -21,7 +21,17 @@ import typing
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, Union, cast, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    NoReturn,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +106,11 @@ def stated(
     return dataclasses.field(default=default, default_factory=factory, metadata={FIELD: own})
 
 
+def optional(meaning: str, unit: str = '', **more: Any) -> Any:
+    """Return a field that is None in memory and left out of the file where nothing is known."""
+    return stated(meaning, unit, default=None, sparse=True, **more)
+
+
 class Document:
     """Base of the frozen dataclasses that are written to and read from files."""
 
@@ -127,6 +142,18 @@ class Document:
             return cls(**values)
         except InputError as error:
             raise InputError(f'{where}: {error}' if where else str(error)) from None
+
+
+class ResultDocument(Document):
+    """Document of a verb: it has a file of its own, and exit codes follow from it."""
+
+    file: ClassVar[str] = ''
+    """Name of its file in the folder of results."""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the verb."""
+        return 0
 
 
 @cache

@@ -21,10 +21,12 @@ from otf_core.comparison.compare import (
     source_of_tables,
 )
 from otf_core.comparison.direct import AxisReadings, DirectMeasurement
+from otf_core.comparison.document import document_of
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
+from otf_core.model.provenance import provenance
 from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.calibration_document import (
     CalibrationDocument,
@@ -32,15 +34,18 @@ from otf_core.prediction.calibration_document import (
     tables_to_dict,
 )
 from otf_core.reports.comparison import (
-    comparison_to_dict,
     format_comparison,
-    write_comparison,
 )
+from otf_core.reports.pages import write_document
 from otf_core.sim.cell import random_tables
 
 
+def to_dict(result):
+    return document_of(result, {}).to_dict()
+
+
 def text_of(result):
-    return format_comparison(comparison_to_dict(result))
+    return format_comparison(to_dict(result))
 
 
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -190,10 +195,8 @@ def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of()
         'EAZ',
         'EBZ',
     )  # a longer tool along Z is none for a turn about Z
-    assert 'WARNING EAZ, EBZ: neither source distinguishes' in format_comparison(
-        comparison_to_dict(longer)
-    )
-    assert comparison_to_dict(longer)['translations_apart_by'] == ['EAZ', 'EBZ']
+    assert 'WARNING EAZ, EBZ: neither source distinguishes' in format_comparison(to_dict(longer))
+    assert to_dict(longer)['translations_apart_by'] == ['EAZ', 'EBZ']
 
 
 def test_a_direct_measurement_is_one_at_the_point_that_it_measured():
@@ -257,7 +260,7 @@ def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
     tables = replace(tables, motions=exact)
     result = compared(tables, tables.scaled(1.5))
     assert largest(result) > 1e-6
-    data = comparison_to_dict(result)
+    data = to_dict(result)
     assert data['volume']['within'] is None
     assert {m['within'] for m in data['motions'].values()} == {None}
     text = text_of(result)
@@ -268,10 +271,8 @@ def test_a_side_without_uncertainty_is_said_to_count_as_exact():
     tables = truth_of(some_machine())
     known = {n: replace(t, u=1e-6 + 0.0 * t.u) for n, t in tables.motions.items()}
     result = compared(replace(tables, motions=known), tables)
-    assert comparison_to_dict(result)['without_uncertainty'] == ['b']
-    assert 'b states no uncertainty: E_n treats it as exact' in format_comparison(
-        comparison_to_dict(result)
-    )
+    assert to_dict(result)['without_uncertainty'] == ['b']
+    assert 'b states no uncertainty: E_n treats it as exact' in format_comparison(to_dict(result))
     both = replace(tables, motions=known)
     assert 'treats it as exact' not in text_of(compared(both, both))
     # the scatter of a single run is not known
@@ -345,7 +346,7 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
     result = compared(tables, moved)
     volume = result.volume
     assert mean_length(volume.difference) < 1e-12 < mean_length(volume.a)
-    assert 'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100' in text_of(
+    assert 'both at the target offset of a, (20, -30, -150) mm; that of b is (100' in text_of(
         result
     )
     assert 'both at' not in text_of(compared(tables, tables))
@@ -354,11 +355,11 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
 def test_a_comparison_says_whether_squareness_was_known():
     machine = some_machine()
     tables = truth_of(machine)
-    known = comparison_to_dict(compared(tables, tables.scaled(1.1)))
+    known = to_dict(compared(tables, tables.scaled(1.1)))
     ratio = known['volume_with_squareness']
     assert ratio['mae_difference'] == pytest.approx(0.1 * ratio['mae_a'])
     direct = source_of_measurement('d', measure_directly(tables, 1), machine)
-    unknown = comparison_to_dict(compare(direct, source('t', tables)))
+    unknown = to_dict(compare(direct, source('t', tables)))
     assert 'volume_with_squareness' not in unknown
 
 
@@ -408,7 +409,7 @@ def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
     one = compared(a, b).errors['C0Y']
     assert (one.a[0], one.b[0]) == (pytest.approx(1e-5), pytest.approx(-5e-6))
     assert one.normalised[0] == pytest.approx(1.5e-5 / (2 * 2.5e-6))
-    data = comparison_to_dict(compared(a, b))['squareness']['C0Y']
+    data = to_dict(compared(a, b))['squareness']['C0Y']
     assert data['normalised_error'] == pytest.approx(3.0)
     assert re.search(
         r'^C0Y +urad +15\.00 .* 3\.00 +0 %$',
@@ -422,16 +423,14 @@ def test_squareness_that_one_side_does_not_know_is_not_compared():
     a = source('a', tables, None, ('A0Z',))
     result = compare(a, source('b', tables))
     assert result.common.scalars == ('C0Y', 'B0Z')
-    assert 'not compared: A0Z: a does not determine it' in format_comparison(
-        comparison_to_dict(result)
-    )
+    assert 'not compared: A0Z: a does not determine it' in format_comparison(to_dict(result))
 
 
 def test_a_comparison_writes_a_page_like_the_others(tmp_path):
     machine = some_machine()
     a = replace(zero_tables(machine), squareness={
         **zero_tables(machine).squareness, 'C0Y': ScalarError(1e-5, 2e-6)})  # fmt: skip
-    write_comparison(compared(a, truth_of(machine)), tmp_path)
+    write_document(document_of(compared(a, truth_of(machine)), provenance('compare')), tmp_path)
     source = (tmp_path / 'report.html').read_text(encoding='utf-8')
     page = Page(source)
     assert page.faults == [] and unloading(source) == []

@@ -15,6 +15,7 @@ from core_cells import error_of
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.history.control_chart import MachineStatus, history_of
+from otf_core.history.document import machine_history
 from otf_core.history.store import add_event, add_run, read_store, series_of
 from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -23,16 +24,15 @@ from otf_core.model.machine import load_machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.calibration_document import load_tables, tables_from_dict, tables_to_dict
-from otf_core.reports.history_report import (
-    format_history,
-    history_pages,
-    history_to_dict,
-    store_to_dict,
-)
+from otf_core.reports.history_report import format_history, history_pages
+
+
+def to_dict(history):
+    return machine_history(history).to_dict()
 
 
 def text_of(history):
-    return format_history(history_to_dict(history))
+    return format_history({'machines': [to_dict(history)]})
 
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
@@ -208,7 +208,7 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
 
 
 def page_of(*histories):
-    return history_pages(store_to_dict([history_to_dict(h) for h in histories]))['history.html']
+    return history_pages({'machines': [to_dict(h) for h in histories]})['history.html']
 
 
 def head_of(*histories):
@@ -246,7 +246,7 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     h = history_of(read_store(tmp_path / 'store'), 'small')
     assert h.standing is MachineStatus.UNJUDGED and h.due is None
     assert 'collision (2026-02-15), and no run since' in head_of(h)[2]
-    assert [e['followed'] for e in history_to_dict(h)['events']] == [True, False]
+    assert [e['followed'] for e in to_dict(h)['events']] == [True, False]
 
 
 def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
@@ -286,7 +286,7 @@ def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, t
     # no later than by the last step alone, and that is far sooner than by the line
     assert h.due.earliest <= limit / h.last.volume < 0.6 * limit / h.drift.volume
     assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
-    shown = history_to_dict(h)['next_calibration']
+    shown = to_dict(h)['next_calibration']
     assert shown['at'] is None and 'straight line' in shown['withheld']
     assert 'no date' in text_of(h)
 

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs of nominal and measured positions, from machines written down in closed form."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
-from otf_core.calibration.calibrate import calibrate_pairs
+import otf_core
+from otf_core import cli
 from otf_core.errors import InputError
-from otf_core.inputs.point_pairs import read_point_pairs
 from otf_core.model.machine import Machine
 
 NOISE = 2e-6
@@ -64,7 +66,7 @@ def measured(tmp_path_factory):
     write(
         path, 'X_measured [mm],Y [mm],X [mm],Y_measured [mm]', 1e3 * u, 1e3 * y, 1e3 * x, 1e3 * v
     )
-    return calibrate_pairs(read_point_pairs(path, plotter()))
+    return otf_core.calibrate(otf_core.read_point_pairs(path, plotter()), method='points')
 
 
 def test_tables_are_those_of_the_machine(measured) -> None:
@@ -76,8 +78,6 @@ def test_tables_are_those_of_the_machine(measured) -> None:
 
 
 def test_prediction_and_its_u(measured) -> None:
-    import otf_core
-
     x, y = np.random.default_rng(8).uniform(-0.28, 0.28, (2, 400))
     nominal = np.stack([x, y, np.zeros_like(x)], axis=1)
     predicted = otf_core.predict(measured, nominal)
@@ -104,7 +104,7 @@ def test_repeated_points_state_the_noise_before_anything_is_fitted(tmp_path) -> 
     x, y = np.repeat(np.random.default_rng(1).uniform(-0.29, 0.29, (2, 30)), 3, axis=1)
     u, v = where_it_went(x, y, 2)
     path = write(tmp_path / 'p.csv', 'Nom X,Nom Y,Meas X,Meas Y', x, y, u, v)
-    run = read_point_pairs(path, plotter())[0]
+    run = otf_core.read_point_pairs(path, plotter())[0]
     from otf_core.pieces.point_pairs import reduce_pairs
 
     assert reduce_pairs(run).noise.range.level == pytest.approx(NOISE, rel=0.25)
@@ -121,9 +121,9 @@ def test_runs_have_a_pose_each(tmp_path) -> None:
     ]
     path = tmp_path / 'p.csv'
     path.write_text('\n'.join(['x,y,x_measured,y_measured,run', *rows]))
-    runs = read_point_pairs(path, plotter())
+    runs = otf_core.read_point_pairs(path, plotter())
     assert [len(run.q) for run in runs] == [150, 150]
-    result = calibrate_pairs(runs)
+    result = otf_core.calibrate(runs, method='points')
     assert result.fit.residual_rms < 1.2 * np.sqrt(2) * NOISE
 
 
@@ -139,7 +139,7 @@ def test_runs_have_a_pose_each(tmp_path) -> None:
 def test_other_tables_are_refused(tmp_path, head: str, wrong: str) -> None:
     columns = np.random.default_rng(1).uniform(-0.2, 0.2, (head.count(',') + 1, 50))
     with pytest.raises(InputError, match=wrong):
-        read_point_pairs(write(tmp_path / 'p.csv', head, *columns), plotter())
+        otf_core.read_point_pairs(write(tmp_path / 'p.csv', head, *columns), plotter())
 
 
 def test_lengths_without_a_unit_are_in_mm_by_their_size(tmp_path) -> None:
@@ -149,6 +149,22 @@ def test_lengths_without_a_unit_are_in_mm_by_their_size(tmp_path) -> None:
     rows = [f'{1e3 * a:9.3f} {1e3 * b:9.3f} {1e3 * c:9.3f} {1e3 * d:9.3f}'
             for a, b, c, d in zip(u, v, x, y, strict=True)]  # fmt: skip
     path.write_text('\n'.join(['Plate 7', '', '  Meas X    Meas Y     Nom X     Nom Y', *rows]))
-    run = read_point_pairs(path, plotter())[0]
+    run = otf_core.read_point_pairs(path, plotter())[0]
     assert np.allclose(run.q, np.stack([x, y], axis=1), atol=1e-6)
     assert any('mm' in remark for remark in run.remarks)
+
+
+def test_from_a_table_to_a_report_by_the_command(tmp_path) -> None:
+    x, y = np.random.default_rng(5).uniform(-0.29, 0.29, (2, 300))
+    u, v = where_it_went(x, y, 6)
+    path = write(tmp_path / 'p.csv', 'x,y,x_measured,y_measured', x, y, u, v)
+    machine = tmp_path / 'machine.yaml'
+    machine.write_text(yaml.safe_dump(plotter().to_dict()))
+    command = ['calibrate', str(path), '--method', 'points', '--machine', str(machine)]
+    assert cli.main([*command, '--out', str(tmp_path / 'out')]) == 0
+    found = json.loads((tmp_path / 'out' / 'error_tables.json').read_text())
+    assert found['provenance']['method'] == 'points'
+    assert not found['motions']['EZX']['identifiable'] and found['motions']['ECX']['identifiable']
+    assert (tmp_path / 'out' / 'report.html').exists()
+    assert cli.main([*command, '--path', str(path), '--out', str(tmp_path / 'no')]) == 2
+    assert cli.main([*command, '--effects', 'auto', '--out', str(tmp_path / 'no')]) == 2

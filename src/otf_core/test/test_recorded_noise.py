@@ -10,12 +10,12 @@ from core_cells import START_NS, some_machine
 from otf_core.model.observation import Samples
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.report import noise_report
-from otf_core.reports.noise_report import format_noise, noise_to_dict
+from otf_core.reports.noise_report import format_noise
 from otf_core.sim.tracker import measure
 
 
 def text_of(report):
-    return format_noise(noise_to_dict(report))
+    return format_noise(report.to_dict())
 
 
 DATA = Path(__file__).parent / 'data'
@@ -111,7 +111,7 @@ def test_lost_samples_of_a_recorded_stream_are_told(cart):
     assert (cart.lost.samples, cart.lost.gaps) == (169, 3)
     assert cart.lost.longest == pytest.approx(2.70, abs=0.01)
     assert 'WARNING 169 samples lost in 3 gaps (7 %), the longest 2.70 s' in format_noise(
-        noise_to_dict(cart)
+        cart.to_dict()
     )
 
 

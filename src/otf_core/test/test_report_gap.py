@@ -16,13 +16,12 @@ from html_cells import Page, unloading
 from otf_core.diagnosis.answer import sentence_of
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.where import describe_structure
-from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
+from otf_core.diagnosis.result import AnyCause, Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.expanded import quantity
 from otf_core.model.sections import Circumstances
 from otf_core.reports.diagnosis import (
     confidence_words,
-    diagnosis_to_dict,
     gap_pages,
     next_measurements,
 )
@@ -62,7 +61,7 @@ def causes():
 
 def document(found):
     """The diagnosis as it is in its file."""
-    return json.loads(json.dumps(diagnosis_to_dict(found)))
+    return json.loads(json.dumps(found.document.to_dict()))
 
 
 def report_html(found):
@@ -103,6 +102,7 @@ def diagnosis(view, verdict='explained', found=(), **further):
         ),
         'origin': (),
         'shown': FigureData((view,), CONDITIONS),
+        'any_cause': AnyCause(1e-6),
     }
     return Diagnosis(**{**fields, **further})
 
@@ -336,7 +336,7 @@ def test_headline_has_the_size_with_axis_unit_and_uncertainty(view):
 
 def test_gap_is_one_number_in_text_json_and_page(view):
     answer = diagnosis(view, found=causes())
-    data, text = diagnosis_to_dict(answer), format_diagnosis(answer)
+    data, text = answer.document.to_dict(), format_diagnosis(answer)
     first = first_screen(report_html(answer))
     before, after = data['gap']['before_um'], data['gap']['after_um']
     assert f'gap {before:.2f} um -> {after:.2f} um' in text
@@ -380,7 +380,7 @@ def test_only_significant_coefficients_are_listed(view):
     for text in (format_diagnosis(answer), plain(report_html(answer))):
         assert 'B_X' in text and '2 further are not significant' in text
         assert 'B_Y' not in text and 'B_Z' not in text
-    assert set(diagnosis_to_dict(answer)['causes'][0]['parameters']) == set(names)
+    assert set(answer.document.to_dict()['causes'][0]['parameters']) == set(names)
 
 
 @pytest.mark.parametrize('verdict', ['none', 'unknown'])

@@ -12,12 +12,13 @@ from test_rotary_exports import five_axes
 
 from otf_core.comparison.compare import compare, load_sources
 from otf_core.errors import ConfigError
+from otf_core.fleet.document import fleet_document
 from otf_core.fleet.fleet import JobResult
 from otf_core.model.chain import displacement, rotations
 from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.tables import MotionTable, ScalarError
 from otf_core.prediction.calibration_document import tables_to_dict
-from otf_core.reports.fleet_report import fleet_document, fleet_pages, fleet_rows
+from otf_core.reports.fleet_report import fleet_pages, fleet_rows
 from otf_core.sim.cell import random_tables
 
 GAUGE = {'gauge': 'one gauge'}
@@ -174,7 +175,7 @@ def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
     }
     written(folder, 'error_tables', tables, **extra)
     outcomes = {'one': JobResult(0, '', 'x')}
-    doc = fleet_document('calibrate', tmp_path, outcomes)
+    doc = fleet_document('calibrate', tmp_path, outcomes).to_dict()
     _, (row,), _ = fleet_rows(doc)
     assert 'X0C 12.5 +/- 2.0 um' in row[-1]
     assert 'A0C not known' in row[-1]

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,28 +12,38 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from otf_core.arrays import Array
 from otf_core.bags import bag
-from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.calibration.calibrate import calibrate_pairs, calibrate_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import (
+    POINTS,
     CalibrationConfig,
     ForecastConfig,
     PlannerConfig,
     SimulationConfig,
 )
+from otf_core.documents import ResultDocument
 from otf_core.effects import EVERY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, read_effects
-from otf_core.errors import ConfigError, ShapeError
+from otf_core.errors import ConfigError, OtfError, ShapeError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
-from otf_core.inputs.recordings import ReadingOptions, path_of_machine, read_recording
-from otf_core.live.stages import Progress
+from otf_core.inputs.recordings import (
+    ReadingOptions,
+    open_reading,
+    path_of_machine,
+    read_recording,
+)
+from otf_core.live.stages import Progress, silent
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import Machine
+from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_along
+from otf_core.model.provenance import STANDARD, origin_of, provenance
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import read_noise as noise_from_file
+from otf_core.pieces.point_pairs import PointPairs
 from otf_core.pieces.runs import Recording
 from otf_core.prediction import predict as evaluation
 from otf_core.prediction.calibration_document import (
@@ -41,11 +52,14 @@ from otf_core.prediction.calibration_document import (
 )
 from otf_core.prediction.predict import Prediction
 from otf_core.reports import calibration
-from otf_core.reports.calibration_page import calibration_summary
+from otf_core.reports.pages import summary_of
 
 if TYPE_CHECKING:  # a calibration does not wait for what other verbs need
+    from otf_core.comparison.document import ComparisonDocument
     from otf_core.diagnosis.result import Diagnosis
+    from otf_core.noise.report import NoiseReport
     from otf_core.planning.plan_report import PlanReport
+    from otf_core.sim.cell import SimulatedRun
 
 # Public functions that read a run and write results.
 
@@ -213,36 +227,28 @@ def write_plan(
     ['otf_path_1.ngc', 'path.csv', 'report.html', 'plan.json']
     """
     from otf_core.planning.nc import DIALECTS
-    from otf_core.reports.plan_files import write_report
+    from otf_core.reports import plan_files
 
     if dialect is not None and dialect not in DIALECTS:
         raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')
     chosen = None if dialect is None else DIALECTS[dialect]
     return _fill_folder(
-        folder, overwrite, 'plan', lambda place: write_report(report, place, chosen)
+        folder, overwrite, 'plan', lambda place: plan_files.write_plan(report, place, chosen)
     )
 
 
-def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
-    """Return a result as the text that the command line shows.
+def summary(of: CalibrationResult | Diagnosis | PlanReport | ResultDocument) -> str:
+    """Return a result, or its document, as the text that the command line shows.
 
     Examples
     --------
     >>> print(otf_core.summary(diagnosis).splitlines()[0])
     verdict: none
     """
-    if isinstance(of, CalibrationResult):
-        return calibration_summary(of.to_dict())
-    from otf_core.diagnosis.result import Diagnosis
-    from otf_core.planning.plan_report import PlanReport
-    from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis
-    from otf_core.reports.plan_files import plan_summary, report_to_dict
-
-    if isinstance(of, Diagnosis):
-        return format_diagnosis(diagnosis_to_dict(of))
-    if isinstance(of, PlanReport):
-        return plan_summary(report_to_dict(of)).rstrip()
-    raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
+    document = getattr(of, 'document', of)
+    if not isinstance(document, ResultDocument):
+        raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
+    return summary_of(document)
 
 
 def _fill_folder(
@@ -260,7 +266,7 @@ Recordings = Recording | Iterable[Recording]
 
 
 def calibrate(
-    recordings: Recordings,
+    recordings: Recordings | Sequence[PointPairs],
     *,
     method: str = 'otf',
     effects: str | Path | None = None,
@@ -274,9 +280,9 @@ def calibrate(
     ----------
     recordings : Recording or iterable of Recording
         Several: runs of one machine from other stations, at other feeds, with other target
-        offsets; they are solved as one.
-    method : {'otf', 'standstill'}
-        On the fly, or from the stops at the corner points alone.
+        offsets; they are solved as one. Or the runs of ``read_point_pairs``.
+    method : {'otf', 'standstill', 'points'}
+        On the fly, from the stops at the corner points alone, or from pairs of points.
     effects : str or Path, optional
         Effects to take off: 'auto' for those that a diagnosis finds, or an effects.yaml.
     same_station : bool
@@ -307,14 +313,17 @@ def calibrate(
     >>> table.value.shape == table.u.shape == table.position.shape
     True
     """
+    if method == POINTS:
+        if effects is not None:
+            raise ConfigError('effects: pairs of points hold neither feed nor direction of travel')
+        return calibrate_pairs(_pairs_of(recordings), config, progress)
     runs = _several(recordings)
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
     from otf_core.diagnosis.diagnose import calibrate_with_effects
-    from otf_core.sim.twin import twin_recording
 
     return calibrate_with_effects(
-        runs, str(effects), twin_recording, config, progress, method, same_station=same_station
+        runs, str(effects), config, progress, method, same_station=same_station
     )
 
 
@@ -361,12 +370,9 @@ def diagnose(
     runs = _several(recordings)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects.effects_yaml import read_own_causes
-    from otf_core.sim.twin import twin_recording
 
     own = read_own_causes(own_causes, runs[0].machine) if own_causes else ()
-    return diagnose(
-        runs, twin_recording, exclude, config, progress, own=own, same_station=same_station
-    )
+    return diagnose(runs, exclude, config, progress, own=own, same_station=same_station)
 
 
 def check_excluded(exclude: Sequence[str]) -> None:
@@ -429,13 +435,72 @@ def predict(
     return evaluation.predict(source, q, offset)
 
 
-def _several(recordings: Recordings) -> list[Recording]:
-    if isinstance(recordings, Recording):
-        return [recordings]
-    runs = list(recordings) if isinstance(recordings, Iterable) else [recordings]
-    wrong = [run for run in runs if not isinstance(run, Recording)]
-    if wrong:
-        raise ConfigError(f'recordings: expected Recording, got {type(wrong[0]).__name__}')
+def noise(source: Name, standstill_speed: float, options: ReadingOptions) -> NoiseReport:
+    """Noise of the tracker in the standstills of a recording, as ``otf noise`` states it."""
+    from otf_core.noise.report import noise_report
+
+    reading = open_reading(source, options)
+    samples = bag.points_of(reading, str(source))
+    origin = replace(origin_of(Path(source).name, samples), left_out=tuple(reading.left_out))
+    try:
+        parts = max(len(reading.axis_paths), 1)
+        return noise_report(samples, standstill_speed, parts, origin)
+    except OtfError as error:
+        raise type(error)(f'{source}: {error}') from None
+
+
+def compare(
+    a: Name,
+    b: Name,
+    machine: Name | None = None,
+    points: Name | None = None,
+    sign: str | None = None,
+) -> ComparisonDocument:
+    """Two error tables or direct measurements, as ``otf compare`` states them.
+
+    Parameters
+    ----------
+    machine : str or Path, optional
+        machine.yaml, of what does not hold its machine; that of the other if not given.
+    points : str or Path, optional
+        File of the points at which error vectors are compared; a grid if not given.
+    sign : {'error', 'correction'}, optional
+        What values of other systems are, where their files do not state it.
+    """
+    from otf_core.comparison import compare as sources
+    from otf_core.comparison.document import document_of
+    from otf_core.inputs.path_file import read_target_points
+
+    described = load_machine(machine) if machine else None
+    (first, second), remarks = sources.load_sources((a, b), described, sign)
+    at, own = None, first.tables.machine
+    if points:
+        at = own.axis_positions(read_target_points(points, own.point_names)[0])
+    about = provenance(
+        'compare',
+        machines=[described] if described else [],
+        files={'a': a, 'b': b, 'points': points},
+        coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
+    )
+    document = document_of(sources.compare(first, second, at), about)
+    return replace(document, remarks=(*document.remarks, *remarks))
+
+
+def _pairs_of(recordings: object) -> list[PointPairs]:
+    """Runs of pairs; ConfigError if they are anything else."""
+    given = list(recordings) if isinstance(recordings, Iterable) else [recordings]
+    runs = [run for run in given if isinstance(run, PointPairs)]
+    if not runs or len(runs) < len(given):
+        raise ConfigError(f'method {POINTS}: expected the runs of read_point_pairs')
+    return runs
+
+
+def _several(recordings: object) -> list[Recording]:
+    given = list(recordings) if isinstance(recordings, Iterable) else [recordings]
+    runs = [run for run in given if isinstance(run, Recording)]
+    if len(runs) < len(given):
+        wrong = next(run for run in given if not isinstance(run, Recording))
+        raise ConfigError(f'recordings: expected Recording, got {type(wrong).__name__}')
     if not runs:
         raise ConfigError('recordings: none given')
     return runs
@@ -458,11 +523,17 @@ class Simulation:
         The errors of the simulated machine.
     T_machine_tracker : RigidTransform
         The true pose of the tracker: takes tracker to machine coordinates.
+    run : SimulatedRun
+        All that was simulated.
+    effects : sequence of AppliedEffect
+        What was wrong besides.
     """
 
     recording: Recording
     truth: ErrorTables
     T_machine_tracker: RigidTransform
+    run: SimulatedRun
+    effects: Sequence[AppliedEffect]
 
 
 def plan(
@@ -473,8 +544,11 @@ def plan(
     wanted_uncertainty: float | None = None,
     tracker_place: ArrayLike | None = None,
     noise: str | Path | None = None,
+    after: str | Path | None = None,
     config: PlannerConfig | None = None,
     forecast: ForecastConfig | None = None,
+    progress: Progress = silent,
+    files: Mapping[str, str | Path | None] | None = None,
 ) -> PlanReport:
     """Path for a machine, and what it will show before anything moves.
 
@@ -490,6 +564,12 @@ def plan(
         Beam origin in the machine frame; in front of the volume if not given.
     noise : str or Path, optional
         noise.json of ``otf noise``; as specified in machine.yaml if not given.
+    after : str or Path, optional
+        Folder of a diagnosis: the shortest path that answers what it left open.
+    progress : callable(stage, fraction), optional
+        Called as work goes on.
+    files : mapping of str to path, optional
+        What was read, for the provenance.
 
     Returns
     -------
@@ -512,6 +592,7 @@ def plan(
     >>> 0 < report.forecast.mean_grid_u < 2e-6
     True
     """
+    from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.plan_report import PlanRequest, make_plan
 
     config = config or PlannerConfig()
@@ -524,8 +605,11 @@ def plan(
         wanted_uncertainty=wanted_uncertainty,
         tracker_place=None if place is None else (*place.tolist(),),
         noise=None if noise is None else noise_from_file(noise),
+        questions=() if after is None else tuple(open_questions(after, machine)),
+        before=() if after is None or place is not None else tuple(measured_runs(after)),
+        files=files or {},
     )
-    return make_plan(machine, request, config, forecast or ForecastConfig())
+    return make_plan(machine, request, config, forecast or ForecastConfig(), progress)
 
 
 def simulate(
@@ -537,13 +621,15 @@ def simulate(
     effects: Effects | None = None,
     tracker_place: ArrayLike | None = None,
     config: SimulationConfig | None = None,
+    planning: PlannerConfig | None = None,
 ) -> Simulation:
     """Simulate a run: exact kinematics, a drive, a tracker with noise and a clock of its own.
 
     Parameters
     ----------
     plan : Plan or PlanReport, optional
-        What is driven; of a report also the place of the tracker. The default path if not given.
+        What is driven; of a report also the place of the tracker. The path that ``planning``
+        makes if not given.
     seed : int, optional
         Seed of all random draws; that of ``config`` if not given.
     tables : ErrorTables, str or Path, optional
@@ -583,21 +669,100 @@ def simulate(
     if isinstance(plan, PlanReport):
         place = plan.setup.place if place is None else place
         plan = plan.plan
-    driven = planned(Setup.of(machine), PlannerConfig()) if plan is None else plan
+    planning = planning or PlannerConfig()
+    driven = planned(Setup.of(machine), planning) if plan is None else plan
     check_inside(driven, machine)
     truth = tables if isinstance(tables, ErrorTables) or tables is None else None
     if isinstance(tables, (str, Path)):
         truth = load_tables(tables).tables
     if truth is not None:
         truth = truth.on(machine)
-    run = simulate(machine, driven, config, truth, _effects(effects, machine), place)
+    applied = _effects(effects, machine)
+    run = simulate(machine, driven, config, truth, applied, place)
     path = path_of_machine(() if run.path else run.parts, run.path, machine)
     name = f'simulation of seed {config.seed}'
     return Simulation(
         Recording(run.samples, path, machine, name),
         run.truth,
         run.pose,
+        run,
+        applied,
     )
+
+
+DWELLS = ('corner_dwell', 'end_dwell')
+"""Parameters of the planner that a plan leaves open."""
+
+
+def read_plan(
+    name: Name, machine: Machine, config: PlannerConfig, stated: Collection[str] = ()
+) -> tuple[Plan, Array | None]:
+    """Read what is to be driven: a plan.json, corner points or an NC program.
+
+    Parameters
+    ----------
+    stated : collection of str
+        Parameters of ``config`` that were given: a plan.json takes dwells alone.
+
+    Returns
+    -------
+    plan : Plan
+    place : ndarray, shape (3,), m, or None
+        Of the tracker, as a plan.json assumes it.
+
+    Raises
+    ------
+    ConfigError
+        Names the file and what is wrong with it.
+    """
+    from otf_core.inputs import path_file
+
+    place = None
+    try:
+        if path_file.looks_like_json(name):
+            file, plan = path_file.read_plan(name)
+            place, link = file.assumed.tracker_place, file.assumed.tracker_link
+            if link != machine.tracker.link:
+                raise ConfigError(
+                    f'{name}: plans a tracker on link {link}, machine.yaml states '
+                    f'{machine.tracker.link}: plan again with this machine.yaml'
+                )
+            plan = _with_dwells(plan.of(machine), name, config, stated)
+        elif machine.rotary_names or path_file.holds_axis_positions(name):
+            paths = path_file.read_axis_paths(name, machine.axis_names)
+            plan = plan_along(machine, paths, config)
+        else:
+            corners, words = path_file.read_path(name)
+            if words:
+                logging.getLogger(__name__).info(words)
+            plan = plan_along(machine, [AxisPath.of_points(machine, corners)], config)
+        check_inside(plan, machine)
+    except ConfigError as error:
+        if 'header x,y,z' not in str(error):
+            raise
+        raise ConfigError(f'{error}; or give the plan.json of otf plan') from None
+    except OtfError as error:
+        raise ConfigError(f'{name}: {error}') from None
+    return plan, place
+
+
+def _with_dwells(plan: Plan, name: Name, config: PlannerConfig, stated: Collection[str]) -> Plan:
+    """Take the dwells that were given; refuse parameters that the plan decides."""
+    decided = [key for key in stated if key not in DWELLS]
+    if decided:
+        raise ConfigError(
+            f'{decided[0]}: {name} is a plan, which sets this; give its path.csv to drive the '
+            f'same path with other settings'
+        )
+    parts = []
+    for part in plan.parts:
+        dwell = part.dwell.copy()
+        if 'corner_dwell' in stated and not part.stops:
+            dwell[1:-1][dwell[1:-1] > 0.0] = config.corner_dwell
+        if 'end_dwell' in stated:
+            dwell[[0, -1]] = config.end_dwell
+        parts.append(replace(part, dwell=dwell))
+    return replace(plan, parts=tuple(parts))
 
 
 def _plan_along(

@@ -72,6 +72,7 @@ from otf_core.solving.joint import (
 from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.residuals import ResidualCheck
 from otf_core.solving.reversal import (
+    AxisLag,
     Choice,
     Reversal,
     backlash_at_target,
@@ -151,8 +152,8 @@ def assemble(
         targets=_targets(driven, joint, whole, run),
         fit=fit,
         headline=headline_of(VolumetricError(tables, expected), budget, typical),
-        reversal=_reversal(solved.choice, tables, joint, whole),
-        lags=tuple(lags(joint, whole)),
+        reversal=_reversal(solved.choice, tables, joint, whole, run),
+        lags=_lags(joint, whole, run),
         fraction=made.fraction,
         table_costs=made.costs,
         prior=unseen_sizes(tables, [n for n in tables.machine.motions if n not in hidden]),
@@ -226,10 +227,24 @@ def _settled(
     return runs, settle_covariance(joint, limit, parts.normal), parts, pulls
 
 
-def _reversal(choice: Choice, tables: ErrorTables, joint: JointSolution, whole: Array) -> Reversal:
-    found = (tables, joint.unknowns, joint.solution.value, whole, joint.solution.accepted)
-    motions, backlash = reversal_tables(*found), backlash_at_target(*found)
-    return Reversal(choice.model, choice.evidence, motions, choice.held, backlash)
+def _reversal(
+    choice: Choice, tables: ErrorTables, joint: JointSolution, whole: Array, run: Array
+) -> Reversal:
+    start, accepted = (tables, joint.unknowns, joint.solution.value), joint.solution.accepted
+    motions, motions_run = (reversal_tables(*start, c, accepted) for c in (whole, run))
+    backlash, backlash_run = (backlash_at_target(*start, c, accepted) for c in (whole, run))
+    return Reversal(
+        choice.model,
+        choice.evidence,
+        {n: replace(own, u_run=motions_run[n].u) for n, own in motions.items()},
+        choice.held,
+        {a: replace(own, u_run=backlash_run[a].u) for a, own in backlash.items()},
+    )
+
+
+def _lags(joint: JointSolution, whole: Array, run: Array) -> tuple[AxisLag, ...]:
+    pairs = zip(lags(joint, whole), lags(joint, run), strict=True)
+    return tuple(replace(own, u_run=of_run.u) for own, of_run in pairs)
 
 
 def _targets(

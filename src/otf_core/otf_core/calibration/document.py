@@ -196,6 +196,7 @@ def _reversal(result: CalibrationResult) -> ReversalBlock:
             position=table.position,
             value=table.value,
             u=table.u,
+            u_run=table.u_run,
             identifiable=table.identifiable,
             forward=mean + 0.5 * table.value,
             backward=mean - 0.5 * table.value,
@@ -207,6 +208,6 @@ def _reversal(result: CalibrationResult) -> ReversalBlock:
         model=own.model,
         evidence=own.evidence,
         held=own.held,
-        axes={axis: SizeEntry(size.value, size.u) for axis, size in own.backlash.items()},
-        lags={one.axis: SizeEntry(one.value, one.u) for one in result.lags},
+        axes={a: SizeEntry(size.value, size.u, size.u_run) for a, size in own.backlash.items()},
+        lags={one.axis: SizeEntry(one.value, one.u, one.u_run) for one in result.lags},
     )

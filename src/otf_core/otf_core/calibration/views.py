@@ -20,7 +20,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import unit_of
 from otf_core.model.path import leg_bounds
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.volumetric import table_places, table_rows, table_values
+from otf_core.prediction.volumetric import VolumetricError, table_places, table_rows, table_values
 
 if TYPE_CHECKING:
     from otf_core.calibration.calibration_result import CalibrationResult, RunResult
@@ -53,6 +53,7 @@ def volume_view(result: CalibrationResult) -> dict[str, Any]:
         'position': _fine(volume.positions, 6),
         'error': _fine(volume.error),
         'u': _fine(volume.u),
+        'u_run': _fine(VolumetricError(result.tables, result.covariance_run).u),
         'alone': {
             name: float(np.sqrt(np.mean(np.sum(volume.part(name) ** 2, axis=1))))
             for name in table_places(result.tables)

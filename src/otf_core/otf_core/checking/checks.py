@@ -20,6 +20,7 @@ from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings, check_samples
+from otf_core.documents import Document, ResultDocument, optional, stated
 from otf_core.errors import InputError
 from otf_core.files.text_table import SkippedLines
 from otf_core.inputs.recordings import AS_IT_IS, ReadingOptions, open_reading, path_of_machine
@@ -218,19 +219,12 @@ ERROR = 'error'
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Something wrong with a recording.
+class Problem(Document):
+    """Something wrong with a recording."""
 
-    Attributes
-    ----------
-    severity : str
-        ``WARNING`` or ``ERROR``.
-    what : str
-        What, where, and what to do.
-    """
-
-    severity: str
-    what: str
+    severity: str = stated('warning, or error: a calibration would refuse it or not be good')
+    what: str = stated('what, where, and what to do')
+    check: str = stated('what was looked at', default='')
 
 
 @dataclass(frozen=True)
@@ -641,38 +635,40 @@ CHECKS: tuple[Check, ...] = (
 
 
 @dataclass(frozen=True)
-class CheckReport:
-    """What is to be known of a recording before the tracker is dismounted.
+class CheckReport(ResultDocument):
+    """What is to be known of a recording before the tracker is dismounted."""
 
-    Attributes
-    ----------
-    checked : mapping of str to CheckOutcome
-        By the names of the checks.
-    """
-
-    name: str
-    checked: Mapping[str, CheckOutcome]
+    usable: bool = stated('a calibration would take the recording')
+    problems: tuple[Problem, ...] = stated('errors first')
+    topics: Mapping[str, str] | None = optional('types of messages by topic')
+    samples: int | None = optional('samples received')
+    left_out: tuple[Any, ...] | None = optional('lines of a text table that are not samples')
+    rate_hz: float | None = optional('usual rate', 'Hz')
+    duration_s: float | None = optional('from the first to the last sample', 's')
+    spacing_mm: float | None = optional('distance of samples at the top feed', 'mm')
+    gaps: int | None = optional('pauses in which samples are missing')
+    lost_share: float | None = optional('share of the samples that are missing')
+    longest_gap_s: float | None = optional('longest pause', 's')
+    first_stamp: str | None = stated('UTC; null: stamps tell no date', default=None)
+    clock_set: int | None = optional('how often the clock of the stamps was set')
+    jitter: float | None = optional('usual deviation of an interval, over the median')
+    beam_breaks: int | None = optional('breaks while the target moved')
+    without_beam: int | None = optional('points in the origin of the tracker')
+    beam_m: tuple[float, float] | None = optional('shortest and longest beam', 'm')
+    coverage: float | None = optional('driven share of the path length')
+    legs_missing: int | None = optional('legs of which less than half was seen')
+    standstills: int | None = optional('stops')
+    standstill_s: float | None = optional('their duration', 's')
+    noise_range_um: float | None = optional('noise along the beam in standstills', 'um')
+    noise_angle_urad: tuple[float, ...] | None = optional('of both angles', 'urad')
+    forecast: Mapping[str, Any] | None = optional('what a calibration would know')
+    name: str = ''
+    checked: Mapping[str, CheckOutcome] = field(default_factory=dict)
 
     @property
-    def problems(self) -> tuple[tuple[str, Problem], ...]:
-        """Names of checks and what they found, errors first."""
-        every = [(name, p) for name, result in self.checked.items() for p in result.problems]
-        return tuple(sorted(every, key=lambda item: item[1].severity != ERROR))
-
-    @property
-    def usable(self) -> bool:
-        """True if a calibration would take the recording."""
-        return all(p.severity != ERROR for _, p in self.problems)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        facts: dict[str, Any] = {}
-        for result in self.checked.values():
-            facts |= result.facts
-        problems = [
-            {'check': name, 'severity': p.severity, 'what': p.what} for name, p in self.problems
-        ]
-        return {'usable': self.usable, 'problems': problems, **facts}
+    def exit_code(self) -> int:
+        """0, or 3 if the recording is not usable."""
+        return 0 if self.usable else InputError.exit_code
 
 
 def check(
@@ -696,12 +692,21 @@ def check(
         If there is no such file or folder.
     """
     seen = look(source, machine, config or CalibrationConfig(), given)
-    return CheckReport(source, {c.name: c.ask(seen) for c in CHECKS})
+    checked = {c.name: c.ask(seen) for c in CHECKS}
+    every = [replace(p, check=n) for n, outcome in checked.items() for p in outcome.problems]
+    facts = {k: v for outcome in checked.values() for k, v in outcome.facts.items()}
+    return CheckReport(
+        all(p.severity != ERROR for p in every),
+        tuple(sorted(every, key=lambda p: p.severity != ERROR)),
+        **facts,
+        name=source,
+        checked=checked,
+    )
 
 
 def format_check(report: CheckReport) -> str:
     """Return the text for a terminal: the answer, what to expect, what is wrong, the table."""
-    wrong = sum(p.severity == ERROR for _, p in report.problems)
+    wrong = sum(p.severity == ERROR for p in report.problems)
     doubtful = len(report.problems) - wrong
     counted = [
         f'{count} {word}{"s" if count > 1 else ""}'
@@ -712,7 +717,7 @@ def format_check(report: CheckReport) -> str:
     lines = [f'{report.name}: {answer}{", " if counted else ""}{", ".join(counted)}']
     expected = report.checked.get(FORECAST.name, CheckOutcome()).words
     lines += [*expected.splitlines(), '']
-    lines += [f'{p.severity.upper()} {name}: {p.what}' for name, p in report.problems]
+    lines += [f'{p.severity.upper()} {p.check}: {p.what}' for p in report.problems]
     lines += [''] if report.problems else []
     width = max(len(name) for name in report.checked)
     lines += [

@@ -28,6 +28,7 @@ from otf_core.cli.simulating import run_plan, run_simulate
 from otf_core.config import (
     METHODS,
     OTF,
+    POINTS,
     PlannerConfig,
     SimulationConfig,
 )
@@ -75,8 +76,9 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
 
 def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
-        '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from stops at corners (default {OTF})',
+        '--method', choices=(*METHODS, POINTS), default=OTF,
+        help=f'on the fly, from stops at corners, or from a table of nominal and measured '
+        f'positions in place of BAG (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',

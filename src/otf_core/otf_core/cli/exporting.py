@@ -130,7 +130,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.prediction.calibration_document import tables_to_dict
+    from otf_core.prediction.calibration_document import CalibrationDocument
 
     out = output_folder(arguments, arguments.file, arguments.machine)
     machine = load_machine(arguments.machine)
@@ -140,9 +140,9 @@ def run_import(arguments: argparse.Namespace) -> int:
         'import', machines=[machine], files={'tables': arguments.file},
         coverage='no uncertainty: u of other systems is not carried over',
     )  # fmt: skip
-    content = tables_to_dict(imported.tables) | {'imported': sizes, 'provenance': block}
+    document = CalibrationDocument.of_tables(imported.tables, imported=sizes, provenance=block)
     with out.filled('import') as folder:
-        write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
+        write_text(folder / document.file, json.dumps(document.to_dict(), indent=1) + '\n')
     lines = [f'{arguments.file}: {text}' for text in imported.remarks]
     if imported.size_rms:
         lines.append(
@@ -150,7 +150,7 @@ def run_import(arguments: argparse.Namespace) -> int:
             f'{sizes["left_rms_um"]:.3f} um rms of them'
         )
     words = '\n'.join([*lines, 'u is 0: uncertainties are not carried over'])
-    written = [Path(arguments.out) / 'error_tables.json']
+    written = [Path(arguments.out) / document.file]
     data = {
         'schema': 'otf-import/1',
         **sizes,
@@ -209,13 +209,9 @@ def _added(arguments: argparse.Namespace) -> int:
 def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.control_chart import history_of
+    from otf_core.history.document import HistoryDocument, machine_history
     from otf_core.history.store import read_store
-    from otf_core.reports.history_report import (
-        format_history,
-        history_to_dict,
-        store_to_dict,
-        write_history,
-    )
+    from otf_core.reports.pages import summary_of, write_document
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')
@@ -231,11 +227,13 @@ def run_history(arguments: argparse.Namespace) -> int:
         )
     limit = None if arguments.limit is None else 1e-6 * arguments.limit
     # one at a time: its tables take megabytes
-    doc = store_to_dict([history_to_dict(history_of(store, m, limit)) for m in machines])
-    words = '\n\n'.join(map(format_history, doc['machines']))
+    document = HistoryDocument(
+        tuple(machine_history(history_of(store, m, limit)) for m in machines)
+    )
+    words = summary_of(document)
     if out is not None:
         with out.filled('history') as folder:
-            names = [f.name for f in write_history(doc, folder)]
+            names = [f.name for f in write_document(document, folder)]
         words += report_files([out.path / n for n in names], arguments.out)
-    answer(arguments, words, doc)
-    return 0
+    answer(arguments, words, document.to_dict())
+    return document.exit_code

@@ -10,7 +10,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -20,6 +20,9 @@ from otf_core.live.stages import Progress, TimeLeft, approximate_time, of_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from otf_core.documents import ResultDocument
+    from otf_core.files.output_folder import OutputFolder
 
 
 QUALITY_GATE_FAILED = 4
@@ -121,34 +124,31 @@ def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -
         say(typeset_units(words, sys.stdout))
 
 
-def answer_from(
-    arguments: argparse.Namespace, words: str, files: Sequence[Path], main: str, **more: Any
-) -> None:
-    """Print the result of a verb that wrote files; the object is one of them.
+def finish(
+    arguments: argparse.Namespace,
+    out: OutputFolder,
+    document: ResultDocument,
+    write: Callable[[Path], list[Path]] | None = None,
+) -> int:
+    """Write a result into its folder, print it, and return the exit code that it states.
 
     Parameters
     ----------
-    arguments : Namespace
-        With ``json`` and ``out``.
-    words : str
-        Which files were written is added.
-    files : sequence of Path
-        As they were written.
-    main : str
-        Name of the JSON file in the folder that holds the result.
-    more
-        Further entries of the object.
+    write : callable(folder), optional
+        Writes what stands in the folder; page and file of the document if not given.
     """
+    from otf_core.reports.pages import summary_of, write_document
+
+    with progress_of('writing'), out.filled(arguments.verb) as folder:
+        files = write(folder) if write else write_document(document, folder)
+    if out.missing:
+        note(f'otf: warning: {out.missing_words}')
     data: dict[str, Any] = {}
     if arguments.json:
-        from pathlib import Path
-
-        from otf_core.files.strict_yaml import read_json
-
-        data = dict(read_json(Path(arguments.out) / main))
-        data = {k: v for k, v in data.items() if k not in BULKY}
-        data |= {**more, 'out': arguments.out, 'files': _places(files, arguments.out)}
-    answer(arguments, words + report_files(files, arguments.out), data)
+        data = {k: v for k, v in document.to_dict().items() if k not in BULKY}
+        data |= {'out': arguments.out, 'files': _places(files, arguments.out)}
+    answer(arguments, summary_of(document) + report_files(files, arguments.out), data)
+    return document.exit_code
 
 
 def _places(files: Sequence[Path], folder: str) -> list[str]:

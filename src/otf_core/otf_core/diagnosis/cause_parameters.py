@@ -14,6 +14,7 @@ from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.evidence import Estimate, products_of
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
+from otf_core.documents import Document, stated
 from otf_core.effects import EVERY, AppliedEffect, BelongsTo, State
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
@@ -205,33 +206,22 @@ SCALES = {'m': (1e6, 'um'), 'rad': (1e6, 'urad'), 'm/m': (1e6, 'um/m'), 's': (1e
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(Document):
     """One curve of a free form, the other inputs in the middle of their ranges.
 
-    Attributes
-    ----------
-    term : str
-        Direction, rotation or coefficient of the formula that follows it.
-    axis : str
-        Machine axis of the term, if any.
-    at : tuple of float
-        Values of the input, SI.
-    value, u : tuple of float
-        Value and its standard uncertainty, in ``unit``, but for what the data do not see, such as
-        the mean of a shift, which the place of the tracker holds as well.
-    held : mapping of str to float
-        Values of the other inputs.
+    What the data do not see is left out of value and u, such as the mean of a shift, which the
+    place of the tracker holds as well.
     """
 
-    term: str
-    axis: str
-    input: str
-    input_unit: str
-    at: tuple[float, ...]
-    value: tuple[float, ...]
-    u: tuple[float, ...]
-    unit: str
-    held: dict[str, float]
+    term: str = stated('direction, rotation or coefficient of the formula that follows it')
+    axis: str = stated('machine axis of the term, if any')
+    input: str = stated('name of the input')
+    input_unit: str = stated('unit of the input')
+    at: tuple[float, ...] = stated('values of the input', 'SI')
+    value: tuple[float, ...] = stated('in unit')
+    u: tuple[float, ...] = stated('standard uncertainty, in unit')
+    unit: str = stated('of value and u')
+    held: Mapping[str, float] = stated('values of the other inputs', 'SI')
 
 
 def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[Curve, ...]:
@@ -376,26 +366,14 @@ WHOLE = 'rms across the path'
 
 
 @dataclass(frozen=True)
-class CauseSize:
-    """A size of a cause.
+class CauseSize(Document):
+    """A size of a cause."""
 
-    Attributes
-    ----------
-    of : str
-        What of the cause it is the size of, such as 'of X' or 'along Z'; empty for all of it.
-    value : float
-        SI.
-    u : float, optional
-        Standard uncertainty; none of what is chosen, not estimated.
-    remark : str
-        What kind of size it is, in words.
-    """
-
-    of: str
-    value: float
-    u: float | None
-    unit: str
-    remark: str = ''
+    of: str = stated('of X, along Z ...; empty: of all of it')
+    value: float = stated('value', 'SI')
+    u: float | None = stated('standard uncertainty; null: chosen, not estimated')
+    unit: str = stated('of value and u')
+    remark: str = stated('what kind of size it is', default='')
 
     @property
     def words(self) -> str:

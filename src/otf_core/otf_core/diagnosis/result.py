@@ -5,86 +5,67 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import Where
 from otf_core.diagnosis.weighing import Unnamed
+from otf_core.documents import Document, stated
 from otf_core.effects import AppliedEffect
 from otf_core.model.machine import Machine
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
 from otf_core.solving.reversal import Reversal
 
+if TYPE_CHECKING:
+    from otf_core.diagnosis.document import GapDocument
+
 FORMULA, FREE = 'formula', 'free'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
 
 
 @dataclass(frozen=True)
-class Gap:
-    """Size of the gap, micrometres root mean square per path piece.
+class Gap(Document):
+    """Size of the gap, root mean square per path piece."""
 
-    Attributes
-    ----------
-    measured_um, simulated_um : float
-        Residual of the calibration, and of that of a simulation of the same runs.
-    before_um, after_um : float
-        sqrt(max(0, measured^2 - simulated^2)) without and with the causes; ``after`` is judged on
-        legs that the causes were not fitted on.
-    shrink_interval_percent : tuple of two floats
-        95 % interval over legs, with the uncertainty of ``simulated_um``.
-    simulated_u_um : float
-        Standard uncertainty of ``simulated_um``.
-    """
-
-    measured_um: float
-    simulated_um: float
-    before_um: float
-    after_um: float
-    shrink_percent: float
-    shrink_interval_percent: tuple[float, float]
-    simulated_u_um: float = 0.0
+    measured_um: float = stated('residual of the calibration', 'um')
+    simulated_um: float = stated('that of a simulation of the same runs', 'um')
+    before_um: float = stated('sqrt(max(0, measured^2 - simulated^2))', 'um')
+    after_um: float = stated('with the causes, on legs that they were not fitted on', 'um')
+    shrink_percent: float = stated('how much smaller that is', '%')
+    shrink_interval_percent: tuple[float, float] = stated('95 % over legs', '%')
+    simulated_u_um: float = stated('standard uncertainty of simulated_um', 'um', default=0.0)
 
 
 @dataclass(frozen=True)
-class NamedCause:
-    """An effect that was found.
+class NamedCause(Document):
+    """An effect that was found."""
 
-    Attributes
-    ----------
-    parameters, u : mapping of str to float
-        Fitted parameters in SI units with their standard uncertainties (shape parameters have
-        none).
-    before_um, after_um, shrink_percent : float
-        Gap without and with this cause, those found before it being in both.
-    form : str
-        'formula', or 'free' where a smooth function of inputs explains the data better.
-    departs : str
-        How the free form departs from the formula, in words; empty for a formula.
-    curves : tuple of Curve
-        Of the free form, the largest first.
-    direction : str
-        Machine axes along which it displaces the target, the strongest first, in words.
-    sizes : tuple of CauseSize
-        What stands for it in a headline, the largest first.
-    """
+    effect: str = stated('name in the catalogue')
+    axes: tuple[str, ...] = stated('axes that it belongs to')
+    parameters: Mapping[str, float] = stated('by name', 'SI')
+    u: Mapping[str, float] = stated('standard uncertainty of those that were estimated', 'SI')
+    units: Mapping[str, str] = stated('unit of every parameter')
+    before_um: float = stated('gap without it, those found before being taken off', 'um')
+    after_um: float = stated('gap with it', 'um')
+    shrink_percent: float = stated('how much smaller that is', '%')
+    confidence: float = stated('that it, or one that it cannot be told from, is the cause')
+    indistinguishable_from: tuple[str, ...] = stated('effects that these data cannot tell from it')
+    form: str = stated('formula, or free: a smooth function explains more', default=FORMULA)
+    departs: str = stated('how a free form departs from the formula', default='')
+    curves: tuple[Curve, ...] = stated('of a free form, the largest first', default=())
+    direction: str = stated('machine axes along which it displaces the target', default='')
+    sizes: tuple[CauseSize, ...] = stated('for a headline, the largest first', default=())
 
-    effect: str
-    axes: tuple[str, ...]
-    parameters: Mapping[str, float]
-    u: Mapping[str, float]
-    units: Mapping[str, str]
-    before_um: float
-    after_um: float
-    shrink_percent: float
-    confidence: float
-    indistinguishable_from: tuple[str, ...]
-    form: str = FORMULA
-    departs: str = ''
-    curves: tuple[Curve, ...] = ()
-    direction: str = ''
-    sizes: tuple[CauseSize, ...] = ()
+
+@dataclass(frozen=True)
+class AnyCause(Document):
+    """Whether anything is missing in the simulation, before any name is given."""
+
+    p_value: float = stated('probability of a residual this large if the simulation were complete')
 
 
 @dataclass(frozen=True)
@@ -145,7 +126,15 @@ class Diagnosis:
     calibration: CalibrationResult
     origin: tuple[Origin, ...]
     shown: FigureData
+    any_cause: AnyCause
     unnamed: Unnamed | None = None
+
+    @cached_property
+    def document(self) -> GapDocument:
+        """What gap.json states."""
+        from otf_core.diagnosis.document import document_of
+
+        return document_of(self)
 
     @property
     def machine(self) -> Machine:

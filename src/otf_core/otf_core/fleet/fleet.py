@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from otf_core.documents import Document, stated
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import shortened
 from otf_core.files.output_folder import file_digest, written_files
@@ -70,24 +71,12 @@ class Job:
 
 
 @dataclass(frozen=True)
-class JobResult:
-    """How a run ended.
+class JobResult(Document):
+    """How a run ended; it took ``seconds``, which are part of no result."""
 
-    Attributes
-    ----------
-    exit : int
-        Exit code of the command; negative: the signal that ended it, each time.
-    message : str
-        What it said in the end; empty if all is well.
-    sha256 : str or None
-        Of its result file; None if there is none.
-    seconds : float
-        It took; part of no result.
-    """
-
-    exit: int
-    message: str
-    sha256: str | None
+    exit: int = stated('exit code of its command; negative: the signal that ended it, each time')
+    message: str = stated('what it said in the end; empty if all is well')
+    sha256: str | None = stated('of its result file; null: there is none')
     seconds: float = field(default=0.0, compare=False)
 
     @property
@@ -353,8 +342,7 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobRe
 # ``DIR/.fleet/NAME.json`` holds how a run ended and by which inputs. A run is left alone when it
 # is started again with the same inputs and has its results; failed ones are tried again.
 
-SCHEMA = 'otf-fleet/1'
-FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
+STATE = '.fleet'
 VERB_FILE = 'verb.json'
 Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, JobResult]]]
 
@@ -425,19 +413,3 @@ def _done_before(folder: Path, job: Job) -> JobResult | None:
     if known['inputs'] != job.inputs or not outcome.done or not result.exists():
         return None
     return outcome if file_digest(result) == outcome.sha256 else None
-
-
-def fleet_to_dict(verb: str, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
-    """Return a fleet as plain data: fleet.json."""
-    finished = sum(outcome.done for outcome in outcomes.values())
-    runs = {
-        name: {'exit': o.exit, 'message': o.message, 'sha256': o.sha256}
-        for name, o in outcomes.items()
-    }
-    return {
-        'schema': SCHEMA,
-        'verb': verb,
-        'done': finished,
-        'failed': len(outcomes) - finished,
-        'runs': runs,
-    }

@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.documents import Document, stated
 from otf_core.history.store import Series, Store, StoredEvent, mean_u, series_of
 from otf_core.model.expanded import COVERAGE_FACTOR
 
@@ -27,30 +28,18 @@ SINGULAR_VALUE_RATIO = 1e-9
 
 
 @dataclass(frozen=True)
-class Change:
-    """Difference of a motion, a squareness error or of all.
+class Change(Document):
+    """Difference of a motion, of another error, or of all."""
 
-    Attributes
-    ----------
-    size : float
-        Root mean square over the nodes, m or rad.
-    expected : float
-        The same, if nothing has changed: of the standard uncertainties.
-    p : float
-        Probability of a difference as large or larger, if nothing has changed.
-    tests : int
-        Differences that are looked at together with this one.
-    """
+    size: float = stated('root mean square over the nodes', 'm or rad')
+    expected: float = stated('the same without a change, by u', 'm or rad')
+    p: float = stated('probability of a difference as large or larger without a change')
+    significant: bool = stated('beyond the limits of a control chart')
 
-    size: float
-    expected: float
-    p: float
-    tests: int = 1
 
-    @property
-    def significant(self) -> bool:
-        """Return whether it is beyond the limits of a control chart."""
-        return self.p < FALSE_ALARM_CHANGE / self.tests
+def judged_change(size: float, expected: float, p: float, tests: int = 1) -> Change:
+    """Judge a difference that is looked at together with ``tests`` differences in all."""
+    return Change(size, expected, p, p < FALSE_ALARM_CHANGE / tests)
 
 
 def chi_square(difference: Array, covariance: Array) -> tuple[float, int]:
@@ -80,10 +69,10 @@ def change_of(difference: Array, covariance: Array, tests: int = 1) -> Change:
     variance = np.diag(covariance)
     known = variance > 1e-30
     if not known.any():
-        return Change(0.0, 0.0, 1.0, tests)
+        return judged_change(0.0, 0.0, 1.0, tests)
     part = np.ix_(known, known)
     chi2, dof = chi_square(difference[known], covariance[part])
-    return Change(
+    return judged_change(
         math.sqrt(float(np.mean(difference[known] ** 2))),
         math.sqrt(float(np.mean(variance[known]))),
         probability(chi2, dof),
@@ -108,7 +97,8 @@ def volume_change(series: Series, a: int, b: int) -> Change:
     difference = series.values[b] - series.values[a]
     covariance = series.covariances[a] + series.covariances[b]
     size = float(series.lengths(difference).mean())
-    return Change(size, mean_u(series.common, covariance), change_of(difference, covariance).p)
+    p = change_of(difference, covariance).p
+    return judged_change(size, mean_u(series.common, covariance), p)
 
 
 # How fast a machine drifts, and until when its tables hold.

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.documents import Document, ResultDocument, stated
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import read_json
@@ -40,20 +41,53 @@ ROTARY_WORDS = (
 
 
 @dataclass(frozen=True)
-class PlanFile:
-    """Content of a plan.json.
+class PlannedPart(Document):
+    """A part of the path between two places of the reflector."""
 
-    Attributes
-    ----------
-    link : str
-        On what the tracker stands.
-    tracker_place : ndarray, shape (3,), m
-        Beam origin in the frame of that link that the forecast assumed.
-    """
+    target: str = stated('name of the reflector')
+    feed: Array = stated('of every leg', 'm/s', shape=('m',))
+    dwell: Array = stated('at every corner', 's', shape=('n',))
+    positions: Array = stated('of the axes at the corners', 'm or rad', shape=('n', 'axes'))
+    words: str = stated('what is driven', default='')
+    duration: float = stated('time it takes', 's', default=0.0)
 
-    plan: Plan
-    link: str
-    tracker_place: Array
+
+@dataclass(frozen=True)
+class Assumed(Document):
+    """What the forecast assumed."""
+
+    tracker_link: str = stated('on what the tracker stands: w, the table, or b, the bed')
+    tracker_place: Array = stated('origin of the beam in its frame', 'm', shape=(3,))
+    noise: Mapping[str, Any] = stated('noise of single samples, as noise.json', factory=dict)
+    rate: float = stated('of the samples', 'Hz', default=0.0)
+    acceleration: float = stated('of the drives', 'm/s^2', default=0.0)
+
+
+@dataclass(frozen=True)
+class PlanFile(ResultDocument):
+    """What is driven by a plan.json."""
+
+    axes: tuple[str, ...] = stated('columns of positions')
+    parts: tuple[PlannedPart, ...] = stated('in driving order')
+    assumed: Assumed = stated('by the forecast')
+
+    @property
+    def plan(self) -> Plan:
+        """The plan.
+
+        Raises
+        ------
+        InputError
+            Names the part whose numbers do not belong together.
+        """
+        read = []
+        for k, own in enumerate(self.parts, start=1):
+            try:
+                drive = AxisPath(self.axes, own.positions, own.target)
+                read.append(Part(drive, own.feed, own.dwell, own.words))
+            except InputError as error:
+                raise InputError(f'parts: {k}: {error}') from None
+        return Plan(tuple(read))
 
 
 def looks_like_json(path: str | Path) -> bool:
@@ -72,23 +106,7 @@ def looks_like_json(path: str | Path) -> bool:
         return False
 
 
-def _numbers(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:
-    """Array of a shape, -1 standing for any length; ConfigError names the key."""
-    words = ' x '.join('n' if n < 0 else str(n) for n in shape)
-    words = f'{words} finite numbers' if shape else 'a finite number'
-    try:
-        values = np.array(data[key], dtype=float)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ConfigError(f'{where}: {key}: expected {words}') from None
-    fits = values.ndim == len(shape) and all(
-        wanted in (-1, n) for wanted, n in zip(shape, values.shape, strict=True)
-    )
-    if not fits or not np.all(np.isfinite(values)):
-        raise ConfigError(f'{where}: {key}: expected {words}')
-    return values
-
-
-def read_plan(path: str | Path) -> PlanFile:
+def read_plan(path: str | Path) -> tuple[PlanFile, Plan]:
     """Read a plan.json.
 
     Raises
@@ -99,29 +117,13 @@ def read_plan(path: str | Path) -> PlanFile:
     data, where = read_json(path), str(path)
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
         raise ConfigError(f"{where}: not a plan; expected the schema '{SCHEMA}' of otf plan")
-    axes, parts, assumed = (data.get(key) for key in ('axes', 'parts', 'assumed'))
-    if not isinstance(axes, list) or not isinstance(parts, list) or not parts:
-        raise ConfigError(f'{where}: axes, parts: expected lists as otf plan writes them')
-    read = []
-    for k, entry in enumerate(parts, start=1):
-        here = f'{where}: parts: {k}'
-        if not isinstance(entry, Mapping) or not isinstance(entry.get('target'), str):
-            raise ConfigError(f'{here}: target: missing')
-        positions = _numbers(entry, 'positions', (-1, len(axes)), here)
-        feed = _numbers(entry, 'feed', (len(positions) - 1,), here)
-        dwell = _numbers(entry, 'dwell', (len(positions),), here)
-        try:
-            drive = AxisPath(tuple(map(str, axes)), positions, entry['target'])
-            read.append(Part(drive, feed, dwell, str(entry.get('words', ''))))
-        except InputError as error:
-            raise ConfigError(f'{here}: {error}') from None
-    if not isinstance(assumed, Mapping) or not isinstance(assumed.get('tracker_link'), str):
-        raise ConfigError(f'{where}: assumed: tracker_link: missing')
-    place = _numbers(assumed, 'tracker_place', (3,), f'{where}: assumed')
-    return PlanFile(Plan(tuple(read)), assumed['tracker_link'], place)
-
-
-# Points from a text: CSV in m with the header x,y,z, or any table that says what it holds.
+    try:
+        file = PlanFile.from_dict(data, where)
+        if not file.parts:
+            raise InputError(f'{where}: parts: none')
+        return file, file.plan
+    except InputError as error:
+        raise ConfigError(str(error)) from None
 
 
 def read_points(name: str | Path) -> tuple[Array, str]:
@@ -157,7 +159,7 @@ def holds_axis_positions(name: str | Path) -> bool:
     A CSV is one if it has rotary axes or names targets.
     """
     if looks_like_json(name):
-        return not read_plan(name).plan.is_plain
+        return not read_plan(name)[1].is_plain
     try:
         with open(name, encoding='utf-8-sig') as file:
             head = {word.strip().lower() for word in file.readline(MAX_HEADER).split(',')}
@@ -190,12 +192,17 @@ def read_axis_paths(name: str | Path, axes: Sequence[str] = ()) -> list[AxisPath
         If the file cannot be read, has another header, or a line is no position.
     """
     if looks_like_json(name):
-        return [part.path for part in read_plan(name).plan.parts]
+        return [part.path for part in read_plan(name)[1].parts]
     letters, positions, targets = _axis_rows(name, axes, target=True)
     if not targets:
         return [AxisPath(letters, positions)]
     ends = [0, *(k for k in range(1, len(targets)) if targets[k] != targets[k - 1]), len(targets)]
     return [AxisPath(letters, positions[a:b], targets[a]) for a, b in pairwise(ends)]
+
+
+def read_target_points(file: str | Path, names: Sequence[str]) -> tuple[Array, str]:
+    """Read points (n, m) of a file, a column each for these, and what its text was read as."""
+    return (read_positions(file, names), '') if len(names) > 3 else read_points(file)
 
 
 def read_positions(name: str | Path, axes: Sequence[str]) -> Array:
@@ -290,7 +297,7 @@ def read_path(name: str | Path) -> tuple[Array, str]:
         If the text holds no points.
     """
     if looks_like_json(name):
-        plan = read_plan(name).plan
+        plan = read_plan(name)[1]
         if not plan.is_plain:
             raise ConfigError(f'{name}: {ROTARY_WORDS}')
         return plan.parts[0].path.points, ''

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional sections of machine.yaml, see docs/conventions.md.
+"""Optional sections of machine.yaml, see docs/machine.md.
 
 - ``limits``: what a calibration is judged by.
 - ``uncertainty``: standard uncertainties that no run shows. What is not declared is not in the

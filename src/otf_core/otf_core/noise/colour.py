@@ -17,14 +17,15 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from otf_core.arrays import Array, Index
-from otf_core.noise.noise_model import NoiseComponent, NoiseModel
+from otf_core.documents import Document, stated
+from otf_core.noise.noise_model import QUANTITIES, NoiseComponent, NoiseModel
 
 LAGS_PER_OCTAVE = 4
 MAX_LAG = 0.75
 """Share of the longest window."""
 TYPICAL_TIME, SPREAD = 0.3, 10.0
 """s and factor; what is known of correlation times before: recorded ones lie within
-(docs/noise.md). Decides only where the recording does not."""
+(docs/uncertainty.md). Decides only where the recording does not."""
 MAX_ITERATIONS = 5
 """Of the fit; each weighs with the model of the one before."""
 MIN_SLOW_SHARE = 0.02
@@ -203,12 +204,12 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Peak:
-    """A line in the spectrum: which quantity, frequency (Hz), root mean square (m or rad)."""
+class Peak(Document):
+    """A line in the spectrum."""
 
-    quantity: int
-    frequency: float
-    rms: float
+    of: str = stated('range, horizontal angle or vertical angle')
+    frequency: float = stated('frequency', 'Hz')
+    rms: float = stated('root mean square', 'm or rad')
 
 
 def spectrum(windows: Sequence[Array], step: float) -> Spectrum:
@@ -271,5 +272,6 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
             top = low + int(density[low:high].argmax())
             near = slice(max(low - 1, 0), high + 1)
             power = float(np.sum(density[near] - background[near])) * width
-            peaks.append(Peak(quantity, float(seen.frequency[top]), float(np.sqrt(power))))
+            name = QUANTITIES[quantity]
+            peaks.append(Peak(name, float(seen.frequency[top]), float(np.sqrt(power))))
     return tuple(peaks)

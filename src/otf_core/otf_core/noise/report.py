@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.arrays import Array
+from otf_core.documents import Document, ResultDocument, stated
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
+from otf_core.model.provenance import Origin, provenance
 from otf_core.noise.colour import (
     Peak,
-    Spectrum,
-    Variogram,
     expected_density,
     find_peaks,
     jackknife_u,
@@ -22,6 +25,7 @@ from otf_core.noise.colour import (
     spectrum,
     variogram,
 )
+from otf_core.noise.noise_model import QUANTITIES, NoiseModel, noise_to_fields
 from otf_core.noise.standstill import (
     MAX_REPEATED_DIFFERENCE,
     MIN_DURATION,
@@ -29,6 +33,7 @@ from otf_core.noise.standstill import (
     LostSamples,
     MeasuredNoise,
     Step,
+    Tails,
     find_drift,
     find_standstills,
     find_steps,
@@ -57,45 +62,67 @@ MIN_INTERVAL = 1e-4
 
 
 @dataclass(frozen=True)
-class NoiseReport:
-    """Noise of range, horizontal and vertical angle.
+class NoiseUncertainty(Document):
+    """Standard uncertainties by leaving out part of the windows; null: too little to leave out."""
 
-    Attributes
-    ----------
-    u_total, u_white : ndarray, shape (3,), m, rad, rad
-        Standard uncertainties of the levels by leaving out part of the windows; nan if there is
-        too little to leave out.
-    u_correlation_time : float
-        s.
-    standstills : int
-        Stops found.
-    duration : float
-        s, of standstill used.
-    rate : float
-        Hz.
-    distance : float
-        m, mean length of the beam in the standstills.
-    lost : LostSamples
-        Of the whole recording.
-    drift : Drift or None
-        None without a long standstill.
-    """
+    u_range: float = stated('of the total level along the beam', 'm', unknown=True)
+    u_angle: Array = stated('of both angles', 'rad', shape=(2,), unknown=True)
+    white_range: float = stated('of the white part along the beam', 'm', unknown=True)
+    white_angle: Array = stated('of both angles', 'rad', shape=(2,), unknown=True)
+    correlation_time: float = stated('of the correlation time', 's', unknown=True)
 
-    measured: MeasuredNoise
-    u_total: Array
-    u_white: Array
-    u_correlation_time: float
-    standstills: int
-    duration: float
-    rate: float
-    distance: float
-    peaks: tuple[Peak, ...]
-    lost: LostSamples
-    steps: tuple[Step, ...]
-    drift: Drift | None
-    variogram: Variogram
-    spectrum: Spectrum
-    warnings: tuple[str, ...]
+
+@dataclass(frozen=True)
+class VariogramCurve(Document):
+    """Half the mean square of differences; five significant digits."""
+
+    lag: Array = stated('time between samples', 's', shape=('n',))
+    value: Array = stated('of range and angles', 'm^2, rad^2', shape=(3, 'n'))
+
+
+@dataclass(frozen=True)
+class SpectrumCurve(Document):
+    """Power spectral density; five significant digits."""
+
+    frequency: Array = stated('frequency', 'Hz', shape=('n',))
+    density: Array = stated('of range and angles', 'm^2/Hz, rad^2/Hz', shape=(3, 'n'))
+
+
+@dataclass(frozen=True)
+class NoiseReport(ResultDocument):
+    """Noise of range, horizontal and vertical angle of a tracker whose target stands still."""
+
+    file = 'noise.json'
+
+    u_range: float = stated('standard deviation of a sample along the beam', 'm')
+    u_angle: Array = stated('of the horizontal and the vertical angle', 'rad', shape=(2,))
+    white_range: float = stated('the part of it that averages out', 'm')
+    white_angle: Array = stated('the same of both angles', 'rad', shape=(2,))
+    correlation_time: Any = stated('of the rest: one number, or three', 's')
+    standstills: int = stated('stops found')
+    samples: int = stated('samples in the windows')
+    uncertainty: NoiseUncertainty = stated('of these numbers')
+    windows: int = stated('windows of standstill')
+    windows_left_out: int = stated('windows in which the target seems to have moved')
+    duration: float = stated('standstill used', 's')
+    rate: float = stated('rate of the samples', 'Hz')
+    distance: float = stated('mean length of the beam in the standstills', 'm')
+    tails: Mapping[str, Tails] = stated('by quantity')
+    peaks: tuple[Peak, ...] = stated('lines in the spectrum')
+    lost: LostSamples = stated('of the whole recording')
+    steps: tuple[Step, ...] = stated('within standstills')
+    drift: Drift | None = stated('null without a long standstill')
+    variogram: VariogramCurve = stated('of the standstills')
+    spectrum: SpectrumCurve = stated('of the standstills')
+    warnings: tuple[str, ...] = stated('what the user should read')
+    schema: str = stated('otf-noise/1', default='otf-noise/1')
+    provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
+    noise: NoiseModel | None = None
+
+
+def _rounded(values: NDArray[np.floating[Any]]) -> Array:
+    """Five significant digits, for curves."""
+    return np.array([float(f'{v:.5g}') for v in values.ravel()]).reshape(values.shape)
 
 
 def _known_to(windows: list[Array], step: float) -> tuple[Array, Array, float]:
@@ -163,7 +190,9 @@ def _warnings(
     return tuple(warnings)
 
 
-def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> NoiseReport:
+def noise_report(
+    samples: Samples, standstill_speed: float, parts: int = 1, origin: Origin | None = None
+) -> NoiseReport:
     """Judge the noise in the standstills of a recording.
 
     Parameters
@@ -172,6 +201,8 @@ def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> N
         m/s; slower counts as standstill.
     parts : int
         Of the run; the beam is broken between them.
+    origin : Origin, optional
+        The recording.
 
     Raises
     ------
@@ -210,12 +241,16 @@ def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> N
     shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     lost = lost_samples(samples, parts)
+    curve, fields = variogram(windows), noise_to_fields(measured.noise)
     return NoiseReport(
-        measured=measured,
-        u_total=u_total,
-        u_white=u_white,
-        u_correlation_time=u_time,
+        **fields | {'tails': dict(zip(QUANTITIES, measured.tails, strict=True))},
         standstills=len(runs),
+        samples=measured.samples,
+        uncertainty=NoiseUncertainty(
+            float(u_total[0]), u_total[1:], float(u_white[0]), u_white[1:], u_time
+        ),
+        windows=measured.windows,
+        windows_left_out=measured.left_out,
         duration=duration,
         rate=1.0 / step,
         distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
@@ -223,7 +258,9 @@ def noise_report(samples: Samples, standstill_speed: float, parts: int = 1) -> N
         lost=lost,
         steps=find_steps(samples, runs),
         drift=find_drift(samples, trim_to_rest(samples, runs)),
-        variogram=variogram(windows),
-        spectrum=seen,
+        variogram=VariogramCurve(_rounded(curve.lag * step), _rounded(curve.value)),
+        spectrum=SpectrumCurve(_rounded(seen.frequency), _rounded(seen.density)),
         warnings=_warnings(measured, windows, duration, lost, len(samples)),
+        provenance=provenance('noise', runs=[] if origin is None else [origin]),
+        noise=measured.noise,
     )

@@ -19,6 +19,7 @@ from scipy.special import gammaln
 
 from otf_core.arrays import Array, Index
 from otf_core.blocks import blocks
+from otf_core.documents import Document, stated
 from otf_core.model.axis_path import BREAK
 from otf_core.model.frames import beam_frame
 from otf_core.model.machine import TrackerSpec
@@ -201,52 +202,28 @@ MIN_DRIFT_TIME = 5.0
 
 
 @dataclass(frozen=True)
-class LostSamples:
-    """Samples that are missing according to the stamps.
+class LostSamples(Document):
+    """Samples that are missing according to the stamps."""
 
-    Attributes
-    ----------
-    samples, gaps : int
-        Missing samples, and pauses in which they are missing.
-    longest : float
-        s, longest pause.
-    """
-
-    samples: int
-    gaps: int
-    longest: float
+    samples: int = stated('missing samples')
+    gaps: int = stated('pauses in which they are missing')
+    longest: float = stated('longest pause', 's')
 
 
 @dataclass(frozen=True)
-class Step:
-    """A change from one level to another within a standstill.
+class Step(Document):
+    """A change from one level to another within a standstill."""
 
-    Attributes
-    ----------
-    time : float
-        s since the first sample.
-    size : ndarray, shape (3,), m, rad, rad
-        Change of range, horizontal and vertical angle.
-    """
-
-    time: float
-    size: Array
+    time: float = stated('since the first sample', 's')
+    size: Array = stated('change of range and angles', 'm, rad, rad', shape=(3,))
 
 
 @dataclass(frozen=True)
-class Drift:
-    """Straight line through the longest standstill.
+class Drift(Document):
+    """Straight line through the longest standstill."""
 
-    Attributes
-    ----------
-    duration : float
-        s, of that standstill.
-    change : ndarray, shape (3,), m, rad, rad
-        Over its duration.
-    """
-
-    duration: float
-    change: Array
+    duration: float = stated('of that standstill', 's')
+    change: Array = stated('range and angles, over its duration', 'm, rad, rad', shape=(3,))
 
 
 def moves_by_hand(samples: Samples, parts: int) -> Index:
@@ -336,22 +313,14 @@ FREEDOMS = np.geomspace(2.2, 60.0, 30)
 
 
 @dataclass(frozen=True)
-class Tails:
-    """Tails of the fast noise of one quantity.
+class Tails(Document):
+    """Tails of the fast noise of one quantity."""
 
-    Attributes
-    ----------
-    excess_kurtosis : float
-        0 for normal noise.
-    freedom : float or None
-        Degrees of freedom of the likeliest Student distribution; None if normal serves as well.
-    beyond : float
-        Share of values beyond 4 standard deviations; 6e-5 for normal noise.
-    """
-
-    excess_kurtosis: float
-    freedom: float | None
-    beyond: float
+    excess_kurtosis: float = stated('0 for normal noise')
+    student_freedom: float | None = stated(
+        'degrees of freedom of the likeliest Student distribution; null: normal'
+    )
+    beyond_4_sigma: float = stated('share of values; 6e-5 for normal noise')
 
 
 def _log_likelihoods(square: Array, freedom: Array) -> Array:
@@ -589,7 +558,7 @@ def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> Me
     """Level, colour and tails of windows (n, 3) of values ``step`` seconds apart."""
     heaviness = tails(windows, step)
     parts = zip(fit_colour(windows, step), heaviness, strict=True)
-    noise = NoiseModel(*(replace(c, dof=t.freedom) for c, t in parts))
+    noise = NoiseModel(*(replace(c, dof=t.student_freedom) for c, t in parts))
     return MeasuredNoise(noise, heaviness, len(windows), sum(len(w) for w in windows), left_out)
 
 

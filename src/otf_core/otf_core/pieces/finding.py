@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from otf_core.documents import Document, stated
+
 WARNING, GATE = 'warning', 'gate'
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
@@ -15,22 +17,12 @@ MAX_OUTLIERS = 0.2
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A contradiction in the input that does not forbid a result.
+class Finding(Document):
+    """A contradiction in the input that does not forbid a result."""
 
-    Attributes
-    ----------
-    check : str
-        Name of the check.
-    severity : str
-        ``WARNING``: the result is usable; ``GATE``: it is not to be relied on (exit code 4).
-    words : str
-        The cause and what to do.
-    """
-
-    check: str
-    severity: str
-    words: str
+    check: str = stated('name of the check')
+    severity: str = stated('warning: usable; gate: not to be relied on (exit code 4)')
+    words: str = stated('the cause and what to do')
 
 
 def words_of(findings: tuple[Finding, ...], severity: str) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from otf_core.diagnosis.engine.search import (
     shapes_of,
     sight_of,
 )
+from otf_core.documents import Document, stated
 from otf_core.effects import BelongsTo, Effect, catalogue
 from otf_core.errors import ConfigError
 from otf_core.model.chain import Sight
@@ -54,25 +55,13 @@ IMITATED_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class UnseenError:
-    """One error that a plan does not show, or not everywhere.
+class UnseenError(Document):
+    """One error that a plan does not show, or not everywhere."""
 
-    Attributes
-    ----------
-    error : str
-        Motion, squareness or location error; an axis if part of its range is not driven.
-    mixed_with : tuple of str
-        Errors that take up its effect; empty if it has none that is seen.
-    words : str
-        What is the matter.
-    needs : str
-        What would show it.
-    """
-
-    error: str
-    mixed_with: tuple[str, ...]
-    words: str
-    needs: str
+    error: str = stated('motion or scalar error; an axis if part of its range is not driven')
+    mixed_with: tuple[str, ...] = stated('errors that take up its effect')
+    words: str = stated('what is the matter')
+    needs: str = stated('what would show it')
 
 
 def offset_in_words(machine: Machine) -> str:

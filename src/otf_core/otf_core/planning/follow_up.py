@@ -17,6 +17,7 @@ from otf_core.config import PlannerConfig
 from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import best_sight, shapes_of, sight_of
+from otf_core.documents import Document, stated
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.free_form import free_forms
@@ -58,24 +59,14 @@ that places are compared with."""
 
 
 @dataclass(frozen=True)
-class TrackerPlace:
-    """One place and what the plan would show from there.
+class TrackerPlace(Document):
+    """One place and what the plan would show from there."""
 
-    Attributes
-    ----------
-    place : ndarray, shape (3,), m
-        Beam origin in the machine frame.
-    mean_grid_u : float
-        m; forecast with splines of ``candidate_lines.INTERVALS`` parts per axis.
-    shortest, longest : float
-        m; beam over the path.
-    """
-
-    place: Array
-    words: str
-    mean_grid_u: float
-    shortest: float
-    longest: float
+    place: Array = stated('origin of the beam in the machine frame', 'm', shape=(3,))
+    words: str = stated('where that is')
+    mean_grid_u: float = stated('of the volume, a forecast with few splines', 'm')
+    shortest: float = stated('beam over the path', 'm')
+    longest: float = stated('beam over the path', 'm')
 
 
 def beam_lengths(plan: Plan, setup: Setup) -> tuple[float, float]:

@@ -79,7 +79,7 @@ STILL = 1e-4
 TURNING_WAVES = 0.05
 """Length of the waves that motions of rotary axes are assumed to have, as a share of the range:
 shorter than the usual ones, since machines with kinks at their nodes do not allow more to be taken
-from the neighbours of a node (docs/five-axes.md, Expected uncertainty)."""
+from the neighbours of a node (docs/tutorial-five-axes.md, Expected uncertainty)."""
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
+from otf_core.model.provenance import provenance
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.chains import HAND_MOVE
 from otf_core.planning.clearance import near_misses
@@ -51,6 +53,9 @@ from otf_core.planning.part_choice import planned, work_by_hand
 from otf_core.planning.path_optimiser import options_of, plan_for_time, plan_for_uncertainty
 from otf_core.threads import one_thread
 
+if TYPE_CHECKING:
+    from otf_core.planning.document import PlanDocument
+
 
 @dataclass(frozen=True)
 class PlanReport:
@@ -72,6 +77,8 @@ class PlanReport:
         Of targets that rotary axes turn before the tracker.
     near : sequence of str
         What comes near to what.
+    provenance : mapping
+        From what it was made.
     """
 
     plan: Plan
@@ -86,6 +93,14 @@ class PlanReport:
     after: tuple[Answer, ...]
     sight: Mapping[str, SightShare]
     near: Sequence[str]
+    provenance: Mapping[str, Any]
+
+    @cached_property
+    def document(self) -> PlanDocument:
+        """What plan.json states."""
+        from otf_core.planning.document import document_of
+
+        return document_of(self)
 
     @property
     def turns(self) -> int:
@@ -135,6 +150,8 @@ class PlanRequest:
         ``time_budget``.
     before : tuple of MeasuredRun
         What that diagnosis was of.
+    files : mapping of str to path
+        What was read, for the provenance.
     """
 
     given: Plan | None = None
@@ -144,6 +161,7 @@ class PlanRequest:
     noise: NoiseModel | None = None
     questions: tuple[OpenQuestion, ...] = ()
     before: tuple[MeasuredRun, ...] = ()
+    files: Mapping[str, str | Path | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that the wishes go together; ConfigError names those that do not."""
@@ -259,4 +277,5 @@ def make_plan(
         plan, how, setup, outlook, findings(plan, outlook, setup.limit), tuple(places),
         tuple(advice(places, own)), effects, systematic, tuple(answers),
         sights(machine, setup.place), near_misses(machine, plan.parts, setup.place),
+        provenance('plan', machines=[machine], files=request.files),
     )  # fmt: skip

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.documents import Document, stated
+from otf_core.documents import Document, ResultDocument, optional, stated
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import read_json, value_text
@@ -146,7 +146,13 @@ class ReversalEntry(Document):
     position: Array = stated('nodes', 'm or rad', shape=('k',))
     value: Array = stated('forward minus backward', 'm or rad', shape=('k',))
     u: Array | None = stated(
-        'standard uncertainty of the value', 'm or rad', shape=('k',), default=None
+        'with everything that is stated',
+        'm or rad',
+        shape=('k',),
+        default=None,
+    )
+    u_run: Array | None = stated(
+        'by noise and misfit of the run alone', 'm or rad', shape=('k',), default=None
     )
     identifiable: bool = stated('false: the data do not show it', default=True)
     forward: Array | None = stated(
@@ -164,7 +170,8 @@ class SizeEntry(Document):
     """A value and its standard uncertainty."""
 
     value: float = stated('value')
-    u: float = stated('its standard uncertainty')
+    u: float = stated('its standard uncertainty with everything that is stated')
+    u_run: float | None = stated('by noise and misfit of the run alone', default=None)
 
 
 @dataclass(frozen=True)
@@ -450,8 +457,10 @@ class PriorEntry(Document):
 
 
 @dataclass(frozen=True)
-class CalibrationDocument(Document):
+class CalibrationDocument(ResultDocument):
     """Everything that a calibration states; the content of error_tables.json."""
+
+    file = 'error_tables.json'
 
     machine: Machine = stated('machine.yaml')
     motions: Mapping[str, MotionTable] = stated('error motions of all axes (ISO 230-1)')
@@ -467,65 +476,55 @@ class CalibrationDocument(Document):
     targets: Mapping[str, TargetPlace] = stated(
         'reflectors whose places were sought', factory=dict
     )
-    alignment: RigidTransform | None = stated(
-        'takes tracker to machine coordinates, first run', default=None, sparse=True
-    )
+    alignment: RigidTransform | None = optional('takes tracker to machine coordinates, first run')
     tracker_link: str = stated('on what the tracker stands', default='w')
-    headline: Headline | None = stated('what is stated first', default=None, sparse=True)
-    verdicts: Verdicts | None = stated('measurement and machine', default=None, sparse=True)
+    headline: Headline | None = optional('what is stated first')
+    verdicts: Verdicts | None = optional('measurement and machine')
     not_identifiable: tuple[str, ...] = stated('errors that the data do not show', default=())
     warnings: tuple[str, ...] = stated('what the user should read', default=())
     failed_gates: tuple[str, ...] = stated('quality gates that failed', default=())
     effects: tuple[StatedEffect, ...] = stated('taken off before the solution', default=())
     effects_sentence: str = stated('effects found and removed; may be empty', default='')
-    fit: Fit | None = stated('size and quality of the fit', default=None, sparse=True)
-    reversal: ReversalBlock | None = stated(
-        'of forward and backward travel', default=None, sparse=True
-    )
+    fit: Fit | None = optional('size and quality of the fit')
+    reversal: ReversalBlock | None = optional('of forward and backward travel')
     runs: tuple[RunEntry, ...] = stated('one a recording', default=())
     run_id: str = stated('hash of samples, paths, machine and configuration', default='')
     gauge: str = stated('what is zero by definition', default='')
-    spacing: SpacingBlock | None = stated('of the nodes', default=None, sparse=True)
+    spacing: SpacingBlock | None = optional('of the nodes')
     prior: Mapping[str, PriorEntry] = stated(
         'of rotations that were not seen: they count for another tool', factory=dict
     )
-    target_offset_bound: OffsetBound | None = stated(
-        'values that hold at one target offset only', default=None, sparse=True
+    target_offset_bound: OffsetBound | None = optional(
+        'values that hold at one target offset only'
     )
-    driven: DrivenVolume | None = stated('hull of what was driven', default=None, sparse=True)
-    budget: BudgetBlock | None = stated('uncertainty by source', default=None, sparse=True)
-    correlations: CorrelationBlock | None = stated('between tables', default=None, sparse=True)
+    driven: DrivenVolume | None = optional('hull of what was driven')
+    budget: BudgetBlock | None = optional('uncertainty by source')
+    correlations: CorrelationBlock | None = optional('between tables')
     typical_systematic: TypicalBlock | None = stated(
         'typical contributions; null if all are declared', default=None
     )
-    covariance: PackedCovariance | None = stated('of u', default=None, sparse=True)
-    covariance_run: PackedCovariance | None = stated('of u_run', default=None, sparse=True)
-    covariance_change: PackedCovariance | None = stated(
+    covariance: PackedCovariance | None = optional('of u')
+    covariance_run: PackedCovariance | None = optional('of u_run')
+    covariance_change: PackedCovariance | None = optional(
         'what a change is judged by: u_run and declared contributions, which do not repeat; as '
-        'covariance_run where none is declared', default=None, sparse=True,
-    )  # fmt: skip
+        'covariance_run where none is declared'
+    )
     config: Mapping[str, Any] = stated('parameters of the calibration', factory=dict)
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
-    volumetric_error: Mapping[str, Any] | None = stated(
-        'error vectors over the volume: position, error, u (m); what every error makes alone',
-        default=None, sparse=True,
-    )  # fmt: skip
-    sizes: Mapping[str, Mapping[str, Any]] | None = stated(
-        'span of every motion and size of every scalar with u and k; null: not known',
-        default=None, sparse=True,
-    )  # fmt: skip
-    coverage: Mapping[str, Any] | None = stated(
-        'samples along every axis and around its nodes', default=None, sparse=True
+    volumetric_error: Mapping[str, Any] | None = optional(
+        'error vectors over the volume: position, error, u, u_run (m); what each error makes alone'
     )
+    sizes: Mapping[str, Mapping[str, Any]] | None = optional(
+        'span of every motion and size of every scalar with u and k; null: not known'
+    )
+    coverage: Mapping[str, Any] | None = optional('samples along every axis and around its nodes')
     diagonals: tuple[Mapping[str, Any], ...] = stated(
         'diagonals as the tables predict them, in the manner of ISO 230-6 (m)', default=()
     )
     turns: Mapping[str, Any] | None = stated(
         'mean length of the error vector over the rotary axes', default=None
     )
-    imported: Mapping[str, float] | None = stated(
-        'what the tables leave of a lattice', default=None, sparse=True
-    )
+    imported: Mapping[str, float] | None = optional('what the tables leave of a lattice')
     remarks: tuple[str, ...] = ()
     without_u: tuple[str, ...] = ()
 

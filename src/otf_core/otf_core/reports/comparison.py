@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf compare`` writes and says: comparison.json, and page and text from it.
+"""Page and text of a comparison.json.
 
 Figures are one for each motion (paper Figures 6 to 8) and one of the volume (Figure 9).
 """
@@ -7,29 +7,17 @@ Figures are one for each motion (paper Figures 6 to 8) and one of the volume (Fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
-from otf_core.files.writing import ensure_folder
-from otf_core.model.evaluation import mean_length
+from otf_core.comparison.compare import COVERAGE_FACTOR, agreement
 from otf_core.model.expanded import micro_unit
 from otf_core.model.frames import XYZ
-from otf_core.model.motions import unit_of
-from otf_core.model.provenance import provenance
 from otf_core.reports.calibration_errors import arrow_items
 from otf_core.reports.charts import Bar, Panel, Scale, bars, heat_key, heat_step, scale_around
-from otf_core.reports.rendering import (
-    State,
-    columns_to_text,
-    micro,
-    place,
-    render,
-    write_result,
-)
+from otf_core.reports.rendering import State, columns_to_text, micro, render
 from otf_core.reports.scene import box, box_around, magnification, scene
 
 HISTOGRAM_BINS = 31
@@ -43,114 +31,8 @@ ROW_WORDS = (
     'a and b: span of an error motion, value of any other error, both in the same gauge; U: '
     'largest, k = 2; E_n: difference over the root of the sum of both U squared'
 )
-SCHEMA = 'otf-comparison/2'
-CONVENTION = (
-    'positioning and rotations zero at axis position 0, else at the common minimum; straightness '
-    'zero at both ends of the common range; squareness contains what this removes from them'
-)
-LINES = 'location errors contain the least-squares line of the motions of rotary axes'
 HEAD = ('Error', 'Unit', 'Largest |b - a|', 'at', 'a', 'b', 'U of a', 'U of b', 'Largest E_n',
         'E_n up to 1')  # fmt: skip
-
-
-def _convention(result: Comparison) -> str:
-    return f'{CONVENTION}; {LINES}' if result.common.machine.location else CONVENTION
-
-
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else value
-
-
-def _sizes(result: Comparison) -> dict[str, float]:
-    """Mean lengths of the error vectors of a, of b and of b - a, m."""
-    volume = result.volume
-    fields = {'a': volume.a, 'b': volume.b, 'difference': volume.difference}
-    return {f'mae_{name}': mean_length(field) for name, field in fields.items()}
-
-
-def comparison_to_dict(result: Comparison) -> dict[str, Any]:
-    """Return a comparison as plain data."""
-    volume, common = result.volume, result.common
-    difference, machine = volume.difference, common.machine
-    motions, scalars = {}, {}
-    for name, pair in result.errors.items():
-        normalised = [_number(float(v)) for v in pair.normalised]
-        columns = {'a': pair.a, 'b': pair.b, 'u_a': pair.u_a, 'u_b': pair.u_b}
-        if name in common.scalars:
-            numbers = {k: float(v[0]) for k, v in columns.items()}
-            scalars[name] = {'unit': unit_of(name), **numbers, 'normalised_error': normalised[0]}
-            continue
-        motions[name] = {
-            'unit': unit_of(name),
-            'position_unit': machine.axes[name[-1]].unit,
-            'position': pair.position.tolist(),
-            **{k: v.tolist() for k, v in columns.items()},
-            'normalised_error': normalised,
-            'largest_difference': float(np.abs(pair.difference).max()),
-            'largest_normalised_error': max(
-                [v for v in normalised if v is not None], default=None
-            ),
-            'within': _number(agreement(pair.normalised)),
-        }
-    data: dict[str, Any] = {
-        'schema': SCHEMA,
-        'a': result.names[0],
-        'b': result.names[1],
-        'machine': common.machine.name,
-        'convention': _convention(result),
-        'counted_as_translations': list(common.folded),
-        'without_uncertainty': list(result.without_u),
-        'translations_apart_by': list(common.apart),
-        'not_compared': dict(common.not_compared),
-        'target_offsets': [offset.tolist() for offset in result.offsets],
-        'remarks': remarks_on(result),
-        'motions': motions,
-        'squareness': {n: v for n, v in scalars.items() if n in machine.squareness},
-        'location': {n: v for n, v in scalars.items() if n in machine.location},
-        'volume': {
-            'points': len(volume.position),
-            'holds': list(result.errors),
-            **_sizes(result),
-            'mean_absolute': dict(zip(XYZ, np.abs(difference).mean(axis=0).tolist(), strict=True)),
-            'standard_deviation': dict(zip(XYZ, difference.std(axis=0).tolist(), strict=True)),
-            'within': _number(agreement(volume.normalised)),
-            'coverage_factor': COVERAGE_FACTOR,
-            'position': np.round(volume.position, 6).tolist(),
-            'difference': np.round(volume.difference, 10).tolist(),
-        },
-    }
-    if set(machine.squareness) <= set(scalars):
-        data['volume_with_squareness'] = _sizes(result)
-    return data
-
-
-def remarks_on(result: Comparison) -> list[str]:
-    """What has to be known beside the numbers."""
-    lines, common = [], result.common
-    if common.folded:
-        lines.append(
-            f'{", ".join(common.folded)}: one source cannot distinguish them from translations; '
-            f'treated as such'
-        )
-    if len(result.without_u) == 1:
-        lines.append(f'{result.without_u[0]} states no uncertainty: E_n treats it as exact')
-    if common.apart:
-        axes = ', '.join(dict.fromkeys(m.axis for m in common.apart))
-        lines.append(
-            f'WARNING {", ".join(common.apart)}: neither source distinguishes them from '
-            f'translations, and the sources measured at different target offsets or places'
-            f': the '
-            f'translations of {axes}, and squareness, differ by these rotations times the '
-            f'difference of the levers, regardless of the machine'
-        )
-    reasons: dict[str, list[str]] = {}
-    for name, reason in common.not_compared.items():
-        reasons.setdefault(reason, []).append(name)
-    lines += [f'not compared: {", ".join(names)}: {why}' for why, names in reasons.items()]
-    own, other = result.offsets
-    if not np.array_equal(own, other):
-        lines.append(f'both at the target offset of a, {place(own)}; that of b is {place(other)}')
-    return lines
 
 
 # The page and the text of a comparison.json.
@@ -294,12 +176,3 @@ def format_comparison(doc: Mapping[str, Any]) -> str:
         + (', since neither source states an uncertainty' if within == '-' else ''),
     ]
     return '\n'.join(lines)
-
-
-def write_comparison(
-    result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
-) -> list[Path]:
-    """Write report.html and comparison.json, with ``about`` as its provenance."""
-    data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
-    page = comparison_pages(data)['report.html']
-    return write_result(ensure_folder(folder), 'comparison', page, data)

@@ -7,23 +7,18 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from otf_core.aside import share_out
-from otf_core.calibration.document import driven_run
-from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.cause_parameters import CauseSize
-from otf_core.diagnosis.corrected_calibration import in_reversal_tables
-from otf_core.diagnosis.place.views import gap_views
-from otf_core.diagnosis.result import Diagnosis, NamedCause
-from otf_core.effects import EVERY, BelongsTo
+from otf_core.diagnosis.result import Diagnosis
+from otf_core.effects import EVERY
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.calibration_measurement import run_tables, stated_tables
 from otf_core.reports.gap_charts import (
@@ -40,7 +35,6 @@ from otf_core.reports.gap_charts import (
 from otf_core.reports.rendering import State, join_names, render
 from otf_core.threads import limit_to_one_thread
 
-SCHEMA = 'otf-gap/1'
 REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
 """Name of the report; beside error_tables.json there is one of the calibration already."""
 CONFIDENCE_WORDS = (
@@ -58,57 +52,6 @@ VERDICTS = {
     'partly_explained': State('partly explained', 'open'),
     'unknown': State('cause unknown', 'bad'),
 }
-
-
-def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis as plain data in the layout of gap.json."""
-    return {
-        'schema': SCHEMA,
-        'runs': list(diagnosis.runs),
-        'measured': [measured_run(view) for view in diagnosis.shown.views],
-        'verdict': diagnosis.verdict,
-        'sentence': diagnosis.sentence,
-        'gap': asdict(diagnosis.gap),
-        'causes': [asdict(c) for c in diagnosis.causes],
-        'unnamed': None if diagnosis.unnamed is None else asdict(diagnosis.unnamed),
-        'unexplained': {
-            'rms_um': diagnosis.unexplained_um,
-            'where': diagnosis.unexplained_where,
-        },
-        'not_visible': [{'effect': e, 'needs': n} for e, n in diagnosis.not_visible],
-        'where': asdict(diagnosis.where),
-        'considered': [{'effect': e, 'log_odds': s} for e, s in diagnosis.considered],
-        'table_change_um': diagnosis.table_change_um,
-        'smallest_found_um': dict(diagnosis.smallest_found_um),
-        'contradictions': [asdict(finding) for finding in diagnosis.contradictions],
-        'reversal': diagnosis.reversal.model,
-        'reversal_holds': [
-            w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))
-        ],
-        'machine': diagnosis.machine.to_dict(),
-        'conditions': dict(diagnosis.shown.conditions),
-        'calibration_runs': [driven_run(run) for run in diagnosis.calibration.plain.runs],
-        'views': gap_views(
-            diagnosis.shown.views, bool(diagnosis.causes), diagnosis.where.grouping or ''
-        ),
-        'run_id': diagnosis.calibration.plain.run_id,
-        'provenance': provenance(
-            'diagnose',
-            method='otf',
-            runs=diagnosis.origin,
-            coverage=f'{STANDARD}; intervals: 95 %',
-        ),
-    }
-
-
-def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
-    """What the reversal tables of the calibration hold of a cause; empty of any other."""
-    known = EVERY.get(cause.effect)
-    if known is None or known.belongs_to is not BelongsTo.REVERSAL:
-        return ''
-    held = in_reversal_tables(diagnosis.reversal, cause.axes)
-    name = effect_name(cause.effect)
-    return f'The reversal tables of the calibration contain {name} as well{held}.' if held else ''
 
 
 def effect_name(effect: str) -> str:
@@ -295,7 +238,7 @@ def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
 
 def _size_tile(cause: Mapping[str, Any]) -> tuple[str, str, str]:
     """What a cause is called, its largest size, and what kind of size it is."""
-    first, *others = (CauseSize(**size) for size in cause['sizes'])
+    first, *others = (CauseSize.from_dict(size) for size in cause['sizes'])
     more = [f'{s.of} {s.words}'.strip() for s in others]
     remark = [first.remark, 'U, k = 2' if first.u is not None else '', *more]
     name = f'{effect_name(cause["effect"])} {first.of}'.strip()
@@ -396,6 +339,7 @@ def write_diagnosis(
         tables['calibration_plain'] = calibration.plain
         tables['calibration_with_effects'] = calibration
         written.append(folder / 'calibration_with_effects')
+    file, content = diagnosis.document.file, diagnosis.document.to_dict()
 
     def write(name: str) -> None:
         if name in tables:
@@ -407,8 +351,6 @@ def write_diagnosis(
         else:
             write_text(folder / name, gap_pages(content)[REPORT_FILE])
 
-    text = json.dumps(diagnosis_to_dict(diagnosis), indent=1)
-    content = json.loads(text)
     share_out(write, [report, *tables])
-    write_text(folder / 'gap.json', text + '\n')
-    return [*written, folder / report, folder / 'gap.json']
+    write_text(folder / file, json.dumps(content, indent=1) + '\n')
+    return [*written, folder / report, folder / file]

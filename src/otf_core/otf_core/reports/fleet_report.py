@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet side by side: fleet.json, and page and text from it."""
+"""Page and text of a fleet.json: runs side by side."""
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
-from otf_core.files.writing import write_text
-from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
-from otf_core.model.expanded import COVERAGE_FACTOR, figure, micro_unit, significant, with_expanded
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.expanded import figure, micro_unit, significant, with_expanded
+from otf_core.model.motions import SQUARENESS, unit_of
 from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.calibration_document import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.reports.rendering import State, render
 
+PAGE = 'fleet.html'
 Row = list[str | State]
 STATES = {'pass': 'kept', 'fail': 'broken'}
 MOODS = {'pass': 'good', 'fail': 'bad', 'not proven': 'open', 'not known': 'open'}
@@ -36,42 +32,6 @@ JUDGED = {
 }
 """What exit codes of runs say that are done."""
 UNKNOWN = 'not known'
-
-
-def _calibration_headline(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What fleet.json repeats of an error_tables.json, SI; scalars None where not known."""
-    head, scalars = data['headline'], {}
-    for kind in ('squareness', 'location'):
-        for name, entry in data.get(kind, {}).items():
-            known = name not in data['not_identifiable']
-            own = {
-                'value': entry['value'],
-                'u': entry['u'],
-                'k': entry.get('k') or COVERAGE_FACTOR,
-            }
-            scalars[name] = own if known else None
-    return {
-        'machine': data['machine']['name'],
-        'target_offset': data['machine']['target_offset'],
-        'good': data['verdicts']['measurement']['good'],
-        'limits': data['verdicts']['machine']['state'],
-        **{key: head[key] for key in ('error', 'u', 'u_run', 'u_of_largest', 'k')},
-        'scalars': scalars,
-        'target_offset_bound': data['target_offset_bound'],
-    }
-
-
-def _gap_headline(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What fleet.json repeats of a gap.json."""
-    machines = data.get('provenance', {}).get('machines', [{}])
-    return {
-        'machine': str(machines[0].get('name', '')),
-        'verdict': data['verdict'],
-        'measured_um': data['gap']['measured_um'],
-        'simulated_um': data['gap']['simulated_um'],
-        'causes': [f'{c["effect"]} {" ".join(c.get("axes") or [])}'.strip()
-                   for c in data['causes']],
-    }  # fmt: skip
 
 
 def _calibrated(name: str, own: Mapping[str, Any], remark: str) -> Row:
@@ -107,33 +67,6 @@ def _scalar(own: Mapping[str, Any], name: str) -> str:
     return f'{with_expanded(1e6 * entry["value"], 1e6 * entry["k"] * entry["u"])}{star}'
 
 
-def offset_remarks(bound: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What is to be minded where values hold at the target offset of their own run only.
-
-    Parameters
-    ----------
-    bound : mapping of run to its ``target_offset_bound``
-    """
-    contains = [
-        n for n in (*SQUARENESS, *MOTIONS) if any(n in b['contains'] for b in bound.values())
-    ]
-    if not contains:
-        return []
-    star = (
-        f'* holds at the target offset of its run only: {", ".join(contains)} contain rotations '
-        f'that the data do not show.'
-    )
-    runs: dict[str, list[str]] = {}
-    for name, one in bound.items():
-        if one['contains']:
-            runs.setdefault(offset_words(np.array(one['offset'])), []).append(name)
-    if len(runs) == 1:
-        return [star]
-    offsets = '; '.join(f'{offset}: {", ".join(names)}' for offset, names in runs.items())
-    return [star, f'WARNING target offsets differ ({offsets}): compare these values among runs of '
-            f'one offset only.']  # fmt: skip
-
-
 def _diagnosed(name: str, own: Mapping[str, Any], remark: str) -> Row:
     sizes = (f'{own[f"{kind}_um"]:.2f}' for kind in ('measured', 'simulated'))
     return [name, own['machine'], own['verdict'], *sizes, ', '.join(own['causes']) or '-', remark]
@@ -156,16 +89,6 @@ def fleet_rows(doc: Mapping[str, Any]) -> tuple[tuple[str, ...], list[Row], list
         [_diagnosed(n, own, runs[n]['message']) for n, own in results.items()],
         shared,
     )
-
-
-def fleet_document(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
-    """Return fleet.json: outcomes, and the headline of every run that is done."""
-    headline = _calibration_headline if verb == 'calibrate' else _gap_headline
-    results = {n: headline(data) for n, data in listed_results(verb, folder, outcomes)}
-    warnings = list[str]()
-    if verb == 'calibrate':
-        warnings = offset_remarks({n: own['target_offset_bound'] for n, own in results.items()})
-    return {**fleet_to_dict(verb, outcomes), 'results': results, 'warnings': warnings}
 
 
 def _judged(doc: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -195,14 +118,3 @@ def fleet_pages(doc: Mapping[str, Any]) -> dict[str, str]:
     page = render('fleet.html.j2', d=doc, columns=columns, rows=rows, shared=shared,
                   failed=failed, badges=[badge], judged=_judged(doc))  # fmt: skip
     return {PAGE: page}
-
-
-def write_fleet(
-    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
-) -> tuple[list[Path], dict[str, Any]]:
-    """Write fleet.json and fleet.html into the folder of a fleet; return files and document."""
-    doc = fleet_document(verb, folder, outcomes)
-    write_text(folder / PAGE, fleet_pages(doc)[PAGE])
-    write_text(folder / FILE, json.dumps(doc, indent=1) + '\n')
-    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
-    return [folder / FILE, folder / PAGE], doc

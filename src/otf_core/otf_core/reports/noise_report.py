@@ -1,82 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf noise`` writes and says: noise.json, and page and text from it."""
+"""Page and text of a noise.json."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from otf_core.files.writing import ensure_folder
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
-from otf_core.model.provenance import provenance
-from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
-from otf_core.noise.report import NoiseReport
+from otf_core.noise.noise_model import QUANTITIES
 from otf_core.reports.charts import Panel, decades
-from otf_core.reports.rendering import State, render, write_result
+from otf_core.reports.rendering import State, render
 
 UNITS = ('m', 'rad', 'rad')
 """Of range, horizontal and vertical angle."""
-SCHEMA = 'otf-noise/1'
-
-
-def _rounded(values: Any) -> Any:
-    """Plain data with five significant digits, for curves."""
-    if isinstance(values, float):
-        return float(f'{values:.5g}')
-    return [_rounded(v) for v in np.asarray(values).tolist()]
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
-    """Return a report as plain data in the layout of noise.json."""
-    measured, rate = report.measured, report.rate
-    fields = noise_to_fields(measured.noise)
-    of_tails = fields.pop('tails')
-    for tail, entry in zip(measured.tails, of_tails.values(), strict=True):
-        entry |= {'excess_kurtosis': tail.excess_kurtosis, 'beyond_4_sigma': tail.beyond}
-    drift, lost = report.drift, report.lost
-    return {
-        'schema': SCHEMA,
-        **fields,
-        'standstills': report.standstills,
-        'samples': measured.samples,
-        'uncertainty': {
-            'u_range': _known(report.u_total[0]),
-            'u_angle': [_known(v) for v in report.u_total[1:]],
-            'white_range': _known(report.u_white[0]),
-            'white_angle': [_known(v) for v in report.u_white[1:]],
-            'correlation_time': _known(report.u_correlation_time),
-        },
-        'windows': measured.windows,
-        'windows_left_out': measured.left_out,
-        'duration': report.duration,
-        'rate': rate,
-        'distance': report.distance,
-        'tails': of_tails,
-        'peaks': [
-            {'of': QUANTITIES[p.quantity], 'frequency': p.frequency, 'rms': p.rms}
-            for p in report.peaks
-        ],
-        'lost': {'samples': lost.samples, 'gaps': lost.gaps, 'longest': lost.longest},
-        'steps': [{'time': s.time, 'size': s.size.tolist()} for s in report.steps],
-        'drift': drift and {'duration': drift.duration, 'change': drift.change.tolist()},
-        'variogram': {
-            'lag': _rounded(report.variogram.lag / rate),
-            'value': _rounded(report.variogram.value),
-        },
-        'spectrum': {
-            'frequency': _rounded(report.spectrum.frequency),
-            'density': _rounded(report.spectrum.density),
-        },
-        'warnings': list(report.warnings),
-    }
 
 
 def _levels(doc: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -187,11 +126,3 @@ def noise_pages(doc: Mapping[str, Any]) -> dict[str, str]:
 def format_noise(doc: Mapping[str, Any]) -> str:
     """Return the text for a terminal: warnings first."""
     return render('noise.txt.j2', **_content(doc)).rstrip()
-
-
-def write_noise(
-    report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
-) -> list[Path]:
-    """Write report.html and noise.json, with ``about`` as its provenance."""
-    data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
-    return write_result(ensure_folder(folder), 'noise', noise_pages(data)['report.html'], data)

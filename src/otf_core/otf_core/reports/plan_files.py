@@ -10,9 +10,7 @@ them as ``/planner/axes`` messages, and verify.csv those of the program with TCP
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,28 +20,20 @@ from numpy.typing import NDArray
 
 from otf_core.bags.bag import write_axis_paths
 from otf_core.files.writing import tidy, write_csv, write_text
-from otf_core.inputs.path_file import SCHEMA
-from otf_core.model.axis_path import along_legs, nominal_track, position_at
+from otf_core.model.axis_path import along_legs, position_at
 from otf_core.model.chain import Sight
 from otf_core.model.expanded import micro_unit
-from otf_core.model.machine import BED, TABLE, Machine, machine_from_dict
-from otf_core.model.motions import is_motion, unit_of
+from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.plan import Part
-from otf_core.model.provenance import provenance
-from otf_core.noise.noise_model import noise_from_fields, noise_to_fields
+from otf_core.noise.noise_model import noise_from_fields
 from otf_core.planning.chains import verification_part
-from otf_core.planning.forecast import Forecast
-from otf_core.planning.line_of_sight import (
-    ENOUGH,
-    LEAST_OPEN,
-    SightShare,
-    facings_needed,
-    linear_ends,
-)
+from otf_core.planning.document import plan_length
+from otf_core.planning.line_of_sight import linear_ends
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import programs_of
 from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.charts import LEVELS, Bar, bars, heat_classes, heat_key, heat_step
+from otf_core.reports.pages import write_document
 from otf_core.reports.rendering import State, render
 from otf_core.reports.scene import Dots, Item, Strokes, box, scene, tracker_items
 
@@ -62,176 +52,6 @@ def driven_ranges(
         else (name, 1e3 * low, 1e3 * high, 'mm')
         for (name, axis), low, high in ends
     ]
-
-
-def _length(report: PlanReport) -> float:
-    """Length of the tracks of the reflectors, m."""
-    paths = [part.path for part in report.plan.parts]
-    return sum(nominal_track(report.setup.machine, paths).part_lengths)
-
-
-def _margin(report: PlanReport) -> float:
-    """Least distance of the path from the ends of the linear axes, m."""
-    machine, least = report.setup.machine, np.inf
-    for part in report.plan.parts:
-        for k, axis in enumerate(machine.axes.values()):
-            q = part.path.positions[:, k]
-            if not axis.rotary:
-                least = min(least, float(np.minimum(q - axis.min, axis.max - q).min()))
-    return max(least, 0.0) if np.isfinite(least) else 0.0
-
-
-def _work_words(report: PlanReport) -> list[str]:
-    """What driving and moving reflectors by hand takes."""
-    if not report.moves + report.turns:
-        return []
-    link = 'bed' if report.setup.machine.tracker.link == BED else 'table'
-    return [
-        f'tracker on the {link}; {report.moves} moves of the reflector by hand and {report.turns} '
-        f'turns to another facing (about {report.by_hand / 60:.0f} min); the tracker stays where '
-        f'it is throughout'
-    ]
-
-
-def _sight_words(report: PlanReport) -> list[str]:
-    """How much of every reflector is seen, and what comes near to it."""
-    machine, lines = report.setup.machine, list[str]()
-    for name, own in report.sight.items():
-        count = facings_needed(own)
-        lines.append(
-            f'{name}: seen in {100 * own.facings[count - 1]:.0f} % of the positions of the rotary '
-            f'axes with {count} facings of the reflector '
-            f'({np.degrees(machine.surroundings.half_angle):.0f} degrees to each side)'
-        )
-        if own.facings[-1] < ENOUGH <= own.open:
-            lines.append(
-                f'{name}: a cat-eye or an active target sees more (surroundings: half_angle in '
-                f'machine.yaml)'
-            )
-        if own.open < LEAST_OPEN:
-            lines.append(f'{name}: {_hidden_words(machine, name, own)}')
-    return [*lines, *_facing_words(report), *report.near]
-
-
-def _facing_words(report: PlanReport) -> list[str]:
-    """What to do where one facing of a reflector on the table does not show enough."""
-    targets = report.setup.machine.targets
-    driven = {part.target for part in report.plan.parts}
-    lines: list[str] = []
-    whole: dict[str, int] = {}
-    for name, own in report.sight.items():
-        if targets[name].link != TABLE or facings_needed(own) == 1:
-            continue
-        facings = [t for t in driven if targets[t].nest == name]
-        if facings:
-            lines.append(
-                f'{name}: {len(facings)} facings planned; turn the reflector to the tracker '
-                f'where the part of each begins'
-            )
-        elif name in driven:
-            whole[name] = facings_needed(own)
-    if whole:
-        lines.append(
-            f'{", ".join(whole)}: planned for a reflector that is seen throughout (active '
-            f'target); of one that is turned by hand state facings: {max(whole.values())} in '
-            f'machine.yaml and plan again'
-        )
-    return lines
-
-
-def _hidden_words(machine: Machine, name: str, sight: SightShare) -> str:
-    what = 'table' if machine.targets[name].link == TABLE else 'spindle'
-    ranges = ' or '.join(
-        f'{axis} from {np.degrees(low):.0f} to {np.degrees(high):.0f} degrees'
-        for axis, (low, high) in sight.ranges.items()
-        if high > low and not machine.axes[axis].endless
-    )
-    words = (
-        f'the {what} hides it in {100 * (1 - sight.open):.0f} % of the positions from the best '
-        f'place of the tracker'
-    )
-    return words + (f'; it is never hidden with {ranges}' if ranges else '')
-
-
-def report_to_dict(report: PlanReport) -> dict[str, Any]:
-    """Return a report as plain data in the layout of plan.json."""
-    outlook, setup = report.forecast, report.setup
-    machine = setup.machine
-    return {
-        'schema': SCHEMA,
-        'machine': machine.to_dict(),
-        'how': report.how,
-        'axes': list(machine.axis_names),
-        'parts': [
-            {
-                'target': part.target,
-                'words': part.words,
-                'feed': part.feed.tolist(),
-                'dwell': part.dwell.tolist(),
-                'duration': setup.seconds(part),
-                'positions': part.path.positions.tolist(),
-            }
-            for part in report.plan.parts
-        ],
-        'length': _length(report),
-        'duration': outlook.duration,
-        'by_hand': report.by_hand,
-        'margin': _margin(report),
-        'assumed': {
-            'tracker_link': machine.tracker.link,
-            'tracker_place': setup.place.tolist(),
-            'noise': noise_to_fields(setup.noise),
-            'rate': setup.config.rate,
-            'acceleration': setup.config.acceleration,
-        },
-        'forecast': _forecast_to_dict(outlook),
-        'systematic': report.systematic.to_dict(),
-        'not_shown': [asdict(f) for f in report.findings],
-        'sight': {
-            name: {
-                'half_angle': machine.surroundings.half_angle,
-                'open': own.open,
-                'facings': list(own.facings),
-                'ranges': {a: list(ends) for a, ends in own.ranges.items()},
-            }
-            for name, own in report.sight.items()
-        },
-        'near': list(report.near),
-        'remarks': [*_work_words(report), *_sight_words(report)],
-        'advice': list(report.advice),
-        'sentences': [report.systematic.expected.expanded_words,
-                      report.systematic.expected.forecast_words],
-        'tracker_places': [asdict(p) | {'place': p.place.tolist()} for p in report.places],
-        'effects': {e['effect']: dict(e) for e in report.effects},
-        'after': [a.to_dict() for a in report.after],
-    }  # fmt: skip
-
-
-def _forecast_to_dict(outlook: Forecast) -> dict[str, Any]:
-    errors: dict[str, Any] = {}
-    for name, u in outlook.u.items():
-        entry: dict[str, Any] = {'unit': unit_of(name)}
-        if is_motion(name):
-            entry |= {'axis': name[-1], 'position': outlook.nodes[name[-1]].tolist()}
-        errors[name] = entry | {
-            'identifiable': name not in outlook.not_identifiable,
-            'node_identifiable': outlook.determined[name].tolist(),
-            'u': u.tolist(),
-        }
-    return {
-        'pieces': sum(len(run.pieces) for run in outlook.runs),
-        'unknowns': outlook.joint.solution.unknowns,
-        'rank': outlook.joint.solution.rank,
-        'holds': 'noise',
-        'mean_grid_u': outlook.mean_grid_u,
-        'mean_grid_u_in_gauge': float(np.linalg.norm(outlook.grid_u, axis=1).mean()),
-        'errors': errors,
-        'grid': {
-            'point': outlook.grid.tolist(),
-            'u': outlook.grid_u_free.tolist(),
-            'u_in_gauge': outlook.grid_u.tolist(),
-        },
-    }
 
 
 # The page and the text of a plan.json.
@@ -337,7 +157,7 @@ def program_header(report: PlanReport) -> list[str]:
     return [
         'OTF PATH FOR A LASER TRACKER CALIBRATION',
         f'MACHINE {machine.name}',
-        f'{len(positions)} POINTS, {_length(report):.2f} M, {report.forecast.duration:.0f} S',
+        f'{len(positions)} POINTS, {plan_length(report):.2f} M, {report.forecast.duration:.0f} S',
         ', '.join(spans),
         'ERROR COMPENSATION OFF, OR AS IT IS TO BE VERIFIED',
         'DRY RUN WITHOUT WORKPIECE FIRST',
@@ -353,18 +173,8 @@ def path_csv(machine: Machine, parts: Sequence[Part]) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def write_report(
-    report: PlanReport,
-    folder: Path,
-    dialect: Dialect | None,
-    about: Mapping[str, Any] | None = None,
-) -> list[Path]:
+def write_plan(report: PlanReport, folder: Path, dialect: Dialect | None = None) -> list[Path]:
     """Write all files of a plan, programs only for a dialect; plan.json last.
-
-    Parameters
-    ----------
-    about : mapping, optional
-        Block ``provenance`` of plan.json; of the machine alone if not given.
 
     Raises
     ------
@@ -372,7 +182,6 @@ def write_report(
         If the dialect cannot express the plan; nothing is written then.
     """
     machine, plan = report.setup.machine, report.plan
-    block = about or provenance('plan', machines=[machine])
     texts: dict[str, str] = {}
     if dialect is not None:
         verification = verification_part(machine)
@@ -388,8 +197,4 @@ def write_report(
         write_text(files[-1], path_csv(machine, plan.parts))
         files.append(folder / 'path.mcap')
         write_axis_paths(files[-1], [part.path for part in plan.parts])
-    files += [folder / 'report.html', folder / 'plan.json']
-    text = json.dumps(report_to_dict(report) | {'provenance': block})
-    write_text(files[-2], plan_pages(json.loads(text))['report.html'])
-    write_text(files[-1], text + '\n')
-    return files
+    return [*files, *write_document(report.document, folder)]

@@ -14,12 +14,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from otf_core.arrays import Array
 from otf_core.bags.bag import FILE_NAME, BagContent, write_bag
 from otf_core.config import SimulationConfig
+from otf_core.documents import Document, ResultDocument, stated
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import effects_to_data
 from otf_core.errors import ConfigError
@@ -32,12 +35,13 @@ from otf_core.files.output_folder import (
     write_manifest,
 )
 from otf_core.files.writing import write_text
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
 from otf_core.model.provenance import origin_of, provenance
-from otf_core.prediction.calibration_document import tables_to_dict
+from otf_core.prediction.calibration_document import CalibrationDocument, TargetPlace
 from otf_core.sim.cell import SimulatedRun
 
 TABLES_FILE, SIMULATION_FILE = 'truth_tables.json', 'simulation.json'
-SCHEMA = 'otf-simulation/1'
 
 
 class SimulatedBag:
@@ -121,6 +125,32 @@ class SimulatedBag:
         write_manifest(self._sibling(MANIFEST), written, 'simulate')
 
 
+@dataclass(frozen=True)
+class DrivenPlan(Document):
+    """A part of what was driven."""
+
+    target: str = stated('name of the reflector')
+    corners: Array = stated('axis positions', 'm or rad', shape=('n', 'axes'))
+    feed: Array = stated('of every leg', 'm/s', shape=('m',))
+    dwell: Array = stated('at every corner', 's', shape=('n',))
+
+
+@dataclass(frozen=True)
+class SimulationDocument(ResultDocument):
+    """How a simulated bag came about; its true errors are in truth_tables.json."""
+
+    file = SIMULATION_FILE
+
+    seed: int = stated('of all random draws')
+    effects: tuple[Mapping[str, Any], ...] = stated('added to the cell, as in effects.yaml')
+    alignment: RigidTransform = stated('takes tracker to machine coordinates')
+    parts: tuple[DrivenPlan, ...] = stated('in driving order')
+    options: Mapping[str, Any] = stated('of the simulation')
+    machine: Machine = stated('machine.yaml')
+    schema: str = stated('otf-simulation/1', default='otf-simulation/1')
+    provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
+
+
 def _write_truth(
     run: SimulatedRun,
     config: SimulationConfig,
@@ -137,29 +167,18 @@ def _write_truth(
         files=files,
         coverage='the truth: no uncertainty',
     )
-    pose = {name: value.tolist() for name, value in vars(run.pose).items()}
-    targets = {n: {'place': p.tolist(), 'u': [0.0] * 3} for n, p in run.places.items()}
-    tables = tables_to_dict(run.truth) | {'alignment': pose, 'targets': targets}
+    targets = {n: TargetPlace(machine.targets[n].link, p) for n, p in run.places.items()}
+    tables = CalibrationDocument.of_tables(
+        run.truth, alignment=run.pose, targets=targets, provenance=block
+    )
     parts = [
-        {
-            'target': drive.part.target,
-            'corners': drive.part.path.positions.tolist(),
-            'feed': drive.part.feed.tolist(),
-            'dwell': drive.part.dwell.tolist(),
-        }
-        for drive in run.drives
+        DrivenPlan(part.target, part.path.positions, part.feed, part.dwell)
+        for part in (drive.part for drive in run.drives)
     ]
-    about = {
-        'schema': SCHEMA,
-        'seed': config.seed,
-        'effects': effects_to_data(effects, machine),
-        'alignment': pose,
-        'parts': parts,
-        'options': asdict(config),
-        'machine': machine.to_dict(),
-    }
-    written = []
-    for file, content in ((TABLES_FILE, tables), (SIMULATION_FILE, about)):
-        written.append(folder / file)
-        write_text(written[-1], json.dumps(content | {'provenance': block}, indent=1) + '\n')
-    return written
+    about = SimulationDocument(
+        config.seed, tuple(effects_to_data(effects, machine)), run.pose, tuple(parts),
+        asdict(config), machine, provenance=block,
+    )  # fmt: skip
+    for file, document in ((TABLES_FILE, tables), (SIMULATION_FILE, about)):
+        write_text(folder / file, json.dumps(document.to_dict(), indent=1) + '\n')
+    return [folder / TABLES_FILE, folder / SIMULATION_FILE]

@@ -173,11 +173,15 @@ def _candidates(machine: Machine, seen: Sequence[ErrorMotion]) -> list[Block]:
 
 @dataclass(frozen=True)
 class AxisLag:
-    """Time by which an axis is late behind the others, s, and its standard uncertainty."""
+    """Time by which an axis is late behind the others, s, and its standard uncertainties.
+
+    ``u_run`` is that by noise and misfit of the run alone.
+    """
 
     axis: str
     value: float
     u: float
+    u_run: float | None = None
 
 
 def lags(joint: JointSolution, covariance: Array) -> list[AxisLag]:
@@ -203,12 +207,15 @@ class ReversalTable:
         Forward minus backward, and its standard uncertainty (k = 1).
     identifiable : bool
         False if the data cannot see it; its values are zero then.
+    u_run : ndarray, shape (k,), optional
+        Standard uncertainty by noise and misfit of the run alone.
     """
 
     position: Array
     value: Array
     u: Array
     identifiable: bool
+    u_run: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -219,10 +226,13 @@ class Backlash:
     ----------
     value, u : float, m
         Forward minus backward, mean along the middle line of the axis; standard uncertainty.
+    u_run : float, m, optional
+        The same by noise and misfit of the run alone.
     """
 
     value: float
     u: float
+    u_run: float | None = None
 
     @property
     def words(self) -> str:

@@ -36,7 +36,7 @@ def without(samples, dropped):
 
 
 def named(report, severity):
-    return [name for name, problem in report.problems if problem.severity == severity]
+    return [problem.check for problem in report.problems if problem.severity == severity]
 
 
 def test_a_good_recording_is_usable_and_says_what_it_shows(cell, samples, calibrated, checked):
@@ -91,7 +91,7 @@ def test_without_a_path_the_samples_are_judged_all_the_same(samples, tmp_path):
     bag = write_mcap(tmp_path / 'run.mcap', point_messages(samples.part(0, 3000)))
     report = check(str(bag))
     assert not report.usable
-    assert PATH.name in report.problems[0][1].what
+    assert PATH.name in report.problems[0].what
     facts = report.to_dict()
     assert facts['rate_hz'] == pytest.approx(100.0, rel=1e-3) and facts['coverage'] == 0.0
 

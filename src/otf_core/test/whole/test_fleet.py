@@ -19,9 +19,10 @@ from cli_cells import run
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
+from otf_core.fleet.document import fleet_document
 from otf_core.fleet.fleet import listed_jobs, read_list
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.fleet_report import fleet_document, fleet_rows
+from otf_core.reports.fleet_report import fleet_rows
 
 STUB = """
 import json, os, pathlib, sys
@@ -291,14 +292,15 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
                      'u': sizes, 'u_run': sizes},
         'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
         'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
-        'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},
+        'not_identifiable': ['B0Z', 'EAZ'],
+        'target_offset_bound': {'offset': [0.0, 0.0, 0.0], 'contains': {}},
         'squareness': {'C0Y': {'value': 1e-6, 'u': 5e-8}, 'B0Z': {'value': 0.0, 'u': 0.0},
                        'A0Z': {'value': 0.0, 'u': 5e-8}},
     }  # fmt: skip
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
     done = {'flat': fleet_module.JobResult(0, '', 'digest')}
-    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done))
+    columns, (row,), _ = fleet_rows(fleet_document('calibrate', tmp_path, done).to_dict())
     shown = dict(zip(columns, row, strict=True))
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',

@@ -2,7 +2,6 @@
 """Classes of trackers and workshops, and what u would be with typical contributions."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from otf_core.planning.forecast import (
     planned_systematic,
 )
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.plan_files import plan_summary, report_to_dict
+from otf_core.reports.plan_files import plan_summary
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -136,14 +135,6 @@ def test_harder_conditions_are_not_less_uncertain():
         assert set(preset.values) <= {*DECLARABLE, *NOISE}
 
 
-def test_documentation_shows_the_presets_of_the_software(monkeypatch):
-    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
-    import preset_table
-
-    text = (ROOT / 'docs' / 'uncertainty.md').read_text(encoding='utf-8')
-    assert preset_table.with_table(text) == text, 'run python3 tools/preset_table.py'
-
-
 # ---------------------------------------------------------------- what u would be
 
 
@@ -238,8 +229,9 @@ def planned(machine, plan):
     setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
     found = forecast(plan, setup)
     systematic = planned_systematic(found)
-    report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, ())
-    return systematic, plan_summary(report_to_dict(report)), report_to_dict(report)
+    report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, (), {})
+    data = report.document.to_dict()
+    return systematic, plan_summary(data), data
 
 
 def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
