@@ -322,7 +322,12 @@ def parts_of_rotary(machine: Machine, rng: Rng) -> list[Part]:
 def run_of_rotary(kind: str, rng: Rng) -> Run:
     """Draw a run of a machine with rotary axes: one place of the tracker, several parts."""
     machine = Machine(rotary_spec(kind, rng))
-    parts, errors = parts_of_rotary(machine, rng), draw_errors(machine, rng)
+    return run_along(machine, parts_of_rotary(machine, rng), rng)
+
+
+def run_along(machine: Machine, parts: Sequence[Part], rng: Rng) -> Run:
+    """Draw errors, places, tracker and breaks between given parts."""
+    errors = draw_errors(machine, rng)
     places = {}
     for name in dict.fromkeys(p.target for p in parts):
         u = machine.spec['targets'].get(name, {}).get('u', 0.0)
@@ -331,7 +336,7 @@ def run_of_rotary(kind: str, rng: Rng) -> Run:
     run = Run(
         machine, errors, tuple(parts), (0.0,) * len(parts), places,
         turned(heading) @ turned(0.1 * rng.normal(size=3)),
-        np.array(BESIDE[kind]) + rng.uniform(-0.1, 0.1, 3),
+        np.array(BESIDE[machine.spec['name']]) + rng.uniform(-0.1, 0.1, 3),
         Noise(float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.1, 0.5))),
         seed=int(rng.integers(2**31 - 1)),
     )  # fmt: skip

@@ -17,6 +17,7 @@ from otf_core.inputs.recordings import ReadingOptions, read_recording
 from otf_core.model.axis_path import (
     TURN_RATE,
     AxisPath,
+    along_legs,
     driven_length,
 )
 from otf_core.model.chain import Sight, displacement
@@ -96,6 +97,13 @@ def test_positions_in_degrees_are_named():
     q[:, 3] = 0.0
     with pytest.raises(InputError, match=r'axis C .*degrees'):
         AxisPath(machine().axis_names, q).of(machine())
+
+
+def test_places_on_legs_are_close_with_any_number_of_linear_axes():
+    q = np.array([[0.0, 0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.1, 0, 0, 0, 3.0]])
+    assert len(along_legs(tuple('XYZAC'), q, 0.01, 0.1)) == 41
+    assert len(along_legs(('X', 'C'), q[:, [0, 4]], 0.01, 0.1)) == 41
+    assert len(along_legs(('C',), q[1:, [4]], 0.01, 0.1)) == 31
 
 
 def test_periodic_functions_repeat_and_hold_constants():

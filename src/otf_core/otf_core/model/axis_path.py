@@ -191,26 +191,26 @@ def _check_ranges(machine: Machine, q: Array) -> None:
             )
 
 
-def along_legs(positions: Array, step: float | Array, turn: float, linear: int = 3) -> Array:
+def along_legs(axes: Sequence[str], positions: Array, step: float | Array, turn: float) -> Array:
     """Places on a path, in legs from its first corner, close to each other and all corners.
 
     Parameters
     ----------
+    axes : sequence of str
+        Letters of the columns.
     positions : ndarray, shape (n, k), m and rad
     step, turn : float
         Most that linear axes travel (m) and rotary ones turn (rad) between two places; ``step``
         may be of every leg.
-    linear : int
-        Number of linear axes, which come first.
 
     Returns
     -------
     ndarray, shape (m,)
         Number of the leg plus the share of it that is done.
     """
-    legs = np.abs(np.diff(positions, axis=0))
-    travel = np.linalg.norm(legs[:, :linear], axis=1) / step
-    angle = legs[:, linear:].max(axis=1, initial=0.0) / turn
+    legs, linear = np.abs(np.diff(positions, axis=0)), np.isin(axes, AXES)
+    travel = np.linalg.norm(legs[:, linear], axis=1) / step
+    angle = legs[:, ~linear].max(axis=1, initial=0.0) / turn
     parts = np.maximum(np.ceil(np.maximum(travel, angle)), 1.0).astype(np.int64)
     first = np.cumsum(parts) - parts
     inner = (np.arange(parts.sum()) - np.repeat(first, parts)) / np.repeat(parts, parts)
@@ -276,7 +276,7 @@ def nominal_track(
     """
     tracks, driven = [], tuple(part.of(machine) for part in parts)
     for own in driven:
-        q = position_at(own.positions, along_legs(own.positions, TRACK_STEP, turn))
+        q = position_at(own.positions, along_legs(own.axes, own.positions, TRACK_STEP, turn))
         sight = Sight.of_target(machine, own.target)
         if places and own.target in places:
             sight = replace(sight, place=places[own.target])

@@ -506,11 +506,26 @@ def reduce_to_pieces(
         place[part] = own = np.where(shape.curved[here], np.maximum(own, 0.0), own)
         beyond = shift[np.searchsorted(first, group)] + own
         piece[part] = np.searchsorted(bounds, beyond, side='right') - 1
+    if not shape.straight:
+        onward = _goes_on(piece, leg_bounds(shape.stretch[leg]))
+        steady, piece, place = steady.at(onward), piece[onward], place[onward]
     pieces = _collect(samples, steady, piece, lines, place)
     pieces = replace(pieces, outliers=len(far), far=far.astype(np.int32))
     if shape.straight:
         return pieces
     return _bent(pieces, lines, steady)
+
+
+def _goes_on(piece: Small, stretches: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Samples (n,) that do not fall back to a piece that was passed before.
+
+    Where a curve turns back on itself, a place before the turn is as near as one behind it.
+    """
+    onward = np.ones(len(piece), dtype=bool)
+    for a, b in stretches:
+        furthest = np.maximum if piece[b - 1] >= piece[a] else np.minimum
+        onward[a:b] = piece[a:b] == furthest.accumulate(piece[a:b])
+    return onward
 
 
 def _all_boundaries(

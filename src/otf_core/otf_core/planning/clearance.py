@@ -86,8 +86,8 @@ def near_misses(machine: Machine, parts: Sequence[Part], place: Array) -> list[s
     spindle = [n for n, t in machine.targets.items() if t.link == SPINDLE]
     sentences = []
     for number, part in enumerate(parts, start=1):
-        q = position_at(part.path.positions, along_legs(part.path.positions, STEP, TURN))
-        target = part.path.target
+        path, target = part.path, part.path.target
+        q = position_at(path.positions, along_legs(path.axes, path.positions, STEP, TURN))
         own = bodies(machine, place, [target] if target in spindle else spindle)
         for one, other in combinations(own, 2):
             if one.box.link == other.box.link:

@@ -64,7 +64,9 @@ def path_chart(doc: Mapping[str, Any]) -> str:
     for part in doc['parts']:
         q = np.array(part['positions'])
         track = Sight.of_target(machine, part['target']).nominal(
-            position_at(q, along_legs(q, DRAWN_STEP, DRAWN_TURN)) if machine.rotary_names else q
+            position_at(q, along_legs(machine.axis_names, q, DRAWN_STEP, DRAWN_TURN))
+            if machine.rotary_names
+            else q
         )
         strokes.append(np.stack([track[:-1], track[1:]], axis=1))
     ends = np.concatenate(strokes)

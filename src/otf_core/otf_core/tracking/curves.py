@@ -36,7 +36,7 @@ from otf_core.model.axis_path import (
     travel_of_legs,
 )
 from otf_core.model.chain import Sight
-from otf_core.model.machine import FULL_TURN
+from otf_core.model.machine import FULL_TURN, Machine
 from otf_core.model.path import MOVING, Legs
 from otf_core.tracking.measured_track import simplify
 
@@ -428,7 +428,9 @@ def shape_of_parts(
     """
     machine, corners, qs, part, first, places = sights[0].machine, [], [], [], [], []
     for number, (sight, own) in enumerate(zip(sights, positions, strict=True)):
-        place = np.arange(len(own), dtype=float) if corners_alone else places_of_chords(own)
+        place = (
+            np.arange(len(own), dtype=float) if corners_alone else places_of_chords(machine, own)
+        )
         q = position_at(own, place)
         corners.append(sight.nominal(q))
         qs.append(q)
@@ -459,10 +461,13 @@ def lines_of_part(sight: Sight, positions: Array) -> Lines:
     return Lines.of(shape_of_parts([sight], [positions], grouped=False))
 
 
-def places_of_chords(positions: Array) -> Array:
+def places_of_chords(machine: Machine, positions: Array) -> Array:
     """Places on the legs of a part, see ``axis_path.along_legs``: chords where an axis turns."""
-    turning = np.abs(np.diff(positions[:, 3:], axis=0)).max(axis=1, initial=0.0) > MIN_MOTION
-    return along_legs(positions, np.where(turning, FINE_STEP, np.inf), FINE_TURN)
+    rotary = [machine.column(a) for a in machine.rotary_names]
+    turning = np.abs(np.diff(positions[:, rotary], axis=0)).max(axis=1, initial=0.0) > MIN_MOTION
+    return along_legs(
+        machine.axis_names, positions, np.where(turning, FINE_STEP, np.inf), FINE_TURN
+    )
 
 
 def largest_sagitta(lines: Lines) -> float:

@@ -318,7 +318,7 @@ class PathWatcher:
 def _course(track: PartsTrack, number: int) -> tuple[Array, Array]:
     """Way of the reflector, m, and time, s, at points of a part that begins at 0."""
     part = track.parts[number]
-    q = position_at(part.positions, along_legs(part.positions, TRACK_STEP, TRACK_TURN))
+    q = position_at(part.positions, along_legs(part.axes, part.positions, TRACK_STEP, TRACK_TURN))
     points = Sight.of_target(track.machine, part.target).nominal(q)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     seconds = seconds_of_legs(track.machine, q, PlannerConfig.feed)
