@@ -20,6 +20,7 @@ FIGURES = {
     '--forms waves,swell,bumps,kinked,polygon --chains w-Y-b-X-Z-t',
     'conditions': 'bench/smooth_machines.py --conditions --seeds 2 --first-seed 71001 '
     '--forms waves',
+    'five axes': 'bench/five_axis_cells.py --seed 98104',
     'blind': 'bench/blind --trials 68 --rotary 40 --leave-out 14 --seed 836915 --out blind',
     'alternatives': 'bench/alternatives.py --repeats 5',
     'speed': 'bench/speed.py',

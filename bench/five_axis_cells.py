@@ -29,8 +29,7 @@ import yaml
 from blind.draw import write_bag
 from blind.machines import _at, figures, parts_of_rotary, rotary_spec, run_along
 from blind.nature import Errors, Machine, Part
-from child import core_on_path
-from markdown import heading, row
+from common import core_on_path, heading, row
 
 ONE, TWO = 'one length', 'two lengths'
 KINDS = ('trunnion', 'reversed', 'rotary', 'head')

@@ -25,6 +25,7 @@ from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.contradictions.table_checks import check_worth
 from otf_core.errors import InputError
 from otf_core.model.machine import Axis, Chain, TrackerSpec
+from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.prediction.volumetric import VolumetricError
 
