@@ -62,13 +62,13 @@ def effect_name(effect: str) -> str:
 def effect_cause(effect: str) -> str:
     """What causes an effect; empty for a name that is not in the catalogue."""
     known = EVERY.get(effect)
-    return known.cause if known else ''
+    return known.words.cause if known else ''
 
 
 def effect_meaning(effect: str) -> tuple[str, str]:
     """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
     known = EVERY.get(effect)
-    return (known.equation, known.coefficients) if known else ('', '')
+    return (known.words.displacement, known.words.parameters) if known else ('', '')
 
 
 def confidence_words(confidence: float) -> str:
@@ -116,7 +116,7 @@ def shape_words(cause: Mapping[str, Any]) -> str:
 
 def _needed_for(effect: str) -> str:
     known = EVERY.get(effect)
-    return known.needs if known else ''
+    return known.words.shown_by if known else ''
 
 
 def next_measurements(doc: Mapping[str, Any]) -> list[str]:
