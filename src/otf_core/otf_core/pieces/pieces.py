@@ -343,8 +343,7 @@ class _Steady:
     speed : ndarray, shape (n,), m/s
         Of the travel of the axes.
     nominal, tangent : ndarray, shape (n, 3), optional
-        Nominal point, m, and direction of travel where chords stand for curves, else zero; None
-        if none does.
+        Nominal point, m, and direction of travel; None where there is no curve.
     """
 
     index: Index
@@ -394,7 +393,7 @@ def _steady_samples(
     chosen = np.flatnonzero(keep)
     del keep
     steady = _Steady(chosen, leg[chosen], on_chord[chosen], speed[chosen])
-    if shape.sights:
+    if not shape.straight:
         steady = _on_curves(samples, pose, lines, steady, tables)
     if not len(steady.index):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
@@ -402,29 +401,20 @@ def _steady_samples(
 
     def offset_of(part: slice) -> Array:
         line = steady.chord[part]
-        offset = pose.apply(samples.xyz.take(steady.index[part], axis=0))
-        offset -= steady.along[part, None] * lines.unit.take(line, axis=0)
+        points = pose.apply(samples.xyz.take(steady.index[part], axis=0))
+        offset = points - steady.along[part, None] * lines.unit.take(line, axis=0)
         bent = curved[line]
         if bent.any():
-            offset[bent] -= lines.corners[line[bent]]
+            assert steady.nominal is not None
+            offset[bent] = points[bent] - steady.nominal[part][bent]
         return np.ascontiguousarray(offset.T)
 
-    def offset_on_curves(part: slice) -> Array:
-        bent = curved[steady.chord[part]]
-        offset = offset_of(part)
-        if bent.any():
-            assert steady.nominal is not None
-            own = pose.apply(samples.xyz[steady.index[part][bent]]) - steady.nominal[part][bent]
-            offset[:, bent] = own.T
-        return offset
-
-    offsets = offset_on_curves if shape.sights else offset_of
     on = steady.chord
     legs = [b for b in leg_bounds(shape.stretch[on]) if not curved[on[b[0]]]]
     reach = lines.start[on] + steady.along * per_length[on]
-    steady = steady.at(~off_their_line(offsets, legs, reach, lines.total[on]))
+    steady = steady.at(~off_their_line(offset_of, legs, reach, lines.total[on]))
     del on, reach
-    out = outlying(offsets, leg_bounds(shape.stretch[steady.chord]), config.outlier_limit)
+    out = outlying(offset_of, leg_bounds(shape.stretch[steady.chord]), config.outlier_limit)
     return steady.at(~out), steady.index[out]
 
 
@@ -435,14 +425,17 @@ def _on_curves(
     steady: _Steady,
     tables: ErrorTables | None,
 ) -> _Steady:
-    """Closest places, and nominal points, of samples where chords stand for curves."""
+    """Nominal points of samples on curves; the closest places where chords stand for them.
+
+    Where all axes are linear, the chords are the curve as published.
+    """
     shape = lines.shape
     chord, along = steady.chord.astype(np.int64), steady.along.copy()
-    nominal, tangent = np.zeros((2, len(chord), 3))
+    nominal, tangent = lines.at(along, chord), lines.unit[chord]
     straight = np.ones(len(chord), dtype=bool)
-    assert shape.part is not None
+    part = shape.part_of_corners
     for number, sight in enumerate(shape.sights):
-        own = np.flatnonzero(shape.curved[chord] & (shape.part[chord] == number))
+        own = np.flatnonzero(shape.curved[chord] & (part[chord] == number))
         if not len(own):
             continue
         points = pose.apply(samples.xyz[steady.index[own]])
@@ -559,18 +552,15 @@ def _bent(pieces: Pieces, lines: Lines, steady: _Steady) -> Pieces:
         return np.where(curved, pieces.mean_of([values]), before)
 
     q = mean(lines.interpolated(shape.positions, chord, steady.along), pieces.q)
-    if steady.nominal is None or steady.tangent is None:
-        nominal, tangent = q, lines.unit[chord]
-    else:
-        nominal, tangent = mean(steady.nominal, pieces.nominal), steady.tangent
-    direction = mean(tangent, pieces.direction)
+    assert steady.nominal is not None and steady.tangent is not None
+    nominal = mean(steady.nominal, pieces.nominal)
+    direction = mean(steady.tangent, pieces.direction)
     size = np.linalg.norm(direction, axis=1, keepdims=True)
     per_travel, speed = _per_travel(shape)[chord], steady.speed / lines.travel_per_length[chord]
-    step = mean(per_travel, pieces.step) if shape.sights else direction / size
     pieces = replace(
         pieces,
         q=q,
-        step=step,
+        step=mean(per_travel, pieces.step),
         nominal=nominal,
         direction=direction / np.maximum(size, 1e-12),
         origin=np.where(curved, nominal, pieces.origin),

@@ -25,7 +25,7 @@ from otf_core.errors import InputError
 from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
-from otf_core.model.path import Legs, NominalPath
+from otf_core.model.path import NominalPath
 from otf_core.tracking.curves import (
     Lines,
     PathShape,
@@ -40,14 +40,13 @@ from otf_core.tracking.driving_order import (
     Match,
     assign_legs,
     driven_path,
-    is_as_planned,
     sample_chords,
-    visits,
 )
 from otf_core.tracking.matching import (
     MIN_MATCHED_SHARE,
     MatchingInput,
     cut_track,
+    driven_share_of,
 )
 from otf_core.tracking.measured_track import Track, measured_track
 from otf_core.tracking.no_match import MIRRORED_MESSAGE, match_mirrored, why_no_match
@@ -283,36 +282,6 @@ def _hop_legs(match: Match) -> Index:
     for k, (first, last, leg) in enumerate(pairs):
         legs[first : last + 1] = k if leg != OFF_PATH else OFF_PATH
     return legs
-
-
-def driven_share_of(match: Match, guide: MatchingInput, slack: float) -> float:
-    """Share of the nominal length that was driven."""
-    vertices, curve = guide.vertices, guide.curve
-    length = np.where(guide.on_parts, Legs(vertices).length, 0.0)
-    driven = np.zeros(len(length))
-    if is_as_planned(visits(match, vertices, slack)):
-        use = match.leg != OFF_PATH
-        np.add.at(driven, match.leg[use], match.track.lengths[use])
-    else:
-        for leg, spans in _spans(match, Legs(vertices)).items():
-            upto = 0.0
-            for low, high in sorted(spans):
-                driven[leg] += max(0.0, high - max(low, upto))
-                upto = max(upto, high)
-    # parts of a curve begin and end at points that the track passes, a hop more or less
-    seen, whole = np.bincount(curve, driven), np.bincount(curve, length)
-    return float(np.minimum(seen, whole).sum() / length.sum())
-
-
-def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
-    """Driven spans of every leg, m from its start."""
-    places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
-    spans: dict[int, list[tuple[float, float]]] = {}
-    for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
-        j = int(match.leg[k])
-        low, high = sorted(float((p[k] - legs.corners[j]) @ legs.unit[j]) for p in places)
-        spans.setdefault(j, []).append((max(low, 0.0), min(high, float(legs.length[j]))))
-    return spans
 
 
 @dataclass(frozen=True)

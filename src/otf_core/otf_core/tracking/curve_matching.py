@@ -25,7 +25,7 @@ from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import SPINDLE, Machine
 from otf_core.model.motions import DIRECTIONS, location_names
 from otf_core.model.observation import Samples
-from otf_core.tracking.alignment import Alignment, Part, driven_share_of
+from otf_core.tracking.alignment import Alignment, Part
 from otf_core.tracking.arc_length import (
     LONGEST,
     MOST,
@@ -47,6 +47,7 @@ from otf_core.tracking.matching import (
     MIN_SHARE_UNDOUBTED,
     MatchingInput,
     cut_track,
+    driven_share_of,
 )
 from otf_core.tracking.measured_track import HOP, measured_track
 

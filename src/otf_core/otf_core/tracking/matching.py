@@ -28,7 +28,7 @@ from otf_core.tracking.curves import NO_PART, PathShape, shape_of
 from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
 from otf_core.tracking.driving_order import Match as Match
 from otf_core.tracking.driving_order import assign_legs as follow
-from otf_core.tracking.driving_order import assign_legs_within
+from otf_core.tracking.driving_order import assign_legs_within, is_as_planned, visits
 from otf_core.tracking.measured_track import Track
 
 POINTS_PER_WINDOW = 6
@@ -337,7 +337,6 @@ def find_match(
     corners: Array,
     tolerance: float,
     cuts: Array | None = None,
-    by_length: bool = True,
     *,
     rough: bool = False,
 ) -> Match | None:
@@ -351,8 +350,6 @@ def find_match(
         m; allowed distance of measured from nominal corners.
     cuts : ndarray, shape (c, 3), m, optional
         Those of them that lie on curves, where the track has no corner.
-    by_length : bool
-        Try lengths along the path where corners do not decide.
     rough : bool
         The path is only roughly known: places of reflectors and lines of axes are improved later.
 
@@ -372,8 +369,6 @@ def find_match(
     if best is not None and best.explained > (
         MIN_SHARE_AS_PLANNED if len(cuts) and not rough else MIN_SHARE_UNDOUBTED
     ):
-        return best
-    if not by_length:
         return best
     distinct = _by_length(track, corners, tolerance)
     other = best_match(distinct, track, corners, cuts, 2 * tolerance)
@@ -430,7 +425,37 @@ class MatchingInput:
         on = np.concatenate([curved[:1], curved]) | np.concatenate([curved, curved[-1:]])
         return np.asarray(self.shape.corners[self.vertex[on[self.vertex]]])
 
-    def find(self, track: Track, tolerance: float, by_length: bool = True) -> Match | None:
+    def find(self, track: Track, tolerance: float) -> Match | None:
         """Match a track without any prior knowledge, see ``find_match``."""
         rough = bool(self.shape.sights)
-        return find_match(track, self.vertices, tolerance, self.cuts, by_length, rough=rough)
+        return find_match(track, self.vertices, tolerance, self.cuts, rough=rough)
+
+
+def driven_share_of(match: Match, guide: MatchingInput, slack: float) -> float:
+    """Share of the nominal length that was driven."""
+    vertices, curve = guide.vertices, guide.curve
+    length = np.where(guide.on_parts, Legs(vertices).length, 0.0)
+    driven = np.zeros(len(length))
+    if is_as_planned(visits(match, vertices, slack)):
+        use = match.leg != OFF_PATH
+        np.add.at(driven, match.leg[use], match.track.lengths[use])
+    else:
+        for leg, spans in _spans(match, Legs(vertices)).items():
+            upto = 0.0
+            for low, high in sorted(spans):
+                driven[leg] += max(0.0, high - max(low, upto))
+                upto = max(upto, high)
+    # parts of a curve begin and end at points that the track passes, a hop more or less
+    seen, whole = np.bincount(curve, driven), np.bincount(curve, length)
+    return float(np.minimum(seen, whole).sum() / length.sum())
+
+
+def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
+    """Driven spans of every leg, m from its start."""
+    places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
+    spans: dict[int, list[tuple[float, float]]] = {}
+    for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
+        j = int(match.leg[k])
+        low, high = sorted(float((p[k] - legs.corners[j]) @ legs.unit[j]) for p in places)
+        spans.setdefault(j, []).append((max(low, 0.0), min(high, float(legs.length[j]))))
+    return spans

@@ -13,7 +13,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.driving_order import assign_legs
-from otf_core.tracking.matching import OFF_PATH, Match, MatchingInput, cut_track
+from otf_core.tracking.matching import OFF_PATH, Match, MatchingInput, cut_track, driven_share_of
 from otf_core.tracking.measured_track import Track, measured_track
 
 WIDER_TOLERANCES = (2.5, 5.0, 10.0)
@@ -30,13 +30,6 @@ MAX_RATIO_OF_DISTANCES = 0.25
 """Distance of lines over that of corners from which on rounded corners are not the reason."""
 INNER_PART_OF_LEG = (0.3, 0.7)
 """Part of a leg that rounding of its corners leaves alone."""
-
-
-def driven_share(match: Match, corners: Array) -> float:
-    """Share of the nominal length that was driven."""
-    length, use = Legs(corners).length, match.leg != OFF_PATH
-    driven = np.bincount(match.leg[use], match.track.lengths[use], minlength=len(length))
-    return float(np.minimum(driven, length).sum() / length.sum())
 
 
 def match_mirrored(track: Track, guide: MatchingInput, tolerance: float) -> Match | None:
@@ -180,7 +173,7 @@ def check_partial(
         return
     guide, track = MatchingInput.of(path, tolerance), measured_track(samples, tolerance)
     image = match_mirrored(track, guide, tolerance)
-    if image is not None and driven_share(image, guide.vertices) > 0.5 * (1.0 + now):
+    if image is not None and driven_share_of(image, guide, 4 * tolerance) > 0.5 * (1.0 + now):
         raise InputError(f'samples do not follow the path: {MIRRORED_MESSAGE}')
     whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
     _check_far_step(samples, assign_legs(pose, whole, guide.vertices, tolerance), guide, tolerance)
