@@ -25,7 +25,7 @@ from otf_core.model.expanded import (
 )
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import TABLE, Machine
-from otf_core.model.motions import ErrorMotion, unit_of
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.calibration_document import (
@@ -396,6 +396,17 @@ def motion_chart(content: Content, motion: ErrorMotion) -> str:
     if not seen.all():
         marks.append(panel.rings(x[~seen], y[~seen]))
     return panel.draw(marks, f'{name} over {motion.axis}, with uncertainty', heading)
+
+
+def motion_charts(content: Content, axis: str) -> list[str]:
+    """The six motions of an axis."""
+    return [motion_chart(content, ErrorMotion(d, axis)) for d in DIRECTIONS]
+
+
+def alone_chart(content: Content) -> str:
+    """What the largest errors make alone."""
+    rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in content.alone[:12]]
+    return bars(rows, 'contribution of each motion')
 
 
 def radial_motion(content: Content, axis: str) -> str:

@@ -146,32 +146,6 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(covariance / np.outer(unit, unit))
 
 
-def worst_combination(content: Content) -> tuple[float, list[str]]:
-    """Share of the variance of the combination known worst, and its largest members in words."""
-    covariance = content.covariance
-    vector = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if not vector.any():
-        return 0.0, []
-    for _ in range(60):  # power method
-        vector = covariance @ vector
-        vector = vector / np.linalg.norm(vector)
-    share = float(vector @ covariance @ vector / np.trace(covariance))
-    parts = {n: float(np.sum(vector[p] ** 2)) for n, p in table_places(content.tables).items()}
-    members = sorted(parts.items(), key=lambda pair: -pair[1])[:4]
-    return share, [f'{n} ({100 * size:.0f} %)' for n, size in members if size > 0.02]
-
-
-def condition_number(covariance: Array) -> float:
-    """Largest over smallest standard uncertainty of what the covariance holds, um and urad."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    own = size > 1e-6 * size.max(initial=0.0)
-    if not own.any():
-        return 1.0
-    values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
-    positive = values[values > 1e-12 * values[-1]]
-    return float(np.sqrt(positive[-1] / positive[0]))
-
-
 def correlation_chart(content: Content) -> str:
     """Largest correlation in size between the nodes of every two tables."""
     starts = [p.start for p in table_places(content.tables).values()]

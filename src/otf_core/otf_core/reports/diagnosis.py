@@ -19,19 +19,9 @@ from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import machine_from_dict
+from otf_core.reports import gap_charts as charts
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.calibration_measurement import run_tables, stated_tables
-from otf_core.reports.gap_charts import (
-    DRAWN_RUNS,
-    curve_chart,
-    gap_chart,
-    group_chart,
-    separating_charts,
-    spectrum_chart,
-    state_labels,
-    time_charts,
-    volume_charts,
-)
 from otf_core.reports.rendering import State, join_names, render
 from otf_core.threads import limit_to_one_thread
 
@@ -260,37 +250,22 @@ def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
     unnamed = doc['unnamed']
     if unnamed is not None:
         curves.append(('Cause without a name', '', unnamed['curves']))
-    views, provenance = doc['views'], doc['provenance']
-    measured = provenance.get('measured') or {}
+    measured = doc['provenance'].get('measured') or {}
     when = [m[:19] for m in (measured.get('first'), measured.get('last')) if m]
-    groups = {
-        name: group_chart(doc, name, title)
-        for name, title in (
-            ('line_and_feed', 'residual by line and feed'),
-            ('sense', 'residual by sense'),
-            ('part', 'residual by part'),
-            ('distance', 'residual by length of the beam'),
-            ('angles', 'residual by azimuth and elevation of the beam'),
-        )
-        if name in views['groups']
-    }
     page = render(
         'diagnosis.html.j2',
+        charts=charts,
         badges=[VERDICTS[doc['verdict']]],
         sized=[_size_tile(c) for c in doc['causes'][:2] if c['sizes']],
         measured=' to '.join(f'{m}Z' for m in when),
-        where=separating_charts(doc), labels=state_labels(doc), gap_chart=gap_chart(doc),
         rows=[cause_row(k, c) for k, c in enumerate(doc['causes'], start=1)],
         meanings=[(effect_name(e), *effect_meaning(e)) for e in
                   dict.fromkeys(c['effect'] for c in doc['causes']) if any(effect_meaning(e))],
-        curves=[(name, said, [curve_chart(c) for c in own[:DRAWN_CURVES]])
+        curves=[(name, said, [charts.curve_chart(c) for c in own[:DRAWN_CURVES]])
                 for name, said, own in curves],
         hidden=[([effect_name(one['effect']), effect_cause(one['effect'])], one['needs'])
                 for one in doc['not_visible']],
         measure=next_measurements(doc) or ['Nothing more is needed for this question.'],
-        time_charts=[(leg['run'], time_charts(doc, leg)) for leg in views['legs'][:DRAWN_RUNS]],
-        volume=volume_charts(doc), groups=groups,
-        spectra=[spectrum_chart(band) for band in views['bands']],
         stated=stated_tables(machine_from_dict(doc['machine'])),
         run_tables=run_tables({'runs': doc['calibration_runs']}),
         **_content(doc),

@@ -191,21 +191,13 @@ def test_command_calibrates_a_standstill_run(tmp_path):
     simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
                  {'corner_dwell': 1}, '--out', str(tmp_path / 'bag')]  # fmt: skip
     assert run(*simulated) == 0
-    out = ['--method', 'standstill', '--out', tmp_path / 'out', {'residuals_csv': True}]
+    out = ['--method', 'standstill', '--out', tmp_path / 'out']
     assert run('calibrate', tmp_path / 'bag', *common, *out) == 0
     data = json.loads((tmp_path / 'out' / 'error_tables.json').read_text())
     assert data['fit']['pieces'] == 100
-    header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()
-    assert header.endswith('deviation1,deviation2,deviation3,residual1,residual2,residual3')
-    assert len(rows) == 100
-    numbers = np.array([row.split(',') for row in rows], dtype=float)
     with np.load(tmp_path / 'out' / 'residuals.npz') as arrays:
-        assert arrays['axes'].shape == (100, 3, 3)
-        np.testing.assert_array_equal(arrays['q'], numbers[:, 6:9])
-        np.testing.assert_array_equal(
-            arrays['axes'][:, 1, 2], numbers[:, header.split(',').index('a2z')]
-        )
-        np.testing.assert_array_equal(arrays['residual'], numbers[:, -3:])
+        assert arrays['axes'].shape == (100, 3, 3) and arrays['q'].shape == (100, 3)
+        assert arrays['residual'].shape == (100, 3)
 
 
 def test_edge_points_lie_on_edges_and_spread_points_inside():
