@@ -79,8 +79,6 @@ LIMIT_HEIGHT_RATIO = 4.0
 ANGLES = {'C0Y': ('+X', '+Y', 1.0), 'B0Z': ('+X', '+Z', -1.0), 'A0Z': ('+Y', '+Z', 1.0)}
 """Directions between which a squareness error changes the angle, and the sign of the change."""
 ARCSEC = math.pi / 648000
-FEW_DATA_BELOW = 100
-"""Samples around a node below which they are called few."""
 
 
 @dataclass(frozen=True)
@@ -513,24 +511,6 @@ def target_row(content: Content, name: str) -> tuple[str, ...]:
     return (name, own['link'], *cells, f'{1e3 * moved:.3f}')
 
 
-def node_rows(content: Content, name: str) -> Iterator[tuple[str, ...]]:
-    """Every node of a table: position, value, u, U, k, dof, samples, flag."""
-    own, k = content.entries[name], content.entries[name]['k']
-    coverage = (f'{k:.2f}', dof_words(own['dof'])) if k is not None else ('-', '-')
-    counts = content.doc['coverage'][name[2]]['samples_at_nodes']
-    seen = own.get('node_identifiable') or [True] * len(counts)
-    factor, _ = content.machine.axes[name[2]].shown
-    for x, v, u, count, here in zip(own['position'], own['value'], own['u'], counts, seen,
-                                    strict=True):  # fmt: skip
-        flag = 'few data' if count < FEW_DATA_BELOW else 'ok'
-        if name in content.hidden:
-            flag = 'unobservable'
-        elif not here:
-            flag = 'not determined, continued'
-        yield (f'{tidy(factor * x):.6g}', micro(v, 3), micro(u, 3), micro((k or 0.0) * u, 3),
-               *coverage, str(int(count)), flag)  # fmt: skip
-
-
 # The volume by direction and over the rotary axes; forward and backward.
 
 
@@ -581,46 +561,3 @@ def turns_chart(turns: Mapping[str, Any]) -> dict[str, Any]:
     ]
     drawn = panel.draw(marks, f'mean error over {names[0]} and {names[1]}')
     return shown | {'chart': drawn, 'key': heat_key(step, float(sizes.max()), 'µm')}
-
-
-def lag_words(doc: Mapping[str, Any]) -> Iterator[str]:
-    """Axes that are late, a sentence each."""
-    for axis, lag in doc['reversal']['lags'].items():
-        yield (f'{axis} is {"late" if lag["value"] > 0.0 else "early"} against the axes that it '
-               f'is driven with: ({1e6 * abs(lag["value"]):.0f} +/- '
-               f'{1e6 * COVERAGE_FACTOR * lag["u"]:.0f}) us.')  # fmt: skip
-
-
-def why_reversal(evidence: Mapping[str, Any]) -> Iterator[str]:
-    """Why this model of reversal was chosen: sentences."""
-    if 'lines' not in evidence or 'needed' not in evidence:
-        if decided := evidence.get('decided_by'):
-            yield f'Decided by {decided}.'
-        return
-    yield (
-        f'Gain of all that was chosen, or of the best that was not, over no reversal on '
-        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
-        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
-    )
-
-
-def iso_row(content: Content, axis: str) -> tuple[str, ...]:
-    """Figures of the positioning of an axis in the manner of ISO 230-2: E, M, B, mean, u."""
-    name = f'E{axis}{axis}'
-    own, mean = content.doc['reversal']['motions'].get(name), content.entries[name]
-    start = (axis, micro_unit(mean['unit']))
-    if own is None or not own['identifiable'] or name in content.hidden:
-        return (*start, 'not known', '', '', '', '')
-    value = np.array(own['value'])
-    at = int(np.argmax(np.abs(value)))
-    sizes = (np.ptp([own['forward'], own['backward']]), np.ptp(mean['value']), abs(value[at]),
-             value.mean(), own['u'][at])  # fmt: skip
-    return (*start, *(micro(float(v)) for v in sizes))
-
-
-def reversal_row(name: str, own: Mapping[str, Any]) -> tuple[str, ...]:
-    """Smallest and largest reversal value and mean u of a motion."""
-    if not own['identifiable']:
-        return (name, 'not known', '', '')
-    return (name, *(micro(float(v)) for v in (min(own['value']), max(own['value']),
-                                              np.mean(own['u']))))  # fmt: skip

@@ -21,7 +21,7 @@ from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import machine_from_dict
 from otf_core.reports import gap_charts as charts
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.calibration_measurement import run_tables, stated_tables
+from otf_core.reports.calibration_measurement import stated_tables
 from otf_core.reports.rendering import State, join_names, render
 from otf_core.threads import limit_to_one_thread
 
@@ -267,7 +267,6 @@ def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
                 for one in doc['not_visible']],
         measure=next_measurements(doc) or ['Nothing more is needed for this question.'],
         stated=stated_tables(machine_from_dict(doc['machine'])),
-        run_tables=run_tables({'runs': doc['calibration_runs']}),
         **_content(doc),
     )  # fmt: skip
     return {REPORT_FILE: page}

@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import BytecodeCache, Environment, FileSystemLoader, StrictUndefined
 from jinja2.bccache import Bucket
 from markupsafe import Markup
@@ -34,6 +35,7 @@ from otf_core.model.expanded import (
     significant,
     with_expanded,
 )
+from otf_core.prediction.absorbed import offset_words
 
 TEMPLATES = Path(__file__).with_name('templates')
 SPACE = '\u00a0'
@@ -168,6 +170,7 @@ def environment(page: bool = True) -> Environment:
     )
     made.filters |= {
         'anchors': _anchors,
+        'capital': lambda words: words[:1].upper() + words[1:],
         'dof': dof_words,
         'figure': figure,
         'micro': micro,
@@ -176,10 +179,12 @@ def environment(page: bool = True) -> Environment:
         'micro_unit': micro_unit,
         'micro_with_expanded': micro_with_expanded,
         'names': join_names,
+        'offset': lambda offset: offset_words(np.array(offset)),
         'place': place,
         'running_head': running_head,
         'sentence': sentence,
         'shortened': shortened,
+        'tidy': tidy,
         'significant': significant,
         'with_expanded': with_expanded,
     }
