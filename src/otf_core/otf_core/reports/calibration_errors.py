@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from otf_core.arrays import Array, Index
+from otf_core.calibration.scalar_words import SQUARENESS_SIGN
 from otf_core.files.writing import tidy
 from otf_core.model.chain import nominal_position
 from otf_core.model.expanded import (
@@ -76,9 +76,6 @@ CIRCLE, MAGNIFIED, CENTRE = 70.0, 35.0, 120.0
 """px; radius of the circle of a radial motion, of the largest motion on it, and its centre."""
 LIMIT_HEIGHT_RATIO = 4.0
 """Height of a limit, in that of what is drawn, up to which it is drawn."""
-ANGLES = {'C0Y': ('+X', '+Y', 1.0), 'B0Z': ('+X', '+Z', -1.0), 'A0Z': ('+Y', '+Z', 1.0)}
-"""Directions between which a squareness error changes the angle, and the sign of the change."""
-ARCSEC = math.pi / 648000
 
 
 @dataclass(frozen=True)
@@ -436,70 +433,19 @@ def scalar_words(content: Content, name: str) -> str:
     return f'{name} {micro_with_expanded(value, wide, unit_of(name))}'
 
 
-def squareness_words(name: str, value: float, wide: float) -> str:
-    """State a squareness error and its U, rad, as an angle, to the last stated digit of U.
-
-    C0Y > 0 tilts +Y to -X, B0Z > 0 tilts +Z to +X, A0Z > 0 tilts +Z to -Y.
-    """
-    one, other, sign = ANGLES[name]
-    change = sign * value
-    return (
-        f'angle between {one} and {other} is 90 deg {"-" if change < 0 else "+"} '
-        f'{figure(1e6 * abs(change), 1e6 * wide)} urad '
-        f'({figure(abs(change) / ARCSEC, wide / ARCSEC)} arcsec)'
-    )
-
-
-def squareness_row(content: Content, name: str) -> dict[str, Any]:
-    """A squareness error as an angle in words, in both habits of sign, and where it holds."""
-    own, need = content.entries[name], content.entries[name].get('needs')
+def squareness_row(content: Content, name: str) -> tuple[str, ...]:
+    """A squareness error in both habits of sign, U, u, and where it holds."""
     if name in content.hidden:
-        missing = f'not identifiable in these data{f"; needs {need}" if need else ""}'
-        return {'words': missing, 'cells': ('not known', '', '', '', '')}
-    value, wide = own['value'], float(content.wide[name][0])
-    change = ANGLES[name][2] * value
-    inside = content.doc['target_offset_bound']
-    rotations, holds = inside['contains'].get(name), ''
-    if rotations:
-        offset = offset_words(np.array(inside['offset']))
+        return ('not known', '', '', '', '')
+    own, wide = content.entries[name], 1e6 * float(content.wide[name][0])
+    bound = content.doc['target_offset_bound']
+    holds = 'at any target offset'
+    if rotations := bound['contains'].get(name):
+        offset = offset_words(np.array(bound['offset']))
         holds = f'at target offset {offset}, contains {", ".join(rotations)}'
-    statement = squareness_words(name, value, wide) + (f', {holds}' if holds else '')
-    cells = [figure(1e6 * v, 1e6 * wide) for v in (value, change)]
-    cells += [
-        significant(1e6 * wide),
-        significant(1e6 * own['u']),
-        holds or 'at any target offset',
-    ]
-    return {'words': statement, 'cells': cells}
-
-
-def location_words(content: Content, name: str) -> str:
-    """State which way the line of an axis lies, in both habits of sign."""
-    own, axis, unit = content.entries[name], name[2], unit_of(name)
-    if not own['identifiable']:
-        need = own.get('needs')
-        return f'{name}: not identifiable in these data{f"; needs {need}" if need else ""}.'
-    value, wide = own['value'], float(content.wide[name][0])
-    found, size = (micro_with_expanded(v, wide, unit) for v in (value, abs(value)))
-    if unit == 'm':
-        side = f'{"+" if value >= 0 else "-"}{name[0]}'
-        return (
-            f'{name} = {found}: the average line of {axis} lies {size} towards {side} of its '
-            f'nominal place. A control that stores the centre of {axis} is to add '
-            f'{with_expanded(1e3 * value, 1e3 * wide)} mm to its {name[0]}; a table of '
-            f'corrections holds the opposite sign.'
-        )
-    turn = np.eye(3)['ABC'.index(name[0])] * np.sign(value or 1.0)
-    direction = np.array(content.machine.axes[axis].direction)
-    end, side = (
-        f'{"+" if vector[k] >= 0 else "-"}{XYZ[k]}'
-        for vector in (direction, np.cross(turn, direction))
-        for k in [int(np.argmax(np.abs(vector)))]
-    )
-    return (
-        f'{name} = {found} ({abs(value) / ARCSEC:.2f} arcsec): the average line of {axis} leans '
-        f'{size} from {end} towards {side}; the correction has the opposite sign.'
-    )
+    values = (1e6 * own['value'], 1e6 * SQUARENESS_SIGN[name] * own['value'])
+    return (*(figure(v, wide) for v in values), significant(wide), significant(1e6 * own['u']),
+            holds)  # fmt: skip
 
 
 def target_row(content: Content, name: str) -> tuple[str, ...]:

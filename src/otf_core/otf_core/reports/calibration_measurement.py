@@ -22,6 +22,7 @@ from otf_core.budget.budget import (
 )
 from otf_core.budget.lines import GRID
 from otf_core.config import CalibrationConfig
+from otf_core.files.message_text import join_names
 from otf_core.files.writing import tidy
 from otf_core.model.expanded import (
     micro_unit,
@@ -54,7 +55,7 @@ from otf_core.reports.charts import (
     svg,
     words,
 )
-from otf_core.reports.rendering import dof_words, join_names, micro
+from otf_core.reports.rendering import dof_words, micro
 from otf_core.reports.scene import (
     Dots,
     Item,

@@ -24,7 +24,7 @@ from jinja2 import BytecodeCache, Environment, FileSystemLoader, StrictUndefined
 from jinja2.bccache import Bucket
 from markupsafe import Markup
 
-from otf_core.files.message_text import shortened, with_micro_sign
+from otf_core.files.message_text import join_names, shortened, with_micro_sign
 from otf_core.files.writing import tidy
 from otf_core.model.expanded import (
     figure,
@@ -80,12 +80,6 @@ def millimetres(value: float) -> str:
 def place(point: Iterable[float]) -> str:
     """A point, m, in words, in mm."""
     return ', '.join(f'{a} {millimetres(v)}' for a, v in zip('XYZ', point, strict=True)) + ' mm'
-
-
-def join_names(names: Iterable[str]) -> str:
-    """Names with commas and a last 'and'."""
-    texts = list(names)
-    return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def sentence(words: str) -> str:

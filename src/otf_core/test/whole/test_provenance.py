@@ -18,6 +18,7 @@ from html_cells import Page
 
 import otf_core
 from otf_core.bags.bag import BagContent, read_bag, write_bag
+from otf_core.calibration.scalar_words import squareness_words
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
 from otf_core.model.chain import displacement
@@ -27,7 +28,6 @@ from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
 from otf_core.planning.nc.dialect import words
 from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.calibration_errors import squareness_words
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'
