@@ -25,7 +25,7 @@ from otf_ros import qos
 from otf_tracker_driver import backends
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
 
-PAGE = Path(__file__).parents[1] / 'docs/add-a-backend.md'
+PAGE = Path(__file__).parents[1] / 'docs/extend.md'
 FROM_PAGE = 'csv'
 ENOUGH = 200
 """samples"""
@@ -36,9 +36,10 @@ in_the_node = pytest.mark.parametrize('name', ['simulated', 'emscon'])
 @pytest.fixture
 def page(monkeypatch, tmp_path):
     """The backend of the how-to, registered as it says there."""
-    file, source = re.findall(r'```python\n(.*?)```', PAGE.read_text(), re.DOTALL)
+    text = PAGE.read_text().split('## A backend')[1]
+    file, source = re.findall(r'```python\n(.*?)```', text, re.DOTALL)
     (tmp_path / f'{FROM_PAGE}.py').write_text(file)
-    line = re.search(r"^    '(csv\.\w+)',$", PAGE.read_text(), re.MULTILINE)[1]
+    line = re.search(r"^    '(csv\.\w+)',$", text, re.MULTILINE)[1]
     monkeypatch.setattr(backends, '__path__', [*backends.__path__, str(tmp_path)])
     monkeypatch.setitem(BACKENDS, *backends._loaded(line))
     namespace = {}

@@ -1,44 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What mkdocs does not do itself: equations, links into the sources, pages without a place."""
+"""What mkdocs does not do itself: the first page, equations, links into the sources."""
 
 import html
 import re
 from pathlib import Path
 
 from latex2mathml.converter import convert
+from mkdocs.structure.files import File
 
 OUTSIDE = re.compile(r'\[([^\]]+)\]\((\.\./[^)]*)\)')
 """Links to files beside docs/; in the repository they lead somewhere, on the site they do not."""
 EQUATION = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
 
 
-def listed(nav):
-    """Pages that a navigation names."""
-    for entry in nav:
-        for target in entry.values() if isinstance(entry, dict) else [entry]:
-            yield from listed(target) if isinstance(target, list) else [target]
+def on_files(files, config):
+    """The README as first page, its links as seen from docs/."""
+    text = (Path(config['docs_dir']).parent / 'README.md').read_text(encoding='utf-8')
+    text = re.sub(r'\]\((?!https?:|docs/)', '](../', text).replace('](docs/', '](')
+    files.append(File.generated(config, 'index.md', content=text))
+    return files
 
 
-def on_config(config):
-    docs = Path(config['docs_dir'])
-    decisions = sorted(str(p.relative_to(docs)) for p in (docs / 'decisions').glob('*.md'))
-    known = {*listed(config['nav']), *decisions}
-    others = sorted(p.name for p in docs.glob('*.md') if p.name not in known)
-    for entry in config['nav']:
-        if 'Decisions' in entry:
-            entry['Decisions'] = decisions
-        if 'How to' in entry:
-            entry['How to'] += others
-    return config
-
-
-def on_page_markdown(markdown, page, **_):
-    depth = page.file.src_uri.count('/')
-
-    def shown(match):
-        return match[1] if match[2].startswith('../' * (depth + 1)) else match[0]
-
-    return OUTSIDE.sub(shown, markdown)
+def on_page_markdown(markdown, **_):
+    return OUTSIDE.sub(r'\1', markdown)
 
 
 def on_page_content(page_html, **_):

@@ -47,12 +47,14 @@ if TYPE_CHECKING:
     )
     from otf_core.diagnosis.result import Diagnosis
     from otf_core.errors import ConfigError, InputError, OtfError, ShapeError
+    from otf_core.inputs.point_pairs import read_point_pairs
     from otf_core.model.evaluation import without_rigid_motion
     from otf_core.model.machine import Machine, load_machine
     from otf_core.model.observation import Samples
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import Plan
     from otf_core.model.tables import ErrorTables
+    from otf_core.pieces.point_pairs import PointPairs
     from otf_core.pieces.runs import Recording
     from otf_core.planning.plan_report import PlanReport
     from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
@@ -77,12 +79,14 @@ _HOMES = {
     'config': ('CalibrationConfig', 'ForecastConfig', 'PlannerConfig', 'SimulationConfig'),
     'diagnosis.result': ('Diagnosis',),
     'errors': ('ConfigError', 'InputError', 'OtfError', 'ShapeError'),
+    'inputs.point_pairs': ('read_point_pairs',),
     'model.evaluation': ('without_rigid_motion',),
     'model.machine': ('Machine', 'load_machine'),
     'model.observation': ('Samples',),
     'model.path': ('NominalPath',),
     'model.plan': ('Plan',),
     'model.tables': ('ErrorTables',),
+    'pieces.point_pairs': ('PointPairs',),
     'pieces.runs': ('Recording',),
     'planning.plan_report': ('PlanReport',),
     'prediction.calibration_document': ('CalibrationDocument', 'load_tables'),
@@ -105,6 +109,7 @@ __all__ = [
     'Plan',
     'PlanReport',
     'PlannerConfig',
+    'PointPairs',
     'Prediction',
     'Recording',
     'Samples',
@@ -118,6 +123,7 @@ __all__ = [
     'plan',
     'predict',
     'read_bag',
+    'read_point_pairs',
     'simulate',
     'summary',
     'without_rigid_motion',

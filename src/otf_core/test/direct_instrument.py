@@ -72,8 +72,7 @@ def measure_directly(
             true[:, lateral] += rng.normal(0, 20e-6) * (position - position[0])
         value = true + _reading_noise(rng, noise, k, (runs, 2, positions))
         axes[axis] = AxisReadings(position, value, middle)
-    note = 'simulated direct instrument, no real readings'
-    return DirectMeasurement(axes, u_length_scale=noise.length_scale, note=note)
+    return DirectMeasurement(axes, u_length_scale=noise.length_scale)
 
 
 def _true_readings(tables: ErrorTables, axis: str, position: Array, middle: Array) -> Array:

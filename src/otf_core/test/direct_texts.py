@@ -8,7 +8,7 @@ from otf_core.comparison.direct import TWO_WAYS
 
 def write_direct_csv(path, measurement):
     """Write a direct measurement in SI units."""
-    lines = [f'# {measurement.note}'] if measurement.note else []
+    lines = []
     for axis, readings in measurement.axes.items():
         lines.append(f'# point {axis}: ' + ','.join(map(repr, readings.point.tolist())))
     if measurement.target_offset is not None:

@@ -114,7 +114,7 @@ def calibration(request, prepared):
     )
     run = with_given_noise(prepared.run)
     done = solved(run, bases)
-    done = ReversalSolution([run], done, Choice('none', False, {}), ([run], done))
+    done = ReversalSolution([run], done, Choice('none', False, {}), [run], ([run], done))
     result = assemble(done, CONFIG)
     # tables for use inside are straight between 8 places in every interval between knots
     digits = {'straight': DIGITS, 'smooth': 2e-6}[request.param]

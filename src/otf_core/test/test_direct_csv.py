@@ -21,7 +21,7 @@ def test_csv_of_a_measurement_is_read_back_exactly(tmp_path):
     write_direct_csv(tmp_path / 'd.csv', measurement)
     found = read_direct_csv(tmp_path / 'd.csv', machine)
     assert found.u_length_scale == measurement.u_length_scale
-    assert found.note == measurement.note
+    assert found.remarks == ()
     for axis in AXES:
         np.testing.assert_array_equal(found.axes[axis].value, measurement.axes[axis].value)
         np.testing.assert_array_equal(found.axes[axis].point, measurement.axes[axis].point)
@@ -62,7 +62,7 @@ def test_a_lever_without_its_rotation_is_refused(tmp_path):
     [
         ('', 'holds no readings'),
         ('a,b\n1,2\n', 'line 1: header: axis: missing'),
-        (small_csv(header='axis,run,direction,position_mm,EX_inch,EA_rad'), 'EX_inch: unit'),
+        (small_csv(header='axis,run,direction,position_mm,EX_ft,EA_rad'), 'EX_ft: unit'),
         (small_csv(rows=['W,1,forward,0,0,0']), "line 3: axis: 'W'"),
         (small_csv(rows=['X,1,up,0,0,0']), "line 3: direction: 'up'"),
         (small_csv(rows=['X,1,forward,zero,0,0']), 'line 3: expected a reading'),
@@ -78,3 +78,28 @@ def test_what_is_wrong_in_a_csv_is_located(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         read_direct_csv(file, some_machine())
+
+
+@pytest.mark.parametrize(
+    'said', ['Point X = 0,0.1,-0.05', 'point x: ,0.1,-0.05', 'POINT X:0,0.1,-0.05']
+)
+def test_where_it_was_measured_is_read_in_any_spelling_of_the_line(tmp_path, said):
+    (tmp_path / 'd.csv').write_text(small_csv().replace('point X: 0,0.1,-0.05', said))
+    found = read_direct_csv(tmp_path / 'd.csv', some_machine())
+    assert found.axes['X'].point[1:].tolist() == [0.1, -0.05]
+
+
+def test_what_is_assumed_is_said_and_what_cannot_be_is_refused(tmp_path):
+    file = tmp_path / 'd.csv'
+    file.write_text(
+        small_csv('axis,run,direction,position [mm],EX_µm,EA [µrad]').partition('\n')[2]
+    )
+    assert any('point X' in remark for remark in read_direct_csv(file, some_machine()).remarks)
+    for line, wrong in (
+        ('# u_length_scale: 0.5', 'ppm'),
+        ('# Point X: 0,100,-50', 'mm'),
+        ('# target offset: 0,0,-150', 'mm'),
+    ):
+        file.write_text(f'{line}\n{small_csv().partition(chr(10))[2]}')
+        with pytest.raises(ConfigError, match=wrong):
+            read_direct_csv(file, some_machine())

@@ -39,9 +39,11 @@ def test_recordings_machines_and_lattices(tmp_path, capsys):
     assert found['duration_s'] == pytest.approx(255.2, abs=0.1)
     found = said(ROOM / 'machine.yaml', capsys)
     assert found['kind'] == 'machine description' and 'w-Y-b-X-Z-t' in found['headline']
-    (tmp_path / 'l.csv').write_text('# of a control\nx,y,z,dx,dy,dz\n0,0,0,1e-6,0,0\n')
+    corners = [f'{x},{y},{z},1,0,0' for x in (0, 9) for y in (0, 9) for z in (0, 9)]
+    head = ['# of a control', 'x_mm,y_mm,z_mm,dx_um,dy_um,dz_um']
+    (tmp_path / 'l.csv').write_text('\n'.join([*head, *corners]) + '\n')
     found = said(tmp_path / 'l.csv', capsys)
-    assert (found['kind'], found['headline']) == ('lattice', '1 points')
+    assert (found['kind'], found['headline']) == ('lattice', '8 points')
 
 
 def test_tables_of_a_calibration_and_of_others_and_their_folder(calibrated, tmp_path, capsys):

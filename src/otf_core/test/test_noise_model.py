@@ -50,7 +50,7 @@ def test_components_that_were_drawn_come_back(rest):
     # white; the fit splits the parts to about as much: 4 standard deviations
     np.testing.assert_allclose(noise.level, LEVEL, rtol=0.14)
     np.testing.assert_allclose([c.white_share for c in noise], WHITE, rtol=0.14)
-    # five seconds tell 0.2 s to 25 % (docs/noise.md), so three components of 80 s to 4 %
+    # five seconds tell 0.2 s to 25 % (docs/uncertainty.md), so three components of 80 s to 4 %
     assert noise.range.correlation_time == pytest.approx(0.2, rel=0.16)
     assert [c.dof is None for c in noise] == [True, True, False]
     # the slow rest beside the white part makes tails look lighter

@@ -7,9 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import otf_core
 from otf_core.cli import _parser
+from otf_core.files.strict_yaml import Fields
+from otf_core.model.machine import machine_from_dict
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = [
@@ -21,22 +24,44 @@ PAGES = [
 NAMES = [str(p.relative_to(ROOT)) for p in PAGES]
 
 
-@pytest.fixture
-def parameter_table(monkeypatch):
-    """The tool that writes the tables; what it adds to the path is taken off again."""
+def test_tables_of_presets_and_parameters_are_those_of_the_software(monkeypatch):
+    """What the tool adds to the path is taken off again."""
     monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
-    import parameter_table
+    import page_tables
 
-    return parameter_table
+    for page in page_tables.TABLES:
+        text = page.read_text(encoding='utf-8')
+        assert page_tables.with_tables(page) == text, 'run python3 tools/page_tables.py'
 
 
-def test_parameter_tables_are_those_of_the_software(parameter_table):
-    text = parameter_table.PAGE.read_text(encoding='utf-8')
-    assert parameter_table.with_tables(text) == text, 'run python3 tools/parameter_table.py'
+def test_page_of_machine_yaml_names_every_key_that_is_read(monkeypatch):
+    """Every example on the page is read, on a trunnion and together."""
+    page = (ROOT / 'docs/machine.md').read_text(encoding='utf-8')
+    blocks = [yaml.safe_load(b) for b in re.findall(r'^```yaml\n(.*?)^```', page, re.M | re.S)]
+    whole = yaml.safe_load((ROOT / 'examples/trunnion.yaml').read_text(encoding='utf-8'))
+    first, *others = blocks
+    machine_from_dict(first)
+    asked = set()
+    for ask in ('take', 'has'):
+        original = getattr(Fields, ask)
+
+        def recorded(self, key, original=original):
+            asked.add(key)
+            return original(self, key)
+
+        monkeypatch.setattr(Fields, ask, recorded)
+    for example in others:
+        machine_from_dict({**whole, **example})
+        whole |= example
+    machine = machine_from_dict(whole)
+    named = {*machine.axes, *machine.scalars, *map(str, machine.motions), 'column', 'fixture'}
+    named |= {*whole['targets'], *whole['signals']}
+    assert {'half_angle', 'u_facing', 'acts_on', 'warm_up_s'} <= asked
+    assert not {k for k in asked - named if f'`{k}`' not in page and f'{k}:' not in page}
 
 
 def test_readme_is_read_in_two_minutes():
-    assert len(PAGES[0].read_text(encoding='utf-8').splitlines()) <= 150
+    assert len(PAGES[0].read_text(encoding='utf-8').splitlines()) <= 130
 
 
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
@@ -67,7 +92,7 @@ def test_links_lead_to_headings(page):
 
 def test_quality_of_service_is_that_of_the_nodes():
     source = (ROOT / 'src/otf_ros/otf_ros/qos.py').read_text(encoding='utf-8')
-    table = (ROOT / 'docs/conventions.md').read_text(encoding='utf-8')
+    table = (ROOT / 'docs/graph.md').read_text(encoding='utf-8')
     made = re.findall(r'^([A-Z]+) = _profile\((\d+), DurabilityPolicy\.(\w+)(.*)\)', source, re.M)
     assert len(made) >= 9
     for name, depth, durability, rest in made:

@@ -10,7 +10,7 @@ import pytest
 from cli_cells import run
 from test_rotary_exports import five_axes
 
-from otf_core.comparison.compare import compare, load_source
+from otf_core.comparison.compare import compare, load_sources
 from otf_core.errors import ConfigError
 from otf_core.fleet.document import fleet_document
 from otf_core.fleet.fleet import JobResult
@@ -74,7 +74,7 @@ def test_compare_states_differences_of_rotary_motions_and_location_errors(
 
 
 def compared(a, b):
-    return compare(load_source(a, None), load_source(b, None))
+    return compare(*load_sources([a, b])[0])
 
 
 def test_any_gauge_and_range_are_brought_to_one(tables, tmp_path):
@@ -130,13 +130,13 @@ def test_a_direct_measurement_of_an_axis_that_turns(tables, tmp_path):
         ]
     file = tmp_path / 'direct.csv'
     file.write_text('\n'.join(['axis,run,direction,position_deg,EC_urad', *rows]) + '\n')
-    a = load_source(written(tmp_path, 'a', tables), None)
-    found = compare(load_source(file, machine), a)
+    sources, _ = load_sources([file, written(tmp_path, 'a', tables)])
+    found = compare(*sources)
     assert found.common.motions == ('ECC',) and not found.common.scalars
     assert np.abs(found.errors['ECC'].difference).max() < 1e-12
     file.write_text(file.read_text().replace('position_deg', 'position_mm'))
     with pytest.raises(ConfigError, match='column position_deg'):
-        load_source(file, machine)
+        load_sources([file], machine)
 
 
 def test_other_nominal_lines_are_refused(tables, tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of type Trigger: an action that tells whether it was done (docs/decisions/0008)."""
+"""Services of type Trigger: an action that tells whether it was done (docs/why.md)."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ class TrackerDriver(SteadyLifecycleNode):
         return True, 'stopped; tracker/start streams from the beginning'
 
     def _operate(self, name: str) -> Future[str]:
-        """Have the source do what an operator asks for; see docs/decisions/0008."""
+        """Have the source do what an operator asks for; see docs/why.md."""
         if not self._streamer:
             raise InputError('no source is connected; call tracker/start, or configure')
         backend = self._status.message.backend

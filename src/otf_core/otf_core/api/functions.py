@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from otf_core.arrays import Array
 from otf_core.bags import bag
-from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.calibration.calibrate import calibrate_pairs, calibrate_recordings
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import (
-    OTF,
-    STANDSTILL,
+    POINTS,
     CalibrationConfig,
     ForecastConfig,
     PlannerConfig,
@@ -44,6 +43,7 @@ from otf_core.model.plan import Plan, check_inside, plan_along
 from otf_core.model.provenance import STANDARD, origin_of, provenance
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import read_noise as noise_from_file
+from otf_core.pieces.point_pairs import PointPairs
 from otf_core.pieces.runs import Recording
 from otf_core.prediction import predict as evaluation
 from otf_core.prediction.calibration_document import (
@@ -264,11 +264,9 @@ def _fill_folder(
 
 Recordings = Recording | Iterable[Recording]
 
-METHODS = (OTF, STANDSTILL)
-
 
 def calibrate(
-    recordings: Recordings,
+    recordings: Recordings | Sequence[PointPairs],
     *,
     method: str = 'otf',
     effects: str | Path | None = None,
@@ -282,13 +280,13 @@ def calibrate(
     ----------
     recordings : Recording or iterable of Recording
         Several: runs of one machine from other stations, at other feeds, with other target
-        offsets; they are solved as one.
-    method : {'otf', 'standstill'}
-        On the fly, or from the stops at the corner points alone.
+        offsets; they are solved as one. Or the runs of ``read_point_pairs``.
+    method : {'otf', 'standstill', 'points'}
+        On the fly, from the stops at the corner points alone, or from pairs of points.
     effects : str or Path, optional
         Effects to take off: 'auto' for those that a diagnosis finds, or an effects.yaml.
     same_station : bool
-        The tracker was not moved between the recordings; for machines with rotary axes.
+        The tracker was not moved between the recordings; for runs of one target offset.
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -315,9 +313,11 @@ def calibrate(
     >>> table.value.shape == table.u.shape == table.position.shape
     True
     """
+    if method == POINTS:
+        if effects is not None:
+            raise ConfigError('effects: pairs of points hold neither feed nor direction of travel')
+        return calibrate_pairs(_pairs_of(recordings), config, progress)
     runs = _several(recordings)
-    if method not in METHODS:
-        raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
     from otf_core.diagnosis.diagnose import calibrate_with_effects
@@ -454,23 +454,29 @@ def noise(source: Name, standstill_speed: float, options: ReadingOptions) -> Noi
 
 
 def compare(
-    a: Name, b: Name, machine: Name | None = None, points: Name | None = None
+    a: Name,
+    b: Name,
+    machine: Name | None = None,
+    points: Name | None = None,
+    sign: str | None = None,
 ) -> ComparisonDocument:
     """Two error tables or direct measurements, as ``otf compare`` states them.
 
     Parameters
     ----------
     machine : str or Path, optional
-        machine.yaml, for direct measurements.
+        machine.yaml, of what does not hold its machine; that of the other if not given.
     points : str or Path, optional
         File of the points at which error vectors are compared; a grid if not given.
+    sign : {'error', 'correction'}, optional
+        What values of other systems are, where their files do not state it.
     """
     from otf_core.comparison import compare as sources
     from otf_core.comparison.document import document_of
     from otf_core.inputs.path_file import read_target_points
 
     described = load_machine(machine) if machine else None
-    first, second = (sources.load_source(one, described) for one in (a, b))
+    (first, second), remarks = sources.load_sources((a, b), described, sign)
     at, own = None, first.tables.machine
     if points:
         at = own.axis_positions(read_target_points(points, own.point_names)[0])
@@ -480,16 +486,25 @@ def compare(
         files={'a': a, 'b': b, 'points': points},
         coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
     )
-    return document_of(sources.compare(first, second, at), about)
+    document = document_of(sources.compare(first, second, at), about)
+    return replace(document, remarks=(*document.remarks, *remarks))
 
 
-def _several(recordings: Recordings) -> list[Recording]:
-    if isinstance(recordings, Recording):
-        return [recordings]
-    runs = list(recordings) if isinstance(recordings, Iterable) else [recordings]
-    wrong = [run for run in runs if not isinstance(run, Recording)]
-    if wrong:
-        raise ConfigError(f'recordings: expected Recording, got {type(wrong[0]).__name__}')
+def _pairs_of(recordings: object) -> list[PointPairs]:
+    """Runs of pairs; ConfigError if they are anything else."""
+    given = list(recordings) if isinstance(recordings, Iterable) else [recordings]
+    runs = [run for run in given if isinstance(run, PointPairs)]
+    if not runs or len(runs) < len(given):
+        raise ConfigError(f'method {POINTS}: expected the runs of read_point_pairs')
+    return runs
+
+
+def _several(recordings: object) -> list[Recording]:
+    given = list(recordings) if isinstance(recordings, Iterable) else [recordings]
+    runs = [run for run in given if isinstance(run, Recording)]
+    if len(runs) < len(given):
+        wrong = next(run for run in given if not isinstance(run, Recording))
+        raise ConfigError(f'recordings: expected Recording, got {type(wrong).__name__}')
     if not runs:
         raise ConfigError('recordings: none given')
     return runs

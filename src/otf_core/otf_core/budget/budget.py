@@ -35,12 +35,13 @@ import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.aside import share_out
+from otf_core.config import POINTS
 from otf_core.effects import REGISTRY, Effect, State, Terms
 from otf_core.effects.base import Contribution
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
-from otf_core.model.sections import DECLARABLE, DeclaredUncertainty, declarable_keys
+from otf_core.model.sections import DECLARABLE, OF_BEAM, DeclaredUncertainty, declarable_keys
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import (
     MISFIT_TIME,
@@ -329,9 +330,17 @@ def possible_sources(machine: Machine) -> tuple[Systematic, ...]:
     return tuple(s for s in SYSTEMATIC if keys & set(s.keys))
 
 
+def possible_keys(runs: Sequence[Observed]) -> tuple[str, ...]:
+    """Keys of what may act on runs; where pairs were measured there is no beam."""
+    keys = declarable_keys(bool(runs[0].machine.rotary_names))
+    pairs = all(run.pieces.method == POINTS for run in runs)
+    return tuple(key for key in keys if not (pairs and key in OF_BEAM))
+
+
 def declared_sources(runs: Sequence[Observed]) -> tuple[Systematic, ...]:
     """Contributions that any run declares."""
     given = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
+    given &= {*possible_keys(runs)}
     return tuple(s for s in SYSTEMATIC if given & set(s.keys))
 
 

@@ -22,11 +22,12 @@ from otf_core.budget.budget import (
     Budget,
     Source,
     Systematic,
+    possible_keys,
     systematic_pulls,
 )
 from otf_core.effects import State
 from otf_core.model.presets import TYPICAL, typical_values
-from otf_core.model.sections import DeclaredUncertainty, declarable_keys
+from otf_core.model.sections import DeclaredUncertainty
 from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution
 from otf_core.threads import one_thread
@@ -71,8 +72,7 @@ def missing_keys(runs: Sequence[Observed]) -> dict[str, float]:
     """Keys that no run declares, with their typical values."""
     declared = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
     typical = typical_values()
-    possible = declarable_keys(bool(runs[0].machine.rotary_names))
-    return {k: typical[k] for k in possible if k not in declared}
+    return {k: typical[k] for k in possible_keys(runs) if k not in declared}
 
 
 def _missing(assumed: Mapping[str, float]) -> list[Systematic]:
@@ -117,7 +117,7 @@ def typical_systematic(
         return None
     with one_thread():
         change = joint.solution.covariance @ pulls
-    possible = declarable_keys(bool(joint.machine.rotary_names))
+    possible = possible_keys(runs)
     missing = tuple(s.source for s in sources)
     return TypicalSystematic(missing, len(assumed) == len(possible), assumed, change)
 

@@ -8,8 +8,8 @@ Every recording of every chain takes this way (``solve_recordings``):
    in its frame; else they are curves of places that are improved together with the pose.
 2. ``runs.reduce_recording`` averages samples over pieces of legs, or over stops, to ``Run``.
 3. ``examine`` looks for contradictions, and repairs offsets and steps of runs on lines.
-4. The solver chooses functions and reversal, and solves. Samples on curves are reduced once more
-   at the places and errors that the first solution found, and solved again.
+4. ``model_choice.solve_with_reversal`` chooses functions and reversal, and solves. Samples on
+   curves are reduced once more at the places and errors that the first solution found.
 5. ``assembly.assemble`` states tables, budget and verdicts.
 """
 
@@ -17,18 +17,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.calibration.assembly import assemble
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.config import OTF, CalibrationConfig
+from otf_core.config import METHODS, OTF, CalibrationConfig
 from otf_core.contradictions.examine import check_left_out, examine
 from otf_core.contradictions.part_steps import LEAST, find_steps
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_checks import check_table_pitch
-from otf_core.errors import InputError
+from otf_core.errors import ConfigError, InputError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -38,22 +39,16 @@ from otf_core.pieces.finding import (
     WARNING,
     Finding,
 )
+from otf_core.pieces.point_pairs import PointPairs, prepare_pairs
 from otf_core.pieces.runs import (
     Recording,
     Run,
     located_tables,
     prepare_runs,
-    reduce_recording,
+    reduce_run_again,
 )
-from otf_core.solving.joint import (
-    Start,
-    UnsettledError,
-    find_identifiable_blocks,
-    solve_robustly,
-    unknowns_of,
-)
-from otf_core.solving.model_choice import ReversalSolution, choose_shapes, solve_with_reversal
-from otf_core.solving.reversal import choose_reversal
+from otf_core.solving.joint import UnsettledError
+from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 from otf_core.threads import limit_to_one_thread
 
 
@@ -97,6 +92,8 @@ def calibrate_recordings(
     ------
     InputError
         If samples and path do not belong together or determine nothing.
+    ConfigError
+        If the runs are of different machines, or the method is unknown.
 
     References
     ----------
@@ -105,6 +102,38 @@ def calibrate_recordings(
     config, progress = config or CalibrationConfig(), progress or silent
     solved = solve_recordings(recordings, config, progress, method, same_station=same_station)
     return assemble(solved.solution, config, solved.findings)
+
+
+@limit_to_one_thread
+def calibrate_pairs(
+    runs: Sequence[PointPairs],
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """Calibrate a machine of any chain from pairs of nominal and measured positions.
+
+    Parameters
+    ----------
+    runs : sequence of PointPairs
+        Of one machine; each has a rigid motion of its own between both frames.
+    config, progress
+        As of ``calibrate_recordings``.
+
+    Raises
+    ------
+    InputError
+        If the pairs determine nothing.
+    """
+    progress = progress or silent
+    config = replace(config or CalibrationConfig(), reversal='none')
+    prepared, nodes = prepare_pairs(runs)
+    progress('solving', 0.0)
+    solved = solve_with_reversal(prepared, nodes, config, progress)
+    remarks = [Finding('recording', WARNING, text) for run in runs for text in run.remarks]
+    left_out = [
+        f for pair in zip(prepared, solved.runs, strict=True) for f in check_left_out(*pair)
+    ]
+    return assemble(solved, config, (*remarks, *left_out))
 
 
 @dataclass(frozen=True)
@@ -157,6 +186,8 @@ def solve_recordings(
     repair : bool
         Repair what can be repaired, see ``contradictions.examine``.
     """
+    if method not in METHODS:
+        raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
     progress('aligning', 0.0)
     check_recordings(recordings)
     pitch = check_table_pitch(recordings[0].machine, config.piece_length)
@@ -168,53 +199,15 @@ def solve_recordings(
         remarks.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
     remarks += [Finding('path', WARNING, text) for r in runs for text in r.alignment.remarks]
     runs, contradictions = examine(runs, nodes, config, repair=repair)
-    if any(run.shape is None for run in runs):
-        runs, solution, steps = _solve_on_curves(runs, nodes, config, progress, method)
-    else:
-        solution, steps = solve_with_reversal(runs, nodes, config, progress), []
-
-    left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
-    return SolvedRecordings(runs, nodes, (*remarks, *contradictions, *steps, *left_out), solution)
-
-
-def _solve_on_curves(
-    runs: list[Run], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress,
-    method: str,
-) -> tuple[list[Run], ReversalSolution[Run], list[Finding]]:  # fmt: skip
-    """Solve twice: the second time at places that the first tables give.
-
-    Returns
-    -------
-    runs : list of Run
-        With all their pieces at these places.
-    steps : list of Finding
-        Reflectors that were re-seated, and moves of the tracker.
-    """
-    machine = runs[0].machine
-    located = located_tables(machine, nodes, runs[0].alignment.location)
+    located = located_tables(runs[0].machine, nodes, runs[0].alignment.location)
+    reduce_again = partial(reduce_run_again, nodes=nodes, config=config, method=method)
     try:
-        shapes = choose_shapes(runs, nodes, config, progress, located)
+        solution = solve_with_reversal(runs, nodes, config, progress, located, reduce_again)
     except UnsettledError as error:
         moved = find_steps(error.joint, LEAST)
         raise InputError(moved[0] if moved else str(error)) from None
-    unknowns = unknowns_of(runs, shapes.bases)
-    plain = kept, joint = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
-    choice, unknowns = choose_reversal(kept, joint, config)
-    start = Start.after(machine, joint)
-    again = []
-    for run, found in zip(kept, joint.runs, strict=True):
-        followed = run.alignment.moved(found.pose, joint.places)
-        reduced = reduce_recording(run.recording, followed, nodes, config, method, start.tables)
-        own = {name: joint.places[name] for name in run.places}
-        again.append(
-            replace(run, alignment=followed, pieces=reduced.pieces, pose=found.pose,
-                    places=own, base=reduced.base)
-        )  # fmt: skip
-    runs = again
-    if further := unknowns.blocks.keys() - joint.unknowns.blocks.keys():
-        seen = find_identifiable_blocks(runs, unknowns, config.unidentifiable_above)
-        start = replace(start, accepted=(*start.accepted, *(n for n in seen if n in further)))
-    solved = solve_robustly(runs, unknowns, config, progress, start)
     # not before: places that are 0.1 mm off along the path look like a step
-    steps = [Finding('steps', GATE, words) for words in find_steps(solved[1])]
-    return runs, ReversalSolution(*solved, choice, plain), steps
+    steps = [Finding('steps', GATE, words) for words in find_steps(solution.joint)]
+    runs = solution.whole
+    left_out = [f for pair in zip(runs, solution.runs, strict=True) for f in check_left_out(*pair)]
+    return SolvedRecordings(runs, nodes, (*remarks, *contradictions, *steps, *left_out), solution)

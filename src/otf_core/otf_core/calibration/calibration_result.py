@@ -24,7 +24,7 @@ from otf_core.budget.budget import OBSERVED, Budget
 from otf_core.budget.lines import BudgetLine, budget_lines
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.calibration.document import document_of
-from otf_core.config import OTF, STANDSTILL, CalibrationConfig
+from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
 from otf_core.files.message_text import with_micro_sign
@@ -371,7 +371,7 @@ class CalibrationResult:
     @property
     def method(self) -> str:
         """'otf', or 'standstill': only the stops at the corners."""
-        return STANDSTILL if self.runs[0].pieces.standstill else OTF
+        return self.runs[0].pieces.method
 
     @property
     def needs(self) -> list[str]:

@@ -311,7 +311,7 @@ def solve_with_effects(
             solved = solve_with_reversal(clean, nodes, config, progress, first).without_plain()
             continue
         again = solve_robustly(clean, unknowns, config, progress, start)
-        solved = ReversalSolution(*again, choice, again)
+        solved = ReversalSolution(*again, choice, clean, again)
     return solved, fitted
 
 

@@ -15,12 +15,20 @@ from otf_core.cli.measuring import (
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import AddVerb, add_config, add_out, add_parameters, add_reading
+from otf_core.cli.options import (
+    AddVerb,
+    add_config,
+    add_out,
+    add_parameters,
+    add_reading,
+    add_sign,
+)
 from otf_core.cli.parser import SHELLS, run_completion
 from otf_core.cli.simulating import run_plan, run_simulate
 from otf_core.config import (
     METHODS,
     OTF,
+    POINTS,
     PlannerConfig,
     SimulationConfig,
 )
@@ -61,15 +69,16 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument(
         '--same-station', action='store_true',
-        help='tracker not moved between bags (rotary axes only)',
+        help='tracker not moved between bags (one target offset)',
     )  # fmt: skip
     add_reading(sub)
 
 
 def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
-        '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from stops at corners (default {OTF})',
+        '--method', choices=(*METHODS, POINTS), default=OTF,
+        help=f'on the fly, from stops at corners, or from a table of nominal and measured '
+        f'positions in place of BAG (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',
@@ -131,8 +140,9 @@ def add_judging_verbs(verb: AddVerb) -> None:
         '(direction: forward or backward; units m, mm, um, rad, urad, arcsec as in the header; '
         'of rotary axes position_deg; omit columns that the instrument does not measure)',
     )
-    sub.add_argument('b', help='the same')
-    sub.add_argument('--machine', help='machine.yaml, for direct measurements')
+    sub.add_argument('b', help='the same; or tables of another system, as otf import reads them')
+    sub.add_argument('--machine', help='machine.yaml, of what does not hold its machine')
+    add_sign(sub)
     sub.add_argument('--points', help='CSV: x,y,z and rotary letters (default: a grid)')
     add_out(sub, 'folder for the results')
 

@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import AddVerb, add_out, output_folder
+from otf_core.cli.options import AddVerb, add_out, add_sign, output_folder
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, note, report_files
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
@@ -42,7 +42,10 @@ def add_exporting_verbs(verb: AddVerb) -> None:
     )
 
     sub = verb('import', run_import)
-    sub.add_argument('lattice', metavar='CSV', help='x,y,z,dx,dy,dz in m, as in lattice-csv')
+    sub.add_argument(
+        'file', metavar='FILE', help='lattice x,y,z,dx,dy,dz (m), Etalon exchange format, ISG CSV'
+    )
+    add_sign(sub)
     sub.add_argument('--machine', required=True, help='machine.yaml: determines how rotations act')
     add_out(sub, 'folder for error_tables.json')
 
@@ -122,33 +125,38 @@ def run_report(arguments: argparse.Namespace) -> int:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Error tables from a lattice of volumetric errors in CSV."""
-    from otf_core.exports import export_format
-    from otf_core.exports.lattice import read_lattice_csv, tables_from_lattice
+    """Error tables from a file of another system."""
+    from otf_core.exports.foreign_tables import read_foreign_tables
     from otf_core.files.writing import write_text
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.prediction.calibration_document import CalibrationDocument
 
-    out = output_folder(arguments, arguments.lattice, arguments.machine)
+    out = output_folder(arguments, arguments.file, arguments.machine)
     machine = load_machine(arguments.machine)
-    export_format('lattice-csv').check_machine(machine, 'import')
-    imported = tables_from_lattice(read_lattice_csv(arguments.lattice), machine)
+    imported = read_foreign_tables(arguments.file, machine, arguments.sign)
     sizes = {'size_rms_um': 1e6 * imported.size_rms, 'left_rms_um': 1e6 * imported.left_rms}
     block = provenance(
-        'import', machines=[machine], files={'lattice': arguments.lattice},
-        coverage='no uncertainty: u of the lattice is not carried over',
+        'import', machines=[machine], files={'tables': arguments.file},
+        coverage='no uncertainty: u of other systems is not carried over',
     )  # fmt: skip
     document = CalibrationDocument.of_tables(imported.tables, imported=sizes, provenance=block)
     with out.filled('import') as folder:
         write_text(folder / document.file, json.dumps(document.to_dict(), indent=1) + '\n')
-    words = (
-        f'errors of the lattice {sizes["size_rms_um"]:.3f} um rms; the tables leave '
-        f'{sizes["left_rms_um"]:.3f} um rms of them; u is 0: uncertainties of the lattice are '
-        f'not carried over'
-    )
+    lines = [f'{arguments.file}: {text}' for text in imported.remarks]
+    if imported.size_rms:
+        lines.append(
+            f'errors of the lattice {sizes["size_rms_um"]:.3f} um rms; the tables leave '
+            f'{sizes["left_rms_um"]:.3f} um rms of them'
+        )
+    words = '\n'.join([*lines, 'u is 0: uncertainties are not carried over'])
     written = [Path(arguments.out) / document.file]
-    data = {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))}
+    data = {
+        'schema': 'otf-import/1',
+        **sizes,
+        'remarks': list(imported.remarks),
+        'files': list(map(str, written)),
+    }
     answer(arguments, words + report_files(written, arguments.out), data)
     return 0
 

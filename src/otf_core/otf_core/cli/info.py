@@ -110,13 +110,13 @@ def _machine(path: Path) -> dict[str, Any]:
 def _text(path: Path) -> dict[str, Any]:
     """A lattice, or another file of otf export."""
     from otf_core.exports.format import MARK, is_export
+    from otf_core.exports.lattice import holds_lattice, read_lattice_csv
 
     with path.open(encoding='utf-8', errors='replace') as file:
         lines = [line.strip(' #;/()<>!-\r\n') for line in file if line.strip()]
     exported = next((line for line in lines if line.startswith(MARK)), '')
-    rows = [n for n, line in enumerate(lines) if line.startswith('x,y,z,dx,dy,dz')]
-    if rows:
-        points = f'{len(lines) - rows[0] - 1} points'
+    if holds_lattice(path):
+        points = f'{len(read_lattice_csv(path).points)} points'
         return {'kind': 'lattice', 'schema': 'lattice-csv', 'headline': points}
     if exported and is_export(path):
         form = exported.removeprefix(MARK).partition(':')[0].strip()

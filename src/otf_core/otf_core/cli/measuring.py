@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters, reading_options
 from otf_core.cli.output import answer, finish, note, progress_of
-from otf_core.config import AUTO, CalibrationConfig, DiagnosisConfig, WritingConfig
+from otf_core.config import AUTO, POINTS, CalibrationConfig, DiagnosisConfig, WritingConfig
 from otf_core.errors import ConfigError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
+    from otf_core.pieces.point_pairs import PointPairs
     from otf_core.pieces.runs import Recording
 
 
@@ -43,6 +44,19 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     ]
 
 
+def read_pairs(arguments: argparse.Namespace) -> list[PointPairs]:
+    """Read tables of nominal and measured positions, as ``read_recordings``."""
+    from otf_core.inputs.point_pairs import read_point_pairs
+
+    given = {'--path': arguments.path, '--columns': arguments.columns, '--rate': arguments.rate,
+             '--join': arguments.join, '--same-station': arguments.same_station}  # fmt: skip
+    if wrong := [option for option, value in given.items() if value]:
+        raise ConfigError(f'{wrong[0]}: means nothing with --method {POINTS}; leave it out')
+    machines = _for_each(arguments.machine, [[name] for name in arguments.bag], '--machine')
+    pairs = zip(arguments.bag, machines, strict=True)
+    return [run for name, machine in pairs for run in read_point_pairs(name, machine)]
+
+
 def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]:
     """One of the files given for every run; ConfigError if it is not clear which."""
     if len(files) not in (1, len(runs)):
@@ -65,8 +79,9 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     given = [effects] if effects not in (None, AUTO) else []
     out = output_folder(arguments, *_inputs(arguments), *given)
     with progress_of('reading', DIAGNOSE if effects else CALIBRATE) as progress:
+        read = read_pairs if arguments.method == POINTS else read_recordings
         result = api.calibrate(
-            read_recordings(arguments), method=arguments.method, effects=effects,
+            read(arguments), method=arguments.method, effects=effects,
             same_station=arguments.same_station, config=config, progress=progress,
         )  # fmt: skip
 
@@ -157,7 +172,10 @@ def run_compare(arguments: argparse.Namespace) -> int:
 
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
     out = output_folder(arguments, *filter(None, given))
-    return finish(arguments, out, api.compare(*given))
+    document = api.compare(
+        arguments.a, arguments.b, arguments.machine, arguments.points, arguments.sign
+    )
+    return finish(arguments, out, document)
 
 
 # Verb that answers in seconds: check.

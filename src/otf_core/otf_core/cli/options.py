@@ -50,6 +50,14 @@ AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
 """Adds a verb and returns its parser."""
 
 
+def add_sign(sub: argparse.ArgumentParser) -> None:
+    """Add --sign of values that are read."""
+    sub.add_argument(
+        '--sign', choices=('error', 'correction'),
+        help='what the values of another system are (default: errors, and said)',
+    )  # fmt: skip
+
+
 def add_out(parser: argparse.ArgumentParser, text: str) -> None:
     """Add --out and --overwrite."""
     parser.add_argument('--out', required=True, help=text)

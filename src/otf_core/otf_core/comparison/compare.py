@@ -22,6 +22,8 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.comparison.direct import DirectMeasurement, read_direct_csv, tables_of_measurement
 from otf_core.errors import ConfigError
+from otf_core.exports.foreign_tables import holds_foreign_tables, read_foreign_tables
+from otf_core.inputs.path_file import looks_like_json
 from otf_core.model.chain import Sight, has_constant_lever, rotations, turn_as_translation
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.machine import Machine
@@ -84,15 +86,46 @@ def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Ma
     return Source(name, tables, covariance, frozenset(hidden), covariance)
 
 
-def load_source(path: str | Path, machine: Machine | None) -> Source:
-    """Read error_tables.json or, for the machine given, a direct measurement in CSV."""
-    path = Path(path)
-    if path.suffix.lower() == '.csv':
-        if machine is None:
-            raise ConfigError(f'{path}: a direct measurement needs --machine')
-        return source_of_measurement(path.stem, read_direct_csv(path, machine), machine)
-    name = path.parent.name if path.stem == 'error_tables' else path.stem
-    return source_of_tables(name or str(path), load_tables(path))
+def load_sources(
+    paths: Sequence[str | Path], machine: Machine | None = None, sign: str | None = None
+) -> tuple[list[Source], list[str]]:
+    """Read error_tables.json, direct measurements in CSV, and tables of other systems.
+
+    Parameters
+    ----------
+    machine : Machine, optional
+        Of what does not hold it itself; that of the first error_tables.json if not given.
+    sign : 'error' or 'correction', optional
+        What values of other systems are, where their file does not say it.
+
+    Returns
+    -------
+    sources : list of Source
+    remarks : list of str
+        What was taken for what.
+    """
+    documents = [load_tables(path) if looks_like_json(path) else None for path in paths]
+    machines = [content.tables.machine for content in documents if content is not None]
+    machine = machine or next(iter(machines), None)
+    sources: list[Source] = []
+    remarks: list[str] = []
+    for path, content in zip(map(Path, paths), documents, strict=True):
+        name = path.parent.name if path.stem == 'error_tables' else path.stem
+        if content is None and machine is None:
+            raise ConfigError(f'{path}: does not hold its machine; give --machine machine.yaml')
+        if content is None and not holds_foreign_tables(path):
+            assert machine is not None
+            measurement = read_direct_csv(path, machine)
+            sources.append(source_of_measurement(name, measurement, machine))
+            remarks += [f'{path}: {text}' for text in measurement.remarks]
+            continue
+        if content is None:
+            assert machine is not None
+            read = read_foreign_tables(path, machine, sign)
+            content = CalibrationDocument.of_tables(read.tables)
+            remarks += [f'{path}: {text}' for text in read.remarks]
+        sources.append(source_of_tables(name or str(path), content))
+    return sources, remarks
 
 
 @dataclass(frozen=True)

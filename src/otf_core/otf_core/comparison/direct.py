@@ -13,12 +13,12 @@ CSV layout, one row a reading::
     axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad
     X,1,forward,0.0,0.0,0.0,0.0,0.0,0.0,0.0
 
-``direction`` is forward or backward. Units stand in the header: position and translations in m, mm
-or um, rotations in rad, urad or arcsec; positions of rotary axes in rad or deg, in a file of their
-own. Columns of errors the instrument lacks may be left out. Comment lines state where it was done:
-``point A`` the positions of the linear axes, m, and ``target_offset`` the measured point, m, as in
-machine.yaml; left out, mid-range and the machine's. ``u_length_scale`` is the standard uncertainty
-of the instrument's length unit, m/m; 0 if left out.
+``direction`` is forward or backward. Units stand in the header, as in every text table;
+positions of rotary axes are angles, in a file of their own. Columns of errors the instrument lacks
+may be left out. Comment lines state where it was done: ``point A`` the positions of the linear
+axes, m, and ``target_offset`` the measured point, m, as in machine.yaml; left out, mid-range and
+the machine's, which is said. ``u_length_scale`` is the standard uncertainty of the instrument's
+length unit, m/m; 0 if left out.
 """
 
 from __future__ import annotations
@@ -34,28 +34,35 @@ from scipy.linalg import block_diag
 
 from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
+from otf_core.files.message_text import shortened
 from otf_core.files.text_table import (
+    ANGLES,
+    LENGTHS,
     TextTable,
     fault_words,
     is_comment,
     read_lines,
     read_text_table,
+    split_heading,
 )
 from otf_core.model.chain import Sight
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
 from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 
-LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
-ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
-TURN = {'rad': 1.0, 'deg': np.pi / 180}
 MAX_ERROR = 0.01
 """Of the travel, rad; no machine has larger errors."""
 TWO_WAYS = ('forward', 'backward')
+FURTHEST_TARGET = 5.0
+"""m; a target is nearer to the spindle."""
+TARGET_OFFSET, LENGTH_SCALE = 'target_offset', 'u_length_scale'
 SAME_PLACE = 5e-5
 """m and rad; readings this close belong to one position."""
-_COMMENT = re.compile(r'(point [XYZ]|target_offset|u_length_scale)\s*:\s*(.*)')
-_COLUMN = re.compile(r'(position|E[XYZABC])_(\w+)')
+LARGEST_SCALE = 1e-3
+"""m/m; no length unit of an instrument is known to less."""
+_COMMENT = re.compile(
+    r'(point[ _]*[XYZ]|target[ _]*offset|u[ _]*length[ _]*scale)\s*[:=]\s*(.*)', re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -93,14 +100,14 @@ class DirectMeasurement:
         Measured point; None if it is the machine's.
     u_length_scale : float
         m/m, standard uncertainty of the instrument's length unit.
-    note : str
-        What made the readings.
+    remarks : tuple of str
+        What was assumed, and comments.
     """
 
     axes: Mapping[str, AxisReadings]
     target_offset: Array | None = None
     u_length_scale: float = 0.0
-    note: str = ''
+    remarks: tuple[str, ...] = ()
 
 
 def _relative_to_own_mean(rows: Array) -> Array:
@@ -196,15 +203,15 @@ def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
     """Place and factor to SI of the columns of numbers."""
     places = {}
     for place, name in enumerate(header):
-        match = _COLUMN.fullmatch(name)
-        if match is None:
+        what, unit = split_heading(name)
+        if what != 'position' and what[1:] not in DIRECTIONS:
             continue
-        units = ANGLE if match[1][1] in 'ABC' else LENGTH
-        if match[1] == 'position':
-            units = {**LENGTH, **TURN}
-        if match[2] not in units:
+        units = ANGLES if what[1:] in 'ABC' else LENGTHS
+        if what == 'position':
+            units = {**LENGTHS, **ANGLES}
+        if unit not in units:
             raise ConfigError(f'{where}: {name}: unit not known; possible: {", ".join(units)}')
-        places[match[1]] = (place, units[match[2]])
+        places[what] = (place, units[unit])
     lacking = [n for n in ('axis', 'run', 'direction') if n not in header]
     lacking += [] if 'position' in places else ['position_m']
     if lacking or len(places) < 2:
@@ -265,19 +272,27 @@ def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Arr
 
 
 def _comment(line: str, where: str, linear: int) -> tuple[str, Array] | None:
-    match = _COMMENT.fullmatch(line)
+    match = _COMMENT.fullmatch(line.strip())
     if match is None:
         return None
     parts = match[2].split(',')
-    size = {'u_length_scale': 1, 'target_offset': 3}.get(match[1], linear)
+    letters = re.sub('[ _]', '', match[1]).lower()
+    name = {'targetoffset': TARGET_OFFSET, 'ulengthscale': LENGTH_SCALE}.get(letters)
+    size = 3 if name == TARGET_OFFSET else 1 if name else linear
+    name = name or f'point {letters[-1].upper()}'
     try:
         values = np.array([float(p) if p.strip() else np.nan for p in parts])
     except ValueError:
         values = np.zeros(0)
-    blank = match[1].startswith('point') and not np.any(np.isinf(values))
+    blank = name not in (TARGET_OFFSET, LENGTH_SCALE) and not np.any(np.isinf(values))
     if values.size != size or not (blank or np.all(np.isfinite(values))):
-        raise ConfigError(f'{where}: {match[1]}: expected {size} numbers, got {match[2]!r}')
-    return match[1], values
+        raise ConfigError(f'{where}: {name}: expected {size} numbers, got {match[2]!r}')
+    if name == LENGTH_SCALE and values[0] > LARGEST_SCALE:
+        raise ConfigError(
+            f'{where}: {name}: {values[0]:g} m/m is {100 * values[0]:g} % of every length; is it '
+            f'in ppm? write {1e-6 * values[0]:g}'
+        )
+    return name, values
 
 
 def _table(path: str | Path) -> tuple[TextTable, tuple[str, ...]]:
@@ -325,14 +340,14 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     """
     table, header = _table(path)
     columns = _columns(header, f'{path}: line {table.head_line}')
-    turning = any(header[columns['position'][0]] == f'position_{unit}' for unit in TURN)
+    turning = split_heading(header[columns['position'][0]])[1] in ANGLES
     linear = len(machine.axis_names) - len(machine.rotary_names)
     stated: dict[str, Array] = {}
-    notes = []
+    remarks: list[str] = []
     for number, text in table.comments.items():
         known = _comment(text, f'{path}: line {number}', linear)
         if known is None:
-            notes.append(text)
+            remarks.append(f'line {number} says nothing to otf: {shortened(text, 60)!r}')
         else:
             stated[known[0]] = known[1]
     rows: dict[str, list[tuple[str, str, list[float]]]] = {}
@@ -352,9 +367,27 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     middle = 0.5 * (machine.lower + machine.upper)[:linear]
     axes = {}
     for axis, own_rows in rows.items():
+        given = f'point {axis}' in stated
+        if not given and linear > 1 and not turning:
+            remarks.append(f'no line "# point {axis}: ...": measured in the middle of the ranges')
         point = stated.get(f'point {axis}', middle)
         point = np.where(np.isnan(point), middle, point)
+        _check_inside(machine, point, f'{path}: point {axis}')
         point = np.append(point, np.zeros(len(machine.rotary_names)))
         axes[axis] = AxisReadings(*_grid(own_rows, f'{path}: axis {axis}'), point)
-    scale = float(stated.get('u_length_scale', np.zeros(1))[0])
-    return DirectMeasurement(axes, stated.get('target_offset'), scale, '; '.join(notes))
+    offset = stated.get(TARGET_OFFSET)
+    if offset is not None and np.abs(offset).max() > FURTHEST_TARGET:
+        raise ConfigError(f'{path}: {TARGET_OFFSET}: {offset.tolist()} m; is it in mm?')
+    scale = float(stated.get(LENGTH_SCALE, np.zeros(1))[0])
+    return DirectMeasurement(axes, offset, scale, tuple(remarks))
+
+
+def _check_inside(machine: Machine, point: Array, where: str) -> None:
+    """Refuse a place outside of the ranges of the linear axes."""
+    linear = len(point)
+    out = np.maximum(machine.lower[:linear] - point, point - machine.upper[:linear])
+    if out.max() > 1e-3:
+        axis = machine.axis_names[int(out.argmax())]
+        raise ConfigError(
+            f'{where}: lies {out.max():g} m outside the range of axis {axis}; is it in mm?'
+        )

@@ -3,5 +3,5 @@
 
 ``recording_checks`` looks at recordings, ``no_match`` states why a track does not follow its
 path, ``examine`` looks at runs that are reduced to pieces, ``table_checks`` at the tables;
-docs/contradictions.md lists their messages.
+docs/commands.md lists their messages.
 """

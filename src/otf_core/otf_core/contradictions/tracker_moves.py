@@ -304,7 +304,7 @@ def split(
         replace(part, name=text, late=start)
         for part, text, start in zip(parts, words, starts, strict=True)
     )
-    return before, after
+    return before, replace(after, same_station=False)
 
 
 def settle_steps(

@@ -41,7 +41,8 @@ Only displacements across the path are visible on the fly.
   units: {period: m, S_Y: m}     # optional; checked if given
 ```
 
-Free forms and empirical effects as entries of such a file: [free-forms.md](free-forms.md).
+Free forms and empirical effects as entries of such a file:
+[diagnosis.md](diagnosis.md#causes-that-follow-no-formula).
 """
 
 OF_ROTARY_AXES = """# Rotary axes

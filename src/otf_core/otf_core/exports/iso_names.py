@@ -49,8 +49,8 @@ VARIANT_WORDS = (
 )
 
 
-def _scale(name: str) -> float:
-    """Unit of the file per m or rad of an error."""
+def value_unit(name: str) -> float:
+    """Unit of the file per m or rad of an error: mm, or rad."""
     return 1e3 if unit_of(name) == 'm' else 1.0
 
 
@@ -68,7 +68,7 @@ def _isg(fmt: Format, request: Request) -> ExportedFiles:
     """Make the CSV; its configuration is in the remarks."""
     tables = request.content.tables
     machine = tables.machine
-    constants = {n: request.factor * tables.scalar(n) * _scale(n) for n in machine.scalars}
+    constants = {n: request.factor * tables.scalar(n) * value_unit(n) for n in machine.scalars}
     for axis in machine.rotary_names:
         centre = zip('XYZ', machine.axes[axis].centre, strict=True)
         constants |= {f'P{d}{axis}': 1e3 * v for d, v in centre}
@@ -116,13 +116,16 @@ def _etalon(fmt: Format, request: Request) -> ExportedFiles:
     comments.append(f'zero of the tables: {gauge or "as stated by their source"}')
     lines = [f'// {" ".join(line.split())}' for line in comments]
     for name in machine.scalars:
-        lines += [f'[{name}]', f'VALUE = {_scale(name) * tables.scalar(name) + 0.0:.9f}']
+        lines += [
+            f'[{name}]',
+            f'VALUE = {value_unit(name) * tables.scalar(name) + 0.0:.9f}',
+        ]
     for motion in machine.motions:
         table, digits = tables.motions[motion], 6 if motion.is_translation else 9
         argument = control_unit(machine, motion.axis) * table.position + 0.0
         lines += [f'[{motion}]', 'Gridpoints = {']
         lines += [
-            f'{a:.9f} {_scale(motion) * v + 0.0:.{digits}f}'
+            f'{a:.9f} {value_unit(motion) * v + 0.0:.{digits}f}'
             for a, v in zip(argument, table.value, strict=True)
         ]
         lines.append('}')

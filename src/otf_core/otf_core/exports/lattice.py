@@ -19,7 +19,9 @@ from otf_core.exports.terms import axis_positions
 from otf_core.files.text_table import (
     LENGTHS,
     fault_words,
+    is_comment,
     known_lengths,
+    read_lines,
     read_text_table,
     split_heading,
     unit_hint,
@@ -199,6 +201,11 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
             )
         values[:, k] *= LENGTHS[unit]
     return values[:, :3], values[:, 3:]
+
+
+def holds_lattice(path: str | Path) -> bool:
+    """Return whether a text has the header of a lattice."""
+    return any(_is_head(line.split(',')) for line in read_lines(path) if not is_comment(line))
 
 
 def _is_head(fields: Sequence[str]) -> bool:

@@ -62,6 +62,7 @@ def _make(fmt: Format, request: Request) -> ExportedFiles:
         rows = [' '.join(f'{v + 0.0:.{DECIMALS}f}' for v in r.round(DECIMALS)) for r in columns]
         files[name] = ('\n'.join([*rows, *words]) + '\n').encode()
         piece += [f'[JOINT_{joint}]', f'COMP_FILE = {name}', 'COMP_FILE_TYPE = 0']
+    joints = ', '.join(f'JOINT_{k} is {axis}' for k, axis in enumerate(machine.axis_names))
     files[ini] = ('\n'.join(piece) + '\n').encode()
     return ExportedFiles(
         files,
@@ -71,6 +72,9 @@ def _make(fmt: Format, request: Request) -> ExportedFiles:
             'the machine (a section that comes twice is read once); BACKLASH of a joint with '
             'COMP_FILE is ignored: columns 2 and 3 hold the reversal, on average '
             f'{", ".join(reversals)} (backlash at the target in the summary of the calibration)',
+            f'{joints} as with coordinates={"".join(machine.axis_names)} and LINEAR_UNITS = mm: '
+            f'where two joints drive one axis, as on a gantry, both take its file and the joints '
+            f'after them have other numbers; an inch machine takes no mm',
             *remarks,
         ),
     )

@@ -49,7 +49,7 @@ BRACKETED = re.compile(r'^(?P<name>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*?)\s*[\])}
 SUFFIX = re.compile(
     r'^(?P<name>.+?)(?:\s+in)?[_ /]+'
     r'(?P<unit>m|dm|cm|mm|um|µm|μm|inch|in|mil|ft|nm|km|s|sec|ms|us|µs|ns|min|h|days|deg|grad|gon|'
-    r'rad|mrad|urad)$',
+    r'rad|mrad|urad|µrad|μrad|arcsec)$',
     re.IGNORECASE,
 )
 MAX_HEADING_LETTERS = 200
@@ -274,6 +274,8 @@ IsHead = Callable[[Sequence[str]], bool]
 STATEMENT = re.compile(r'^[\w ]+=')
 """'AXES = CARTESIAN: X, Y, Z (mm)' names no columns."""
 RULE = re.compile(r'[-=_+|: \t]{3,}$')
+WIDE = re.compile(r'[ \t]{2,}')
+"""Between names of several words, where columns stand apart by white space."""
 UNIT_APART = re.compile(r'(?<=\S)[ \t]+[\[(]([^\s\])]*)[\])](?=\s|$)')
 """A unit in brackets after a name: 'X [mm] Y [mm]'."""
 EXAMINED_LINES = 300
@@ -494,8 +496,10 @@ def _head(
     for k in reversed(range(len(lines) if is_head else 0)):
         comment = is_comment(lines[k])
         text = COMMENT.sub('', lines[k]) if comment else lines[k]
-        for each in (separator, *SEPARATORS) if comment else (separator,):
-            names = _names(text, each)
+        tried = [_names(text, s) for s in ((separator, *SEPARATORS) if comment else (separator,))]
+        if separator is None:
+            tried.append(WIDE.split(text.strip()))
+        for names in tried:
             while len(names) > width and not names[-1]:
                 names.pop()
             if not names or is_head is None or not is_head(names):

@@ -143,8 +143,23 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
     moment = at or measurement_time(content)
     if moment is None:
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
-    read_moment(moment, '--at' if at else str(tables))
+    when = read_moment(moment, '--at' if at else str(tables))
+    own = _digests(content)
+    for path in sorted(folder.glob('*.json')) if own else ():
+        entry = _read_entry(path)
+        same = entry['kind'] == RUN and _digests(_tables_of(entry, path)) == own
+        if same and read_moment(str(entry['at']), str(path)) != when:
+            raise ConfigError(
+                f'{tables}: the same recordings (SHA-256) are in the store as of {entry["at"]}; '
+                f'a run was measured once: correct --at, or delete {path}'
+            )
     return _add(folder, {'kind': RUN, 'at': moment, 'tables': read_json(tables)})
+
+
+def _digests(content: CalibrationDocument) -> set[str]:
+    """SHA-256 of the recordings of a calibration; empty where it does not state them."""
+    runs = content.provenance.get('runs')
+    return {str(run.get('sha256')) for run in runs} if isinstance(runs, list) else set()
 
 
 def add_event(folder: Path, words: str, at: str, machine: str = '') -> tuple[str, bool]:

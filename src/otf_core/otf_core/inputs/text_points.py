@@ -158,7 +158,7 @@ def _chosen(table: TextTable, columns: Columns, time_format: str | None) -> _Cho
             if not any(map(str.isdigit, text)):
                 bad.setdefault(row, f'{c.name} is {value_text(text) if text else "empty"}')
     faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
-    _refuse_many(table, faults, len(table.lines) - len(bad))
+    refuse_many(table, faults, len(table.lines) - len(bad))
     rows = [row for row in range(len(table.lines)) if row not in bad]
     point = [NumberColumn([c.texts[row] for row in rows], c.values[rows]) for c in read[:3]]
     return _Chosen(
@@ -178,7 +178,7 @@ def _is_decimal(table: TextTable, column: Column) -> bool:
     return sum(1 for text in first if NUMBER.match(text)) > len(first) // 2
 
 
-def _refuse_many(table: TextTable, faults: Mapping[int, str], usable: int) -> None:
+def refuse_many(table: TextTable, faults: Mapping[int, str], usable: int) -> None:
     """Refuse a table of which many lines are not samples."""
     if len(faults) > MAX_LEFT_OUT * (len(faults) + usable):
         raise InputError(

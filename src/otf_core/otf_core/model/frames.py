@@ -31,6 +31,10 @@ class RigidTransform(Document):
             moved[..., k] += shift
         return moved
 
+    def back(self, points: Array) -> Array:
+        """Transform points (n, 3), m, of the target frame to the source frame."""
+        return np.asarray((points - self.translation) @ self.rotation)
+
     def rotate(self, vectors: Array) -> Array:
         """Rotate free vectors of shape (n, 3)."""
         return np.asarray(vectors @ self.rotation.T)

@@ -21,8 +21,8 @@ AT500 = (
     'typically half of the limits'
 )
 RECORDED = (
-    'recordings at rest, docs/noise.md: along the beam 0.3 um to 0.9 um, across it 1.0 urad to '
-    '1.9 urad in calm air, 3.1 urad to 4.2 urad in turbulent air'
+    'recordings at rest, docs/uncertainty.md: along the beam 0.3 um to 0.9 um, across it 1.0 urad '
+    'to 1.9 urad in calm air, 3.1 urad to 4.2 urad in turbulent air'
 )
 LTD800 = (
     'LTD800 data sheet, coordinates at rest, 2 sigma: 25 um up to 2.5 m, 10 um/m beyond; used '

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional sections of machine.yaml, see docs/conventions.md.
+"""Optional sections of machine.yaml, see docs/machine.md.
 
 - ``limits``: what a calibration is judged by.
 - ``uncertainty``: standard uncertainties that no run shows. What is not declared is not in the
@@ -67,6 +67,8 @@ DECLARABLE: dict[str, tuple[str, float]] = {
 }
 """Unit and largest value of every key."""
 TARGET_OFFSET = 'target_offset'
+OF_BEAM = ('tracker_range_offset', 'tracker_offset', 'tracker_angle')
+"""Contributions that depend on where the beam begins."""
 
 
 def declarable_keys(rotary: bool) -> tuple[str, ...]:

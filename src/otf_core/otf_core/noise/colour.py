@@ -25,7 +25,7 @@ MAX_LAG = 0.75
 """Share of the longest window."""
 TYPICAL_TIME, SPREAD = 0.3, 10.0
 """s and factor; what is known of correlation times before: recorded ones lie within
-(docs/noise.md). Decides only where the recording does not."""
+(docs/uncertainty.md). Decides only where the recording does not."""
 MAX_ITERATIONS = 5
 """Of the fit; each weighs with the model of the one before."""
 MIN_SLOW_SHARE = 0.02

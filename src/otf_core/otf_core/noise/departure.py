@@ -34,7 +34,7 @@ from otf_core.noise.standstill import (
 MAX_LEVEL_RATIO = 1.6
 """Actual over specified standard deviation that still passes as specified."""
 SLOW_TIME = 1.0
-"""s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
+"""s; correlation times of recorded trackers reach it in the calmest air (docs/uncertainty.md)."""
 HEAVY_TAILS = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 MIN_EVIDENCE_OF_TAILS = 3.0

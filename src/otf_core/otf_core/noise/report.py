@@ -55,6 +55,8 @@ MAX_LEVEL = 20e-6
 """m and rad; no laser tracker at work is louder, so the target itself moves."""
 LONG_TIME_SHARE = 0.95
 """Share of the longest correlation time searched for, from which on it may be longer."""
+NEAREST = 0.02
+"""m; no reflector comes nearer to the centre of a tracker."""
 MIN_INTERVAL = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
 
@@ -240,6 +242,11 @@ def noise_report(
         raise InputError(
             f'stamps are {1e6 * step:.0f} us apart, faster than trackers measure: they seem to '
             f'be times of arrival in bursts; the driver has to stamp the time of measurement'
+        )
+    if np.median(np.linalg.norm(samples.xyz, axis=1)) < NEAREST:
+        raise InputError(
+            f'the points lie within {1e3 * NEAREST:g} mm of the origin, which has to be the beam '
+            f'origin of the tracker: export coordinates in its frame, not relative to a nest'
         )
     runs = find_standstills(samples, standstill_speed)
     windows, left_out = quiet_windows(samples, runs) if len(runs) else ([], 0)

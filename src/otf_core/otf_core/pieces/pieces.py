@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
 from otf_core.blocks import blocks
-from otf_core.config import CalibrationConfig
+from otf_core.config import OTF, CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
@@ -217,8 +217,9 @@ class Pieces:
         Samples in all pieces, and left out as outliers.
     end : float
         s, since the first sample, of the end of the recording; 0 stands for the last piece.
-    standstill : bool
-        True if the pieces are stops, where all three directions count.
+    method : str
+        'otf'; 'standstill': the pieces are stops, where all three directions count; 'points': they
+        are components of pairs, each in its ``direction`` of the measured frame.
     samples, piece : ndarray of int32, shape (u,)
         Places in the recording of the samples averaged, and the piece of each; empty if not kept.
     far : ndarray of int32, shape (o,)
@@ -247,7 +248,7 @@ class Pieces:
     used: int = 0
     outliers: int = 0
     end: float = 0.0
-    standstill: bool = False
+    method: str = OTF
     samples: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     piece: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     far: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
@@ -256,6 +257,11 @@ class Pieces:
     def __len__(self) -> int:
         """Return the number of pieces."""
         return len(self.leg)
+
+    @property
+    def standstill(self) -> bool:
+        """Whether nothing moves in them."""
+        return self.method != OTF
 
     def without(self, drop: NDArray[np.bool_]) -> Pieces:
         """Return the pieces that are not marked in ``drop``, shape (p,)."""

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,12 +227,29 @@ class Run(Observed):
     @property
     def recording(self) -> Recording:
         """What was recorded; its remarks with the first part of a run that was cut."""
-        read = self.read if self.late == 0.0 else ()
-        left_out = self.left_out if self.late == 0.0 else ()
-        return Recording(self.samples, self.path, self.machine, self.name, read, left_out=left_out)
+        first = self.late == 0.0
+        return Recording(
+            self.samples,
+            self.path,
+            self.machine,
+            self.name,
+            self.read if first else (),
+            self.signals,
+            left_out=self.left_out if first else (),
+        )
 
 
-def check_same_machine(recordings: Sequence[Recording]) -> None:
+class _OfMachine(Protocol):
+    """Of a machine, and with a name for messages."""
+
+    @property
+    def machine(self) -> Machine: ...
+
+    @property
+    def name(self) -> str: ...
+
+
+def check_same_machine(recordings: Sequence[_OfMachine]) -> None:
     """Refuse runs whose chains or axes differ; ConfigError names run and key."""
     first = _described(recordings[0].machine)
     for number, recording in enumerate(recordings[1:], start=2):
@@ -314,7 +331,7 @@ def _extremes(xyz: Array, alignment: Alignment, below: Array, above: Array) -> t
     return low, high
 
 
-def _common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
+def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
     """Table nodes over all that runs cover, from their ranges (low, high)."""
     low, high = np.min([r[0] for r in ranges], axis=0), np.max([r[1] for r in ranges], axis=0)
     zero, unmoved = np.clip(0.0, machine.lower, machine.upper), ~np.isfinite(low)
@@ -396,23 +413,17 @@ def prepare_runs(
     method : str
         'otf', or 'standstill': only the stops at the corners.
     same_station : bool
-        The tracker was not moved between the recordings.
+        The tracker was not moved between the recordings. Where no axis turns, positions are
+        counted from the target offset: runs of different offsets keep a pose each, which differ
+        by as much as these were measured wrongly.
 
     Returns
     -------
     nodes : mapping of axis to ndarray, m and rad
-
-    Raises
-    ------
-    ConfigError
-        If ``same_station`` is set for runs on lines: the place of each is that of its own
-        alignment, which holds the rotations that one target offset does not show.
     """
     check_same_machine(recordings)
     machine, ranges = recordings[0].machine, []
     on_curves = any(isinstance(one.path, PartsTrack) for one in recordings)  # then all are
-    if same_station and not on_curves:
-        raise ConfigError('same station: for runs in parts, as with rotary axes, only')
     if on_curves:
         tracks = [nominal_track(one.machine, one.parts) for one in recordings]
         recordings = [replace(r, path=p) for r, p in zip(recordings, tracks, strict=True)]
@@ -423,7 +434,7 @@ def prepare_runs(
             followed.append(follow(recording, config, method, known))
             ranges.append(_covered_range(followed[-1], recording))
         progress('aligning', k / (len(recordings) + 1))
-    nodes = _common_nodes(machine, ranges)
+    nodes = common_nodes(machine, ranges)
     tables = located_tables(machine, nodes, followed[0].location)
     places: dict[str, Array] = {}
     for one in reversed(followed):  # those of the first recording that saw them
@@ -433,9 +444,15 @@ def prepare_runs(
         with errors_of(recording.name):
             run = reduce_recording(recording, alignment, nodes, config, method, tables)
         own = {name: places[name] for name in run.base}
-        pose = runs[0].pose if same_station and runs else run.pose
-        runs.append(replace(run, pose=pose, places=own, same_station=same_station))
+        same = same_station and bool(runs) and _counts_alike(runs[-1].machine, run.machine)
+        pose = runs[-1].pose if same else run.pose
+        runs.append(replace(run, pose=pose, places=own, same_station=same))
     return runs, nodes
+
+
+def _counts_alike(one: Machine, other: Machine) -> bool:
+    """Whether positions are counted from the same point."""
+    return bool(np.array_equal(Sight.of_tool(one).origin, Sight.of_tool(other).origin))
 
 
 def reduce_recording(
@@ -482,6 +499,24 @@ def reduce_recording(
         read=tuple(recording.remarks),
         left_out=recording.left_out,
     )
+
+
+def reduce_run_again(
+    run: Run,
+    tables: ErrorTables,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    method: str = OTF,
+) -> Run:
+    """Reduce a run at the pose, places and errors that are known now.
+
+    Only on curves does it change which place a sample is nearest to: other runs stay as they are.
+    """
+    if not run.alignment.shape.sights:
+        return run
+    followed = run.alignment.moved(run.pose, run.places)
+    reduced = reduce_recording(run.recording, followed, nodes, config, method, tables)
+    return replace(run, alignment=followed, pieces=reduced.pieces, base=reduced.base)
 
 
 def located_tables(

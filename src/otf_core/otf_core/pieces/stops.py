@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.config import CalibrationConfig
+from otf_core.config import STANDSTILL, CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.observation import Samples
@@ -267,7 +267,7 @@ def _stop_pieces(samples: Samples, shape: PathShape, stops: Stops, point: Index)
         used=int(samples_of.sum()),
         outliers=int((span[:, 1] - span[:, 0] - samples_of).sum()),
         end=float(time[-1]),
-        standstill=True,
+        method=STANDSTILL,
         samples=np.concatenate(averaged),
         piece=np.repeat(np.arange(count), samples_of),
         stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),

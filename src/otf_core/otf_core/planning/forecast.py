@@ -26,7 +26,7 @@ from otf_core.budget.budget import (
     systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
-from otf_core.config import CalibrationConfig, ForecastConfig
+from otf_core.config import STANDSTILL, CalibrationConfig, ForecastConfig
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError
 from otf_core.model.axis_path import position_at, travel_of_legs, travel_per_unit
@@ -79,7 +79,7 @@ STILL = 1e-4
 TURNING_WAVES = 0.05
 """Length of the waves that motions of rotary axes are assumed to have, as a share of the range:
 shorter than the usual ones, since machines with kinks at their nodes do not allow more to be taken
-from the neighbours of a node (docs/five-axes.md, Expected uncertainty)."""
+from the neighbours of a node (docs/tutorial-five-axes.md, Expected uncertainty)."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def _joined(group: Sequence[Pieces], end: float) -> Pieces:
         last = [int(getattr(own, name).max(initial=-1)) + 1 for own in group[:-1]]
         content[name] = content[name] + np.repeat(np.cumsum([0, *last]), sizes)
     used = int(content['count'].sum())
-    return Pieces(**content, used=used, end=end, standstill=group[0].standstill,
+    return Pieces(**content, used=used, end=end, method=group[0].method,
                   samples=np.arange(used, dtype=np.int32),
                   piece=np.repeat(np.arange(sum(sizes), dtype=np.int32), content['count']),
                   )  # fmt: skip
@@ -264,7 +264,7 @@ def _stops(part: Part, setup: Setup) -> Pieces:
         direction=np.zeros((len(q), 3)), origin=points, part=np.zeros_like(corner), leg=corner,
         stretch=corner, side=zero, rate=zero, speed=still,
         count=(took * setup.config.rate).astype(np.int64),
-        time=np.cumsum(2.0 * took), duration=took, standstill=True,
+        time=np.cumsum(2.0 * took), duration=took, method=STANDSTILL,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from otf_core.arrays import Array, Flags
 from otf_core.errors import ConfigError
 from otf_core.model.chain import Sight, displacement
-from otf_core.model.machine import Machine
+from otf_core.model.machine import FULL_TURN, Machine
 from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 from otf_core.prediction.calibration_document import CalibrationDocument, load_tables
 from otf_core.prediction.driven_volume import (
@@ -270,6 +270,8 @@ class Prediction(PredictedErrors):
         )
 
 
+LIKE_DEGREES = 2.0 * FULL_TURN
+"""rad; nobody asks for an endless axis beyond two turns."""
 LIKE_MM = 'mm: divide them by 1000, or write x_mm,y_mm,z_mm into the header'
 LIKE_INCHES = 'inches: write x_in,y_in,z_in into the header'
 
@@ -292,6 +294,13 @@ def check_points(tables: ErrorTables, points: Array, where: str) -> list[str]:
     q = machine.axis_positions(points)
     low, high = np.minimum(low, machine.lower), np.maximum(high, machine.upper)
     at = machine.wrapped(q)
+    for k, axis in enumerate(names):
+        if machine.axes[axis].endless and np.abs(q[:, k]).max(initial=0.0) > LIKE_DEGREES:
+            raise ConfigError(
+                f'{where}: {axis.lower()}: {np.abs(q[:, k]).max():g} rad is '
+                f'{np.abs(q[:, k]).max() / FULL_TURN:.0f} turns; is it in degrees? positions of '
+                f'rotary axes are in rad'
+            )
     out = np.maximum(np.maximum(low - at, at - high), 0.0)
     absurd = out > ABSURD * (high - low)
     if absurd.any():

@@ -295,6 +295,8 @@ class ReversalSolution(Generic[AnyRun]):
     ----------
     runs : list of Observed
         With the pieces that were kept.
+    whole : list of Observed
+        With all their pieces.
     plain : (list of Observed, JointSolution)
         The same without reversal.
     """
@@ -302,6 +304,7 @@ class ReversalSolution(Generic[AnyRun]):
     runs: list[AnyRun]
     joint: JointSolution
     choice: Choice
+    whole: list[AnyRun]
     plain: tuple[list[AnyRun], JointSolution]
 
     def without_plain(self) -> ReversalSolution[AnyRun]:
@@ -311,30 +314,43 @@ class ReversalSolution(Generic[AnyRun]):
 
 def solve_with_reversal(
     runs: Sequence[AnyRun],
-    nodes: dict[str, Array],
+    nodes: Mapping[str, Array],
     config: CalibrationConfig,
     progress: Progress,
     tables: ErrorTables | None = None,
+    reduce_again: Callable[[AnyRun, ErrorTables], AnyRun] | None = None,
 ) -> ReversalSolution[AnyRun]:
     """Solve with the functions and the reversal model that the data call for.
 
     Parameters
     ----------
-    nodes : mapping of axis to ndarray, m
+    nodes : mapping of axis to ndarray, m and rad
         Of the tables that machine.yaml asks for.
     config : CalibrationConfig
         May state the reversal model.
     progress : callable(stage, fraction)
     tables : ErrorTables, optional
         What is known of the errors for the first positions on the paths.
+    reduce_again : callable(run, tables), optional
+        Reduces a run once more, at the pose, places and errors that the solution without reversal
+        has found, or gives it back where that changes nothing.
     """
     shapes = choose_shapes(runs, nodes, config, progress, tables)
     unknowns = unknowns_of(runs, shapes.bases)
-    plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
-
-    choice, unknowns = choose_reversal(*plain, config)
-    if len(unknowns.blocks) == len(plain[1].unknowns.blocks):
-        return ReversalSolution(*plain, choice, plain)
-    # reversal adds blocks: which of them the data determine is found out anew
-    again = solve_robustly(shapes.runs, unknowns, config, progress)
-    return ReversalSolution(*again, choice, plain)
+    plain = kept, joint = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
+    choice, unknowns = choose_reversal(kept, joint, config)
+    start = Start.after(joint.machine, joint)
+    found = [
+        replace(run, pose=s.pose, places=s.run.places, fitted=k.fitted)
+        for run, k, s in zip(runs, kept, joint.runs, strict=True)
+    ]
+    assert start.tables is not None
+    whole = [reduce_again(run, start.tables) for run in found] if reduce_again else found
+    further = unknowns.blocks.keys() - joint.unknowns.blocks.keys()
+    if not further and all(a is b for a, b in zip(whole, found, strict=True)):
+        return ReversalSolution(*plain, choice, whole, plain)
+    if further:
+        seen = find_identifiable_blocks(whole, unknowns, config.unidentifiable_above)
+        start = replace(start, accepted=(*start.accepted, *(n for n in seen if n in further)))
+    solved = solve_robustly(whole, unknowns, config, progress, start)
+    return ReversalSolution(*solved, choice, whole, plain)

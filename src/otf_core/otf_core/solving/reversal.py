@@ -28,6 +28,7 @@ from otf_core.model.chain import Sight
 from otf_core.model.expanded import quantity
 from otf_core.model.machine import Axis, Machine
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
+from otf_core.model.path import MOVING
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution, unknowns_of
@@ -116,7 +117,8 @@ def choose_reversal(
     late = [lag_block(a) for a in machine.axis_names]
     every = _reversal(machine, seen, CONSTANT if given == CONSTANT else TABLES)
     tried: list[tuple[float, Unknowns, Selection]] = []
-    for held in (False, True):
+    rests = any(np.any((r.pieces.side != 0.0) & (np.abs(r.pieces.step) <= MOVING)) for r in runs)
+    for held in (False, True) if rests else (False,):
         unknowns = unknowns_of(runs, bases, every, machine.axis_names, held=held)
         held_out = HeldOutLines.of(joint, unknowns, np.full(len(every) + len(late), MOST))
         found = Selection(tuple(every), 0.0, 0.0)

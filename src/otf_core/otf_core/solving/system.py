@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
+from otf_core.config import POINTS
 from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.state import state_of_travel
 from otf_core.model.chain import ReflectorView, Sight
@@ -121,8 +122,12 @@ it are seen alike, and which side of it the tracker stands on is nothing to choo
 def row_directions(pieces: Pieces, pose: RigidTransform) -> Array:
     """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them.
 
+    One where a piece is a measured component.
+
     A line and the tracker lie in one plane, so all pieces of the line have the same directions.
     """
+    if pieces.method == POINTS:
+        return pose.rotate(pieces.direction)[None]
     if pieces.standstill:
         return np.stack([pose.rotate(d) for d in beam_frame(pieces.xyz)[1:]])
     seen = pieces.origin - pose.translation
@@ -184,8 +189,15 @@ def build_system(
         axes=axes,
         deviation=components(axes, off),
         rows=Design(machine, unknowns, {**pose_rows, **rows.fixed}, rows.influences()),
-        shares=beam_shares(pieces.xyz, pose, axes),
+        shares=_shares(pieces, pose, axes),
     )
+
+
+def _shares(pieces: Pieces, pose: RigidTransform, axes: Array) -> Array:
+    """See ``noise_model.beam_shares``; components of pairs have one noise, that of the range."""
+    if pieces.method == POINTS:
+        return np.eye(3)[0, :, None, None] * np.ones(axes.shape[:2])
+    return beam_shares(pieces.xyz, pose, axes)
 
 
 class _Rows:

@@ -3,7 +3,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -231,11 +230,3 @@ def test_limits_are_judged_with_the_uncertainty_of_the_headline(cell, calibrated
     (one,) = found.verdicts.machine.limits
     assert one.value == pytest.approx(found.headline.expanded['max'], rel=1e-9)
     assert one.state == 'fail', 'noise alone would keep it'
-
-
-def test_example_of_the_documentation_is_read():
-    text = (Path(__file__).parents[4] / 'docs/conventions.md').read_text(encoding='utf-8')
-    example = next(b for b in text.split('```') if '\nlimits:' in b and b.startswith('yaml\n'))
-    machine = machine_from_dict(described(**yaml.safe_load(example.removeprefix('yaml\n'))))
-    assert machine.limits.values['EBY'] == 4e-5
-    assert machine.stated.conditions['warm_up_s'] == 3600

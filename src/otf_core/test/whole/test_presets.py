@@ -2,7 +2,6 @@
 """Classes of trackers and workshops, and what u would be with typical contributions."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,14 +133,6 @@ def test_harder_conditions_are_not_less_uncertain():
     for preset in (*TRACKERS.values(), *WORKSHOPS.values()):
         assert preset.sources
         assert set(preset.values) <= {*DECLARABLE, *NOISE}
-
-
-def test_documentation_shows_the_presets_of_the_software(monkeypatch):
-    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
-    import preset_table
-
-    text = (ROOT / 'docs' / 'uncertainty.md').read_text(encoding='utf-8')
-    assert preset_table.with_table(text) == text, 'run python3 tools/preset_table.py'
 
 
 # ---------------------------------------------------------------- what u would be

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of the sources of tracker samples: one line each. See docs/add-a-backend.md."""
+"""Registry of the sources of tracker samples: one line each. See docs/extend.md."""
 
 from __future__ import annotations
 

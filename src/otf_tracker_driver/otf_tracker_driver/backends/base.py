@@ -4,7 +4,7 @@
 Life of a backend: connect, then any number of streams (prepare, start, poll until finished or
 stop), then disconnect. All calls come from one thread. ``poll`` returns whatever has been measured
 since the call before. Known samples derive from ``paced.PacedBackend``, devices that are read in a
-thread from ``live.LiveBackend``. How to add one: docs/add-a-backend.md.
+thread from ``live.LiveBackend``. How to add one: docs/extend.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Backend for Leica trackers that speak emScon over TCP; see docs/tracker-protocol.md.
+"""Backend for Leica trackers that speak emScon over TCP; see docs/trackers.md.
 
 One thread keeps the tracker connected, configured and, if wanted, streaming, whatever happens:
 connect, configure, wait until a stream is wanted, bring the beam onto the reflector, start, watch;

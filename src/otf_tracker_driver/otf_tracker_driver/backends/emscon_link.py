@@ -3,7 +3,7 @@
 
 TCP splits and merges packets as it likes. Every packet begins with two little-endian int32: its
 size, this header included, and its type. What is implemented, from which sources, and what is
-unsure: docs/tracker-protocol.md.
+unsure: docs/trackers.md.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Points as lines: where they come from, how lines are read; a YAML file describes both.
 
 TCP, UDP and serial lines are one thing: bytes come, bytes go. Nothing in them is believed. See
-docs/tracker-protocol.md for every key, and two examples that are tried.
+docs/trackers.md for every key, and two examples that are tried.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Backend for anything that sends points as lines; see docs/tracker-protocol.md."""
+"""Backend for anything that sends points as lines; see docs/trackers.md."""
 
 from __future__ import annotations
 
