@@ -12,22 +12,18 @@ import numpy as np
 from scipy.special import ndtr
 
 from otf_core.arrays import Array, Index
-from otf_core.calibration.scalar_words import SQUARENESS_SIGN
 from otf_core.files.writing import tidy
 from otf_core.model.chain import nominal_position
 from otf_core.model.expanded import (
-    COVERAGE_FACTOR,
     figure,
     micro_unit,
     micro_with_expanded,
     significant,
-    with_expanded,
 )
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import TABLE, Machine
-from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
-from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.calibration_document import (
     FAIL,
     LIMIT_MEANING,
@@ -52,7 +48,7 @@ from otf_core.reports.charts import (
     svg,
     words,
 )
-from otf_core.reports.rendering import State, dof_words, micro
+from otf_core.reports.rendering import State, micro
 from otf_core.reports.scene import (
     Dots,
     Item,
@@ -338,20 +334,6 @@ def largest_motions(content: Content) -> Iterator[str]:
                f'{content.position(name, k)} (U, 95 %).')  # fmt: skip
 
 
-def motion_row(content: Content, name: str) -> tuple[str, ...]:
-    """Name, role, unit, nodes, smallest, largest, span, mean u, largest U, k and dof."""
-    own, wide = content.entries[name], content.wide[name]
-    value, k = np.array(own['value']), own['k']
-    start = (name, role(ErrorMotion.of(name)), micro_unit(own['unit']), str(len(value)))
-    if name in content.hidden:
-        return (*start, 'not known', *[''] * 6)
-    most = 1e6 * float(wide.max())
-    sizes = (value.min(), value.max(), np.ptp(value), wide.mean() / max(k or 0.0, 1.0))
-    dof = '' if k is None else dof_words(own['dof'])
-    return (*start, *(figure(1e6 * float(v), most) for v in sizes), significant(most),
-            f'{k or 0:.2f}', dof)  # fmt: skip
-
-
 def motion_chart(content: Content, motion: ErrorMotion) -> str:
     """One motion over its axis: mean of both directions of travel, U, limit, each direction."""
     name, own = str(motion), content.entries[str(motion)]
@@ -393,11 +375,6 @@ def motion_chart(content: Content, motion: ErrorMotion) -> str:
     return panel.draw(marks, f'{name} over {motion.axis}, with uncertainty', heading)
 
 
-def motion_charts(content: Content, axis: str) -> list[str]:
-    """The six motions of an axis."""
-    return [motion_chart(content, ErrorMotion(d, axis)) for d in DIRECTIONS]
-
-
 def alone_chart(content: Content) -> str:
     """What the largest errors make alone."""
     rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in content.alone[:12]]
@@ -431,30 +408,6 @@ def scalar_words(content: Content, name: str) -> str:
         return f'{name} not known'
     value, wide = content.entries[name]['value'], float(content.wide[name][0])
     return f'{name} {micro_with_expanded(value, wide, unit_of(name))}'
-
-
-def squareness_row(content: Content, name: str) -> tuple[str, ...]:
-    """A squareness error in both habits of sign, U, u, and where it holds."""
-    if name in content.hidden:
-        return ('not known', '', '', '', '')
-    own, wide = content.entries[name], 1e6 * float(content.wide[name][0])
-    bound = content.doc['target_offset_bound']
-    holds = 'at any target offset'
-    if rotations := bound['contains'].get(name):
-        offset = offset_words(np.array(bound['offset']))
-        holds = f'at target offset {offset}, contains {", ".join(rotations)}'
-    values = (1e6 * own['value'], 1e6 * SQUARENESS_SIGN[name] * own['value'])
-    return (*(figure(v, wide) for v in values), significant(wide), significant(1e6 * own['u']),
-            holds)  # fmt: skip
-
-
-def target_row(content: Content, name: str) -> tuple[str, ...]:
-    """Name, link, place with U and distance from the nominal place of a reflector, mm."""
-    own = content.doc['targets'][name]
-    cells = [with_expanded(1e3 * p, COVERAGE_FACTOR * 1e3 * v)
-             for p, v in zip(own['place'], own['u'], strict=True)]  # fmt: skip
-    moved = np.linalg.norm(np.array(own['place']) - content.machine.targets[name].place)
-    return (name, own['link'], *cells, f'{1e3 * moved:.3f}')
 
 
 # The volume by direction and over the rotary axes; forward and backward.

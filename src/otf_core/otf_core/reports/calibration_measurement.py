@@ -23,7 +23,6 @@ from otf_core.budget.budget import (
 from otf_core.budget.lines import GRID
 from otf_core.config import CalibrationConfig
 from otf_core.files.message_text import join_names
-from otf_core.files.writing import tidy
 from otf_core.model.expanded import (
     micro_unit,
     quantity,
@@ -213,15 +212,6 @@ def leg_charts(run: Mapping[str, Any]) -> list[str]:
         what = f'{kind} compensation'
         charts.append(panel.draw([panel.dots(time, rms, kind)], f'residual {what}', what))
     return charts
-
-
-def coverage_row(content: Content, axis: str) -> tuple[str, ...]:
-    """Travel of an axis, the part that its tables cover, and its share."""
-    own, (low, high) = content.machine.axes[axis], content.doc['coverage'][axis]['tables']
-    factor, unit = own.shown
-    ranges = (f'{tidy(round(factor * a, 1)):g} to {tidy(round(factor * b, 1)):g}'
-              for a, b in ((own.min, own.max), (low, high)))  # fmt: skip
-    return (f'{axis} ({unit})', *ranges, f'{100.0 * (high - low) / (own.max - own.min):.0f}')
 
 
 def coverage_chart(content: Content, axis: str) -> str:

@@ -48,18 +48,6 @@ def effect_name(effect: str) -> str:
     return effect.replace('_', ' ')
 
 
-def effect_cause(effect: str) -> str:
-    """What causes an effect; empty for a name that is not in the catalogue."""
-    known = EVERY.get(effect)
-    return known.cause if known else ''
-
-
-def effect_meaning(effect: str) -> tuple[str, str]:
-    """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
-    known = EVERY.get(effect)
-    return (known.equation, known.coefficients) if known else ('', '')
-
-
 def confidence_words(confidence: float) -> str:
     """Confidence in words and as a number."""
     word = next(word for least, word in CONFIDENCE_WORDS if confidence >= least)
@@ -108,7 +96,7 @@ def shape_words(cause: Mapping[str, Any]) -> str:
 
 def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
     """Rank, name, axes, parameters with U, gap, confidence."""
-    about = effect_cause(cause['effect'])
+    about = getattr(EVERY.get(cause['effect']), 'cause', '')
     rivals = ' or '.join(effect_name(r) for r in cause['indistinguishable_from'])
     named = [effect_name(cause['effect']), *([about] if about else [])]
     sure = [confidence_words(cause['confidence'])]
@@ -172,12 +160,11 @@ def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
         sized=[_size_tile(c) for c in doc['causes'][:2] if c['sizes']],
         measured=' to '.join(f'{m}Z' for m in when),
         rows=[cause_row(k, c) for k, c in enumerate(doc['causes'], start=1)],
-        meanings=[(effect_name(e), *effect_meaning(e)) for e in
-                  dict.fromkeys(c['effect'] for c in doc['causes']) if any(effect_meaning(e))],
+        meanings=[(effect_name(e), EVERY[e].equation, EVERY[e].coefficients) for e in
+                  dict.fromkeys(c['effect'] for c in doc['causes']) if e in EVERY],
         curves=[(name, said, [charts.curve_chart(c) for c in own[:DRAWN_CURVES]])
                 for name, said, own in curves],
-        hidden=[([effect_name(one['effect']), effect_cause(one['effect'])], one['needs'])
-                for one in doc['not_visible']],
+        causes_of={name: known.cause for name, known in EVERY.items()},
         stated=stated_tables(machine_from_dict(doc['machine'])),
         **_content(doc),
     )  # fmt: skip

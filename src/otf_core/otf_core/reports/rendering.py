@@ -162,25 +162,17 @@ def environment(page: bool = True) -> Environment:
         extensions=['jinja2.ext.do'],
         bytecode_cache=CompiledTemplates(),
     )
+    plain = (
+        *(figure, micro, micro_figure, micro_significant, micro_unit, micro_with_expanded),
+        *(place, running_head, sentence, shortened, tidy, significant, with_expanded),
+    )
+    made.filters |= {one.__name__: one for one in plain}
     made.filters |= {
         'anchors': _anchors,
         'capital': lambda words: words[:1].upper() + words[1:],
         'dof': dof_words,
-        'figure': figure,
-        'micro': micro,
-        'micro_figure': micro_figure,
-        'micro_significant': micro_significant,
-        'micro_unit': micro_unit,
-        'micro_with_expanded': micro_with_expanded,
         'names': join_names,
         'offset': lambda offset: offset_words(np.array(offset)),
-        'place': place,
-        'running_head': running_head,
-        'sentence': sentence,
-        'shortened': shortened,
-        'tidy': tidy,
-        'significant': significant,
-        'with_expanded': with_expanded,
     }
     made.globals |= {'State': State, 'nan': math.nan}
     if page:
