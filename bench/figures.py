@@ -17,12 +17,13 @@ ROOT = Path(__file__).resolve().parents[1]
 FIGURES = {
     'paper': 'bench/paper_2_1.py',
     'smooth': 'bench/smooth_machines.py --seeds 3 --first-seed 72001 --colours 0.6 '
-    '--forms waves,swell,bumps,kinked,polygon --chains w-Y-b-X-Z-t --limits 0',
-    'conditions': 'bench/uncertainty_cells.py --seeds 2 --first-seed 71001 --forms waves',
+    '--forms waves,swell,bumps,kinked,polygon --chains w-Y-b-X-Z-t',
+    'conditions': 'bench/smooth_machines.py --conditions --seeds 2 --first-seed 71001 '
+    '--forms waves',
     'blind': 'bench/blind --trials 68 --rotary 40 --leave-out 14 --seed 836915 --out blind',
     'alternatives': 'bench/alternatives.py --repeats 5',
-    'speed': 'bench/calibrate_speed.py --repeats 5',
-    'growth': 'bench/calibrate_speed.py --growth 1,2,5,10',
+    'speed': 'bench/speed.py',
+    'growth': 'bench/speed.py --growth',
     'packages': 'tools/house.py docs/images/house.svg',
     'tables': 'tools/page_tables.py',
 }

@@ -3,7 +3,7 @@
 
     python bench/real_machine.py PLATE [PLATE ...]
 
-Each PLATE is a table of nominal and measured X and Y of holes (docs/real-machines.md says where
+Each PLATE is a table of nominal and measured X and Y of holes (docs/trials.md says where
 such data are public). Of every tenth of the holes the deviations are predicted from the others.
 Printed is what is left in X and Y, root mean square, beside offset, rotation, scale and skew
 alone, positioning and straightness alone (polynomials), and a free field over both coordinates;

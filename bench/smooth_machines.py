@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smooth machines: ``calibrate`` beside ordinary least squares and beside what could be known.
+"""Smooth machines of an independent nature: what ``calibrate`` leaves, and whether u holds.
 
-Cells of an independent nature (``src/otf_core/test/nature.py``: exact 4x4 kinematics, own drive
-and tracker, error motions that know nothing of tables): 0.6 x 0.5 x 0.4 m, nodes every 30 mm, the
-default path both ways at two feeds, 60 um and 90 urad, noise 0.5 um and 1.5 urad of which a share
-of the variance is correlated over 0.3 s. All estimators get the same pieces of the same
-recordings; see ``linear_estimators``: ordinary least squares (the paper's Eq. 7), white weights,
-generalised least squares with the true colour, calibrate, and two limits that know the noise:
-'roughness known', a Gaussian process with the true length and size of every motion, and the
-'oracle', which knows the covariance over the ensemble of the form.
+Cells of ``src/otf_core/test/nature.py`` (exact 4x4 kinematics, own drive and tracker, error
+motions that know nothing of tables): 0.6 x 0.5 x 0.4 m, nodes every 30 mm, the default path both
+ways at two feeds, 60 um and 90 urad, noise 0.5 um and 1.5 urad of which a share of the variance is
+correlated over 0.3 s. Beside it ordinary least squares on the same pieces (the paper's Eq. 7).
 
 Grid error on 216 points that are neither nodes nor on the path, rigid motion removed of both
 sides: left is the mean length after over before. Within 2 u: share of the components; |error|/u:
-their median. Seconds: of calibrate all of it, of the others the solution alone.
+their median. ``--conditions``: at 200 Hz, each row departs from the above in one condition.
 
 Usage: PYTHONPATH=src/otf_core python bench/smooth_machines.py [--seeds N] [--first-seed S]
-           [--forms A,B] [--rates 20,200,1000] [--colours 0,0.6] [--chains C,D] [--limits N]
-           [--quick]
+           [--forms A,B] [--rates 20,200,1000] [--colours 0,0.6] [--chains C,D] [--quick]
+           [--conditions] [--workers N]
 """
 
 from __future__ import annotations
@@ -26,167 +22,148 @@ import os
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 import argparse
+import multiprocessing
 import sys
-import time
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'src/otf_core/test'))
 
 import numpy as np
-from linear_estimators import KINDS, LIMITS, estimate, judge_estimate
-from markdown import heading, numbers, row, texts
-from nature import Cell, Judgement, judge
-from nature_forms import FORMS
+from common import heading, numbers, row, texts
+from nature import SQUARE, Cell, Extra, hat, influences, judge, judge_field
+from nature_forms import FORMS, nodes_of
 from nature_tracker import Noise
 
 from otf_core.calibration.calibrate import calibrate_recordings
+from otf_core.errors import OtfError
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
-RATES = (20.0, 200.0, 1000.0)
-COLOURS = (0.0, 0.6)
-OURS = 'calibrate'
-METHODS = (*KINDS[:3], OURS, *LIMITS)
-TITLES = {
-    'ols': 'OLS (Eq. 7)',
-    'white': 'white weights',
-    'gls': 'GLS, true colour',
-    OURS: 'calibrate',
-    'rough': 'roughness known',
-    'oracle': 'oracle',
-}
-TITLES_IN_ORDER = tuple(TITLES[m] for m in METHODS)
-WORSE_THAN_OLS, WORSE_THAN_LIMIT, WORSE_WITH_RATE = 1.05, 1.2, 1.15
+RATES, COLOURS = (20.0, 200.0, 1000.0), (0.0, 0.6)
+SIZE = (0.6, 0.5, 0.4)
+RCOND = 1e-9
 
 
-@dataclass(frozen=True)
-class Case:
-    """One recording: what every method left of its errors, and the seconds it took."""
-
-    group: tuple
-    machine: tuple
-    judged: dict[str, Judgement]
-    seconds: dict[str, float]
-
-    def left(self, method):
-        """Grid error left, %; nan where the method did not run."""
-        return self.judged[method].left_percent if method in self.judged else np.nan
+def table_columns(cell, q):
+    """Displacement (n, 3, m) at q per squareness error and value at a node of a table."""
+    influence = influences(cell.chain, cell.offset, q)
+    columns = [influence[name][:, :, None] for name in SQUARE]
+    for name in sorted(influence.keys() - set(SQUARE)):
+        axis = cell.machine.axes[name[2]]
+        weights = hat(nodes_of(axis.min, axis.max, axis.table_pitch), q[:, 'XYZ'.index(name[2])])
+        columns.append(influence[name][:, :, None] * weights[:, None, :])
+    return np.concatenate(columns, axis=2)
 
 
-def run_case(form, rate, colour, chain, seed, with_limits):
-    """Simulate one recording and give it to every method."""
-    cell, noise = Cell(seed, chain, form=form), Noise(colour=colour)
-    recording = cell.recording(rate, noise)
-    start = time.perf_counter()
-    result = calibrate_recordings([recording])
-    seconds = {OURS: time.perf_counter() - start}
-    judged = {OURS: judge(cell, result.tables, result.covariance_run)}
-    for kind in KINDS if with_limits else KINDS[:3]:
-        start = time.perf_counter()
-        found = estimate(cell, result.runs[0], noise, kind)
-        seconds[kind] = time.perf_counter() - start
-        judged[kind] = judge_estimate(cell, found)
-    return Case((form, rate, colour), (form, colour, chain, seed), judged, seconds)
+def ordinary_least_squares(cell, run):
+    """Grid error left, %, by Eq. 7: tables straight between nodes, rows all alike."""
+    pose = [np.broadcast_to(unit, run.q.shape) for unit in np.eye(3)]
+    pose += [np.cross(unit, run.q) for unit in np.eye(3)]
+    whole = np.concatenate([np.stack(pose, axis=2), table_columns(cell, run.q)], axis=2)
+    rows = np.einsum('cij,ijk->cik', run.axes, whole).reshape(-1, whole.shape[2])
+    found = np.linalg.lstsq(rows, run.deviation.ravel(), rcond=RCOND)[0][6:]
+    q = cell.lattice()
+    flat = table_columns(cell, q).reshape(3 * len(q), -1)
+    return judge_field(q, cell.error(q).ravel(), flat, found).left_percent
 
 
-def spread(values, worst=max, digits=2):
-    """Median and worst of what is there."""
-    known = [v for v in values if np.isfinite(v)]
-    if not known:
-        return '-'
-    return f'{np.median(known):.{digits}f} ({worst(known):.{digits}f})'
+def judged(cell: Mapping[str, Any], rate: float, noise: Mapping[str, float]) -> tuple | None:
+    """Calibrate one cell: judgement, and what least squares leave, %; None where it is refused."""
+    made = Cell(**cell)
+    try:
+        result = calibrate_recordings([made.recording(rate, Noise(**noise))])
+    except OtfError as error:
+        print(f'{cell}: {error}', file=sys.stderr)
+        return None
+    own = judge(made, result.tables, result.covariance_run)
+    return own, ordinary_least_squares(made, result.runs[0])
 
 
-def name(group):
-    """First column of the tables."""
-    form, rate, colour = group
-    return f'{form}, {rate:g} Hz, {"white" if not colour else f"colour {colour:g}"}'
+def conditions() -> dict[str, dict[str, Any]]:
+    """What departs from the reference: rate, noise, and arguments of the cell."""
+    found: dict[str, dict[str, Any]] = {'reference': {}}
+    found |= {f'rate {r} Hz': {'rate': float(r)} for r in (10, 20, 50, 1000, 5000)}
+    found |= {f'noise {f:g} of the specified': {'noise': {'factor': f}} for f in (0.1, 0.3, 3, 10)}
+    found['noise white'] = {'noise': {'colour': 0.0}}
+    for colour in (0.6, 0.93):
+        found |= {f'colour {colour:g}, tau {t:g} s': {'noise': {'colour': colour, 'tau': t}}
+                  for t in (0.05, 1, 5, 20)}  # fmt: skip
+    found['heavy tails t3'] = {'noise': {'tails': 3.0, 'colour': 0.0}}
+    found['heavy tails t3, colour 0.6'] = {'noise': {'tails': 3.0}}
+    for n in (13, 8, 5, 4):
+        found[f'nodes 1/{n} of the range'] = {'cell': {'pitch': tuple(s / n for s in SIZE)}}
+    for t, r in ((5, 8), (500, 750)):
+        sizes = {'translation': t * 1e-6, 'rotation': r * 1e-6}
+        found[f'errors {t} um, {r} urad'] = {'cell': sizes}
+    extras = {
+        'cyclic 5 um, 40 mm, X': Extra(cyclic=(5e-6, 0, 0)),
+        'cyclic 5 um, 40 mm, XYZ': Extra(cyclic=(5e-6, 5e-6, 5e-6)),
+        'cyclic 5 um, 10 mm, X': Extra(cyclic=(5e-6, 0, 0), period=0.01),
+        'drift 20 um': Extra(drift=(0, 0, 20e-6)),
+        'drift 20 um x, y, z': Extra(drift=(20e-6, 20e-6, 20e-6)),
+        'servo 0.1 ms X': Extra(lag=(1e-4, 0, 0)),
+    }
+    return found | {name: {'cell': {'extra': extra}} for name, extra in extras.items()}
 
 
-def left_row(group, cases):
-    """Grid error left by every method, and ratios to the limits."""
-    before = np.mean([c.judged[OURS].before_um for c in cases])
-    cells = [spread([c.left(m) for c in cases]) for m in METHODS]
-    ratios = [spread([c.left(OURS) / c.left(m) for c in cases]) for m in ('ols', *LIMITS)]
-    return row([name(group), f'{before:.0f}', *cells, *ratios])
-
-
-def honest_row(group, cases):
-    """Within 2 u, median of error over u, seconds."""
-    cells = []
-    for method in METHODS:
-        known = [c.judged[method] for c in cases if method in c.judged]
-        if not known:
-            cells.append('-')
-            continue
-        within = [j.within_2u_percent for j in known]
-        ratio = np.median([j.median_ratio for j in known])
-        cells.append(f'{np.mean(within):.0f} ({min(within):.0f}), {ratio:.2f}')
-    seconds = [np.mean([c.seconds[m] for c in cases if m in c.seconds] or [0]) for m in METHODS]
-    return row([name(group), *cells, ' / '.join(f'{s:.1f}' for s in seconds)])
-
-
-def rate_ratios(cases):
-    """Left at the highest rate over left at the lowest, machine by machine."""
-    by_machine = defaultdict(dict)
-    for c in cases:
-        by_machine[c.machine][c.group[1]] = c.left(OURS)
-    return [r[max(r)] / r[min(r)] for r in by_machine.values() if len(r) > 1]
-
-
-def summary(cases):
-    """How all cells together stand to what is asked for."""
-    left = [c.left(OURS) for c in cases]
-    within = [c.judged[OURS].within_2u_percent for c in cases]
-    ols = np.array([c.left(OURS) / c.left('ols') for c in cases])
-    rates = np.array(rate_ratios(cases))
-    lines = [
-        f'{len(cases)} recordings: {np.median(left):.2f} % left in the median, '
-        f'{max(left):.2f} % at worst',
-        f'within 2 u: {np.mean(within):.1f} % on average, {min(within):.1f} % at worst',
-        f'over ordinary least squares: {np.median(ols):.2f} in the median, {ols.max():.2f} at '
-        f'worst, more than {WORSE_THAN_OLS} in {np.sum(ols > WORSE_THAN_OLS)}',
-    ]
-    if rates.size:
-        lines.append(
-            f'highest over lowest rate: {np.median(rates):.2f} in the median, {rates.max():.2f} '
-            f'at worst, more than {WORSE_WITH_RATE} in {np.sum(rates > WORSE_WITH_RATE)}'
-        )
-    for limit in LIMITS:
-        over = np.array([c.left(OURS) / c.left(limit) for c in cases if limit in c.judged])
-        if over.size:
-            lines.append(
-                f'over {TITLES[limit]} ({over.size} recordings): {np.median(over):.2f} in the '
-                f'median, {over.max():.2f} at worst, more than {WORSE_THAN_LIMIT} in '
-                f'{np.sum(over > WORSE_THAN_LIMIT)}'
-            )
-    return '\n'.join(f'- {line}' for line in lines)
-
-
-def main(given):
-    """Run all groups and print the tables."""
-    groups, cases = defaultdict(list), []
+def groups(given: argparse.Namespace) -> dict[str, list[tuple]]:
+    """Arguments of ``judged`` for the cells of every row."""
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    found = defaultdict(list)
     for form in given.forms:
-        for rate in given.rates:
+        for name, one in conditions().items() if given.conditions else ():
+            for k, seed in enumerate(seeds):
+                cell = {'seed': seed, 'chain': given.chains[k % len(given.chains)], 'form': form,
+                        'size': SIZE, 'pitch': tuple(s / 20 for s in SIZE)}  # fmt: skip
+                arguments = cell | one.get('cell', {}), one.get('rate', 200.0)
+                found[f'{form}, {name}'].append((*arguments, one.get('noise', {})))
+        for rate in () if given.conditions else given.rates:
             for colour in given.colours:
-                for seed in range(given.first_seed, given.first_seed + given.seeds):
-                    for chain in given.chains:
-                        limits = seed < given.first_seed + given.limits
-                        case = run_case(form, rate, colour, chain, seed, limits)
-                        groups[case.group].append(case)
-                        cases.append(case)
-                        print(case.group, chain, seed, f'{case.left(OURS):.2f} %',
-                              file=sys.stderr, flush=True)  # fmt: skip
-    last = given.first_seed + given.seeds - 1
-    print(f'Seeds {given.first_seed} to {last}, chains {", ".join(given.chains)}.\n')
-    print('Grid error left, %: median (worst); calibrate over OLS and over the limits likewise.\n')
-    print(
-        heading(
-            ['cells', 'before, um', *TITLES_IN_ORDER, 'over OLS', 'over roughness', 'over oracle']
-        )
+                found[f'{form}, {rate:g} Hz, colour {colour:g}'] = [
+                    ({'seed': seed, 'chain': chain, 'form': form}, rate, {'colour': colour})
+                    for seed in seeds
+                    for chain in given.chains
+                ]
+    return found
+
+
+def summary(cases: list[tuple]) -> str:
+    """How all cells together stand to what is asked for."""
+    left = [own.left_percent for own, _ in cases]
+    within = [own.within_2u_percent for own, _ in cases]
+    over = [own.left_percent / ols for own, ols in cases]
+    return (
+        f'{len(cases)} recordings: {np.median(left):.2f} % left in the median, {max(left):.2f} % '
+        f'at worst; over least squares {np.median(over):.2f}, {max(over):.2f} at worst; within '
+        f'2 u {np.mean(within):.1f} % on average, {min(within):.1f} % at worst'
     )
-    print('\n'.join(left_row(g, c) for g, c in groups.items()))
-    print('\nComponents within 2 u, %: mean (worst); then the median of |error|/u.\n')
-    print(heading(['cells', *TITLES_IN_ORDER, f's: {" / ".join(METHODS)}']))
-    print('\n'.join(honest_row(g, c) for g, c in groups.items()))
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run all groups and print the table."""
+    print(heading(['cells', 'before, um', 'OLS (Eq. 7), % left', 'calibrate, % left',
+                   'within 2 u, % (worst)', 'median error/u']))  # fmt: skip
+    cases = []
+    with ProcessPoolExecutor(given.workers, multiprocessing.get_context('spawn')) as pool:
+        jobs = {name: [pool.submit(judged, *one) for one in own]
+                for name, own in groups(given).items()}  # fmt: skip
+        for name, own in jobs.items():
+            found = [one for job in own if (one := job.result())]
+            if not found:
+                continue
+            cases += found
+            left, ols = [j.left_percent for j, _ in found], [o for _, o in found]
+            within = [j.within_2u_percent for j, _ in found]
+            before, ratio = ([getattr(j, what) for j, _ in found]
+                             for what in ('before_um', 'median_ratio'))  # fmt: skip
+            print(row([name, f'{np.mean(before):.0f}',
+                       f'{np.median(ols):.2f} ({max(ols):.2f})',
+                       f'{np.median(left):.2f} ({max(left):.2f})',
+                       f'{np.mean(within):.1f} ({min(within):.1f})',
+                       f'{np.median(ratio):.2f}']), flush=True)  # fmt: skip
     print(f'\n{summary(cases)}')
 
 
@@ -198,10 +175,10 @@ if __name__ == '__main__':
     parser.add_argument('--rates', type=numbers, default=RATES, help='Hz')
     parser.add_argument('--colours', type=numbers, default=COLOURS, help='shares of the variance')
     parser.add_argument('--chains', type=texts, default=CHAINS)
-    parser.add_argument('--limits', type=int, default=2, help='seeds that get the limits as well')
     parser.add_argument('--quick', action='store_true', help='one seed, coloured, no 1000 Hz')
+    parser.add_argument('--conditions', action='store_true', help='one condition a row')
+    parser.add_argument('--workers', type=int, default=1, help='cells at once')
     options = parser.parse_args()
     if options.quick:
-        options.seeds, options.limits = 1, 1
-        options.rates, options.colours = (20.0, 200.0), (0.6,)
+        options.seeds, options.rates, options.colours = 1, (20.0, 200.0), (0.6,)
     main(options)

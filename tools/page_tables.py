@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that pages take from the software: presets in machine.md, parameters in graph.md.
+"""Tables that pages take from the software: presets in machine.md, options in commands.md.
 
 ``python3 tools/page_tables.py`` puts them between their marks; a test compares.
 """
@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,59 +36,35 @@ def preset_tables() -> str:
     return with_micro_sign('\n\n'.join(parts))
 
 
-def _shown(value: Any) -> str:
-    if value == ():
-        return 'empty'
-    if isinstance(value, bool):
-        return 'true' if value else 'false'
-    return (f'`{value}`' if value else 'empty') if isinstance(value, str) else str(value)
-
-
 def _range(info: Any) -> str:
-    if info.choices:
-        return ', '.join(f'`{c}`' for c in info.choices)
-    if info.low is None and info.high is None:
-        return ''
-    low, high = ('' if v is None else f'{v:.10g}' for v in (info.low, info.high))
-    return f'{low} to {high}'
+    known = info.low is not None and info.high is not None
+    return f'{info.low:.10g} to {info.high:.10g}' if known else ''
 
 
-def _parameter_rows(infos: Any) -> Iterator[str]:
-    yield '| parameter | default | unit | range | meaning |'
-    yield '|---|---|---|---|---|'
-    for info in infos:
-        cells = (f'`{info.name}`', _shown(info.default), info.unit, _range(info), info.meaning)
-        yield _row(cell.replace('|', '\\|') for cell in cells)
-
-
-def parameter_tables() -> str:
-    """Parameters of all nodes, and of what only the command line knows."""
-    from otf_bringup.params_file import NODES, infos
+def option_table() -> str:
+    """Names in ``--config`` that are no parameters of a node; those are in params.yaml."""
     from otf_core import config
 
-    shown = {f'`{node}`': infos(node) for node in NODES}
-    shown['`--config`: reading a bag'] = config.ReadingConfig.infos()
-    shown['`--config` of `calibrate`: files'] = config.WritingConfig.infos()
-    shown['`--config` of `diagnose`'] = config.DiagnosisConfig.infos()
-    shown['`--config` of `plan`: forecast'] = config.ForecastConfig.infos()
-    shown['`--config` of `simulate`'] = config.SimulationConfig.infos()
-    parts: list[str] = []
-    for title, its_infos in shown.items():
-        parts += [f'**{title}**', '', *_parameter_rows(its_infos), '']
-    return '\n'.join(parts).strip()
+    groups = (config.ReadingConfig, config.WritingConfig, config.DiagnosisConfig)
+    rows = [('name in `--config`', 'default', 'unit', 'range', 'meaning'), ['---'] * 5]
+    for group in (*groups, config.ForecastConfig):
+        for info in group.infos():
+            default = str(info.default).lower() if info.default not in ('', ()) else ''
+            rows.append((f'`{info.name}`', default, info.unit, _range(info), info.meaning))
+    return '\n'.join(map(_row, rows))
 
 
 TABLES = {
     ROOT / 'docs/machine.md': ('presets', preset_tables),
-    ROOT / 'docs/graph.md': ('parameters', parameter_tables),
+    ROOT / 'docs/commands.md': ('options', option_table),
 }
 
 
 def with_tables(page: Path) -> str:
     """Return the text of a page with its tables between the marks."""
-    for folder in sorted((ROOT / 'src').iterdir()):
-        if str(folder) not in sys.path:
-            sys.path.append(str(folder))
+    core = str(ROOT / 'src/otf_core')
+    if core not in sys.path:
+        sys.path.append(core)
     name, tables = TABLES[page]
     begin = f'<!-- {name}: made by python3 tools/page_tables.py -->'
     end = f'<!-- end of {name} -->'

@@ -21,7 +21,6 @@ from otf_core.diagnosis.diagnose import calibrate_with_effects, diagnose
 from otf_core.live.stages import DIAGNOSE, Progress, of_whole
 from otf_core.pieces.runs import Recording
 from otf_core.reports.diagnosis import BESIDE_TABLES, write_diagnosis
-from otf_core.sim.twin import twin_recording
 
 
 def calibrate(
@@ -29,9 +28,7 @@ def calibrate(
 ) -> CalibrationResult:
     """Calibrate a run; OtfError if that is not possible."""
     if effects != NONE:
-        return calibrate_with_effects(
-            [recording], effects, twin_recording, config, progress, method
-        )
+        return calibrate_with_effects([recording], effects, config, progress, method)
     return calibrate_recordings([recording], config, progress, method)
 
 
@@ -47,7 +44,7 @@ def diagnose_run(
     """
     stages = of_whole(DIAGNOSE, progress)
     try:
-        diagnosis = diagnose([recording], twin_recording, (), config, stages)
+        diagnosis = diagnose([recording], (), config, stages)
         stages('writing', 0.0)
     except (BrokenPipeError, ConnectionResetError):  # the node is gone, which would remove it
         shutil.rmtree(folder, ignore_errors=True)

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_cells import some_machine, transform_pose, zero_tables
+from core_cells import some_machine, transform_pose
 from nature_tracker import beam_frame
 from rest_cells import at_rest, spoiled
 
-from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.machine import TrackerSpec
 from otf_core.noise.noise_model import (
@@ -24,10 +23,8 @@ from otf_core.noise.noise_model import (
 )
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
-from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.pages import write_document
 from otf_core.sim.tracker import measure
-from otf_core.sim.twin import twin_recording
 
 SPEED = 0.002
 LEVEL, WHITE, DOF = (0.4e-6, 1.0e-6, 3.0e-6), (0.9, 0.3, 0.6), (None, None, 4.0)
@@ -106,27 +103,6 @@ def test_the_simulated_tracker_has_every_component():
     off = measure(xyz, model, 250.0, np.random.default_rng(4)) - xyz
     # the second direction of the test's own frame points the other way round: levels only count
     assert_drawn_from(model, seen(off, xyz), 250.0)
-
-
-def test_the_twin_has_the_noise_of_its_run_but_none_beyond_the_specification(cell):
-    samples = cell.recording.measured(cell.truth, noise=0.0)
-    recording = Recording(samples, cell.path, cell.machine)
-    (run,), _ = prepare_runs([recording], CalibrationConfig())
-    spec = cell.machine.tracker
-    own = NoiseModel(
-        NoiseComponent(0.5 * spec.u_range, 0.2 * spec.u_range, 0.1),
-        NoiseComponent(0.4 * spec.u_angle, 0.4 * spec.u_angle, 0.0, 3.0),
-        NoiseComponent(3.0 * spec.u_angle, 1.5 * spec.u_angle, 0.05),
-    )
-    silent = NoiseModel(*(NoiseComponent(0.0, 0.0, 0.0) for _ in range(3)))
-    true, noisy = (
-        twin_recording(replace(run, noise=n), run.pose, zero_tables(cell.machine), 5).samples.xyz
-        for n in (silent, own)
-    )
-    rate = 1e9 / np.median(np.diff(samples.stamp_ns))
-    capped = NoiseComponent(spec.u_angle, 0.5 * spec.u_angle, 0.05)
-    expected = NoiseModel(own.range, own.horizontal, capped)
-    assert_drawn_from(expected, seen(noisy - true, true), rate)
 
 
 def test_noise_json_is_read_as_it_was_written(rest, tmp_path):

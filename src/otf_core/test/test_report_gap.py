@@ -16,7 +16,7 @@ from html_cells import Page, unloading
 from otf_core.diagnosis.answer import sentence_of
 from otf_core.diagnosis.cause_parameters import CauseSize, Curve
 from otf_core.diagnosis.place.where import describe_structure
-from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
+from otf_core.diagnosis.result import AnyCause, Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.model.expanded import quantity
 from otf_core.model.sections import Circumstances
@@ -101,6 +101,7 @@ def diagnosis(view, verdict='explained', found=(), **further):
         ),
         'origin': (),
         'shown': FigureData((view,), CONDITIONS),
+        'any_cause': AnyCause(1e-6),
     }
     return Diagnosis(**{**fields, **further})
 

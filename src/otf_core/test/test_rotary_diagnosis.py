@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from otf_core.diagnosis.rotary_rows import at_most, with_slow_part
+from otf_core.diagnosis.engine.diagnosed_rows import at_most, with_slow_part
 from otf_core.diagnosis.weighing import input_words
 from otf_core.effects import EVERY, REGISTRY, ROTARY, catalogue
 from otf_core.effects.inputs import input_values

@@ -321,10 +321,9 @@ def calibrate(
     if effects is None:
         return calibrate_recordings(runs, config, progress, method, same_station=same_station)
     from otf_core.diagnosis.diagnose import calibrate_with_effects
-    from otf_core.sim.twin import twin_recording
 
     return calibrate_with_effects(
-        runs, str(effects), twin_recording, config, progress, method, same_station=same_station
+        runs, str(effects), config, progress, method, same_station=same_station
     )
 
 
@@ -371,12 +370,9 @@ def diagnose(
     runs = _several(recordings)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects.effects_yaml import read_own_causes
-    from otf_core.sim.twin import twin_recording
 
     own = read_own_causes(own_causes, runs[0].machine) if own_causes else ()
-    return diagnose(
-        runs, twin_recording, exclude, config, progress, own=own, same_station=same_station
-    )
+    return diagnose(runs, exclude, config, progress, own=own, same_station=same_station)
 
 
 def check_excluded(exclude: Sequence[str]) -> None:

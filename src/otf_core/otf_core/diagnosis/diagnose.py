@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where and why a real run departs from its simulation.
 
-The calibration that the user gets, without reversal, which is a cause like any other; the same on
-a simulation of the runs; a search for effects that explain the rest; their size on legs they were
+The calibration that the user gets, without reversal, which is a cause like any other; what it
+leaves of noise alone; a search for effects that explain the rest; their size on legs they were
 not fitted on; where the gap lies; the calibration with the causes taken off.
 """
 
@@ -38,10 +38,11 @@ from otf_core.diagnosis.corrected_calibration import (
 from otf_core.diagnosis.engine.diagnosed_rows import (
     held_by,
     remove_steady_vibration,
+    rows_of_axes,
     rows_to_diagnose,
     straight_rows,
 )
-from otf_core.diagnosis.engine.gap_sizes import Twin, simulated_residual_um
+from otf_core.diagnosis.engine.gap_sizes import SIMULATED_U, chance_of_misfit, simulated_um
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     SearchResult,
@@ -51,8 +52,7 @@ from otf_core.diagnosis.engine.search import (
 )
 from otf_core.diagnosis.place.groups import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
-from otf_core.diagnosis.result import Diagnosis, FigureData, Gap, NamedCause
-from otf_core.diagnosis.rotary_rows import rows_of_axes, simulated_um
+from otf_core.diagnosis.result import AnyCause, Diagnosis, FigureData, Gap, NamedCause
 from otf_core.diagnosis.weighing import (
     Explanation,
     Unnamed,
@@ -65,7 +65,6 @@ from otf_core.effects import EVERY, ROTARY, Effect, catalogue
 from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
-from otf_core.model.axis_path import PartsTrack
 from otf_core.model.chain import displacement, nominal_position
 from otf_core.model.evaluation import driven_positions, mean_length, without_rigid_motion
 from otf_core.pieces.finding import Finding, incomplete_path
@@ -88,7 +87,6 @@ PER_NODE = 3.0
 @limit_to_one_thread
 def diagnose(
     recordings: Sequence[Recording],
-    twin: Twin,
     exclude: Sequence[str] = (),
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
@@ -102,8 +100,6 @@ def diagnose(
     ----------
     recordings : sequence of Recording
         No time relation between samples and path is needed.
-    twin : callable
-        Simulates a run again: ``sim.twin.twin_recording``.
     exclude : sequence of str
         Effects taken out of the catalogue.
     config : CalibrationConfig, optional
@@ -113,7 +109,7 @@ def diagnose(
     own : sequence of Effect
         Causes of one's own, tried beside the catalogue.
     same_station : bool
-        The tracker was not moved between the recordings, of a machine with rotary axes.
+        The tracker was not moved between the recordings.
 
     Raises
     ------
@@ -122,70 +118,26 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     progress = progress or silent
-    if isinstance(recordings[0].path, PartsTrack):
-        return _diagnose_axes(
-            recordings, exclude, config, progress, own, same_station=same_station
-        )
     solved = solve_recordings(recordings, config, progress, same_station=same_station)
     assembled = partial(assemble, solved.solution, config, solved.findings)
     with Aside(assembled, (solved.solution, config, solved.findings), later=True) as aside:
-        length = _piece_length(solved.runs, config)
-        without_reversal = _without_reversal(recordings, solved, config, length)
-        pieced = replace(config, piece_length=length)
-        searched = _search(without_reversal, twin, exclude, pieced, progress, own)
+        if recordings[0].machine.rotary_names:
+            again = partial(solve_recordings, recordings, same_station=same_station)
+            searched = _search_axes(solved, again, exclude, config, progress, own)
+        else:
+            searched = _search(recordings, solved, exclude, config, progress, own)
         progress('diagnosing', 0.65)
         explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
         progress('diagnosing', 0.7)
-        weighed = _weigh(searched, explained, pieced, exclude)
+        weighed = _weigh(searched, explained)
         progress('diagnosing', 0.95)
         plain = aside.result()
     progress('correcting', 0.0)
-    causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
+    bases = searched.rows.done.unknowns.bases
+    causes = _causes_to_take_off(weighed.fitted, bases, solved)
     corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
     return _answer(
         recordings, solved, searched.found, weighed,
-        lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
-    )  # fmt: skip
-
-
-def _diagnose_axes(
-    recordings: Sequence[Recording],
-    exclude: Sequence[str],
-    config: CalibrationConfig,
-    progress: Progress,
-    own: Sequence[Effect],
-    *,
-    same_station: bool,
-) -> Diagnosis:
-    """Diagnose runs of a machine with rotary axes.
-
-    Simulated is what the solution leaves of the noise of the standstills alone.
-    """
-    machine = recordings[0].machine
-    without = replace(config, reversal='none')
-    solved = solve_recordings(recordings, config, progress, same_station=same_station)
-    plain, observed = assemble(solved.solution, config, solved.findings), solved
-    if len(solved.solution.joint.unknowns.blocks) > len(
-        solved.solution.plain[1].unknowns.blocks
-    ):  # reversal and lags are causes like any other
-        observed = solve_recordings(recordings, without, progress, same_station=same_station)
-    progress('diagnosing', 0.0)
-    rows = rows_of_axes(observed, without)
-    offered = catalogue(machine)
-    # of reversal that changes along an axis the constant part is named
-    exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
-    of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
-    search = search_catalogue(rows, exclude, (*of_rotary, *own), ())
-    progress('diagnosing', 0.5)
-    searched = _Searched(rows, search, simulated_um(rows))
-    explained = explain(rows, search.causes, searched.simulated_um)
-    standing = replace(config, standstill_speed=config.rest_speed)
-    weighed = _weigh(searched, explained, standing, exclude)
-    progress('correcting', 0.0)
-    causes = _causes_to_take_off(weighed.fitted, observed.solution.joint.unknowns.bases, solved)
-    corrected = calibrate_without_causes(solved, causes, config) if weighed.fitted else None
-    return _answer(
-        recordings, solved, search, weighed,
         lambda sentence: pair_with_corrected(plain, corrected, causes, config, sentence),
     )  # fmt: skip
 
@@ -205,11 +157,6 @@ class _WithoutReversal:
     runs: list[Run]
     solution: JointSolution
     nodes: dict[str, Array]
-
-    @property
-    def bases(self) -> dict[str, Basis]:
-        """Functions of the motions, by axis."""
-        return self.solution.unknowns.bases
 
     @classmethod
     def of(cls, solved: SolvedRecordings) -> _WithoutReversal:
@@ -262,22 +209,35 @@ def _in_longer_pieces(observed: _WithoutReversal, config: CalibrationConfig) -> 
 
 @dataclass(frozen=True)
 class _Searched:
-    """Rows, what is found in them, and the residual of their simulation."""
+    """Rows, what is found in them, and the residual of their simulation.
+
+    Attributes
+    ----------
+    exclude : sequence of str
+        Effects taken out of the catalogue.
+    speed : float, m/s
+        Slower is a standstill.
+    """
 
     rows: Rows
     found: SearchResult
     simulated_um: float
+    exclude: Sequence[str]
+    speed: float
 
 
 def _search(
-    observed: _WithoutReversal,
-    twin: Twin,
+    recordings: Sequence[Recording],
+    solved: SolvedRecordings,
     exclude: Sequence[str],
     config: CalibrationConfig,
     progress: Progress,
     own: Sequence[Effect],
 ) -> _Searched:
     """Search what the calibration leaves for effects."""
+    length = _piece_length(solved.runs, config)
+    observed = _without_reversal(recordings, solved, config, length)
+    config = replace(config, piece_length=length)
     nodes, solution = observed.nodes, observed.solution
     progress('diagnosing', 0.0)
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
@@ -285,17 +245,40 @@ def _search(
     straight = partial(straight_rows, joint=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(remove_steady_vibration, config=config)
     progress('diagnosing', 0.2)
-    simulated = partial(simulated_residual_um, rows, nodes, config, twin)
-    with Aside(simulated, (rows, nodes, config, twin), later=True) as aside:
-        lines = spectral_lines(rows)
-        result = search_catalogue(rows, exclude, own, lines)
-        progress('diagnosing', 0.5)
-        for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
-            other = changed(rows, result.causes)
-            if other is not None:
-                rows, result = other, search_catalogue(other, exclude, own, lines)
-        simulated_um = aside.result()
-    return _Searched(rows, result, simulated_um)
+    simulated = simulated_um(rows)
+    lines = spectral_lines(rows)
+    result = search_catalogue(rows, exclude, own, lines)
+    progress('diagnosing', 0.5)
+    for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
+        other = changed(rows, result.causes)
+        if other is not None:
+            rows, result = other, search_catalogue(other, exclude, own, lines)
+    return _Searched(rows, result, simulated, exclude, config.standstill_speed)
+
+
+def _search_axes(
+    solved: SolvedRecordings,
+    again: Callable[[CalibrationConfig, Progress], SolvedRecordings],
+    exclude: Sequence[str],
+    config: CalibrationConfig,
+    progress: Progress,
+    own: Sequence[Effect],
+) -> _Searched:
+    """The same of a machine with rotary axes; ``again`` solves its recordings."""
+    observed, without = solved, replace(config, reversal='none')
+    if len(solved.solution.joint.unknowns.blocks) > len(
+        solved.solution.plain[1].unknowns.blocks
+    ):  # reversal and lags are causes like any other
+        observed = again(without, progress)
+    progress('diagnosing', 0.0)
+    rows = rows_of_axes(observed, without)
+    offered = catalogue(rows.observed[0].machine)
+    # of reversal that changes along an axis the constant part is named
+    exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
+    of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
+    found = search_catalogue(rows, exclude, (*of_rotary, *own), ())
+    progress('diagnosing', 0.5)
+    return _Searched(rows, found, simulated_um(rows), exclude, config.rest_speed)
 
 
 @dataclass(frozen=True)
@@ -315,14 +298,13 @@ class _Weighed:
     where: Where
     shape: str
     shown: tuple[RunView, ...]
+    p_value: float
 
 
-def _weigh(
-    searched: _Searched, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
-) -> _Weighed:
+def _weigh(searched: _Searched, explained: Explanation) -> _Weighed:
     """Weigh the causes found, name those that stay, and tell where the gap lies."""
     rows = searched.rows
-    judged = judge(rows, explained, config, exclude)
+    judged = judge(rows, explained, searched.speed, searched.exclude)
     explained, nameless = judged.explained, judged.nameless
     besides = nameless.structures if nameless and explained.causes else ()
     every = fitted_causes([*explained.causes, *(s.cause for s in besides), *explained.small], rows)
@@ -337,7 +319,10 @@ def _weigh(
         simulated=1e-6 * gap.simulated_um,
     )
     shown = _shown_views(views, explained)
-    return _Weighed(judged, tuple(fitted), gap, causes, where, shape, shown)
+    p_value = chance_of_misfit(
+        gap.measured_um, searched.simulated_um, SIMULATED_U * searched.simulated_um, len(rows.fold)
+    )
+    return _Weighed(judged, tuple(fitted), gap, causes, where, shape, shown, p_value)
 
 
 def _causes_to_take_off(
@@ -427,6 +412,7 @@ def _stated(
         contradictions=(*incomplete_path(calibration.plain.fit.coverage), *contradictions),
         table_change_um=table_change_um,
         unnamed=_said(weighed),
+        any_cause=AnyCause(weighed.p_value),
         applied=tuple(
             (*own, *(nameless.applied[k] if nameless else ())) for k, own in enumerate(applied)
         ),
@@ -473,7 +459,6 @@ def _conditions(examined: ExaminedRecordings, plain: CalibrationResult) -> dict[
 def calibrate_with_effects(
     recordings: Sequence[Recording],
     effects: str,
-    twin: Twin,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
     method: str = 'otf',
@@ -489,8 +474,6 @@ def calibrate_with_effects(
     effects : str
         'auto': what a diagnosis of these runs finds; else an effects.yaml, see
         ``calibrate_with_file``.
-    twin : callable
-        Simulates a run again, for the diagnosis: ``sim.twin.twin_recording``.
     config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
     method : str
@@ -514,7 +497,7 @@ def calibrate_with_effects(
         return calibrate_with_file(
             recordings, effects, config, progress, same_station=same_station
         )
-    diagnosis = diagnose(recordings, twin, (), config, progress, same_station=same_station)
+    diagnosis = diagnose(recordings, (), config, progress, same_station=same_station)
     calibration = diagnosis.calibration
     if diagnosis.verdict != 'unknown':
         return calibration

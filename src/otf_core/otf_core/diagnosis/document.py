@@ -12,8 +12,8 @@ from otf_core.calibration.document import driven_run
 from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.views import gap_views
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
-from otf_core.documents import Document, ResultDocument, stated
+from otf_core.diagnosis.result import AnyCause, Diagnosis, Gap, NamedCause
+from otf_core.documents import Document, ResultDocument, optional, stated
 from otf_core.effects import EVERY, BelongsTo
 from otf_core.files.message_text import join_names
 from otf_core.model.machine import Machine
@@ -82,6 +82,7 @@ class GapDocument(ResultDocument):
     run_id: str = stated('hash of samples, paths, machine and configuration')
     search: tuple[str, ...] = stated('what was looked for, where no cause is named', default=())
     measure_next: tuple[str, ...] = stated('what to measure next, most useful first', default=())
+    any_cause: AnyCause | None = optional('whether anything is missing, before any name is given')
     schema: str = stated('otf-gap/1', default='otf-gap/1')
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
 
@@ -101,6 +102,7 @@ def document_of(diagnosis: Diagnosis) -> GapDocument:
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
         gap=diagnosis.gap,
+        any_cause=diagnosis.any_cause,
         causes=diagnosis.causes,
         unnamed=None if diagnosis.unnamed is None else asdict(diagnosis.unnamed),
         unexplained=Unexplained(diagnosis.unexplained_um, diagnosis.unexplained_where),

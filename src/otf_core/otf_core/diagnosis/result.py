@@ -62,6 +62,13 @@ class NamedCause(Document):
 
 
 @dataclass(frozen=True)
+class AnyCause(Document):
+    """Whether anything is missing in the simulation, before any name is given."""
+
+    p_value: float = stated('probability of a residual this large if the simulation were complete')
+
+
+@dataclass(frozen=True)
 class FigureData:
     """What figures show: arrays of every run, and the conditions in words."""
 
@@ -119,6 +126,7 @@ class Diagnosis:
     calibration: CalibrationResult
     origin: tuple[Origin, ...]
     shown: FigureData
+    any_cause: AnyCause
     unnamed: Unnamed | None = None
 
     @cached_property

@@ -11,7 +11,6 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import share_out
-from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.cause_parameters import Curve, curves_of, fitted_causes, range_words
 from otf_core.diagnosis.engine.empirical_structure import (
     AS_RIVALS,
@@ -564,11 +563,17 @@ class WeighedExplanation:
 
 
 def judge(
-    rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
+    rows: Rows, explained: Explanation, speed: float, exclude: Sequence[str]
 ) -> WeighedExplanation:
-    """Weigh the causes found against noise, and against what has no name."""
+    """Weigh the causes found against noise, and against what has no name.
+
+    Parameters
+    ----------
+    speed : float, m/s
+        Slower is a standstill.
+    """
     gap = matters(explained.after_um, explained.simulated_um)
-    noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
+    noise = check_noise(rows, speed, exclude, gap=gap)
     remainder, has_place = _shape_of_rest(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     weighed = _or_something_else(rows, explained, verdict, exclude)

@@ -100,10 +100,8 @@ def _free_words(effect: Effect) -> str:
 
 def _section(effect: Effect) -> str:
     rows = (
-        ('Cause', effect.cause),
         ('Displacement', f'`{effect.equation}`'),
         ('Parameters', f'{effect.coefficients}: {_parameters(effect)}'),
-        ('Typical size', effect.typical),
         *([('Free forms', _free_words(effect))] if effect.free else []),
         ('Looks like', effect.signature),
         ('Shown by', effect.needs),

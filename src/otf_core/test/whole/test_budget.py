@@ -339,7 +339,7 @@ def test_residuals_beyond_the_weights_enter_as_misfit(solved):
 
 
 def test_scatter_over_draws_of_coloured_noise_agrees_with_the_linear_u(cell, solved):
-    """Monte Carlo (JCGM 101), few draws; bench/coverage.py --same-machine has many.
+    """Monte Carlo (JCGM 101), few draws.
 
     The truth stays, so that the bias of the prior does not scatter: noise alone does.
     """

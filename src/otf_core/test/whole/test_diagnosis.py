@@ -26,7 +26,6 @@ from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.calibration_document import load_tables
 from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.cell import simulate
-from otf_core.sim.twin import twin_recording
 
 MACHINE = some_machine(pitch=0.05)
 PLAN = plan_path(MACHINE, PlannerConfig(passes=1, levels=2, feed=0.15, corner_dwell=0.4))
@@ -65,7 +64,7 @@ def with_burst(run):
 @functools.cache
 def diagnosed(name='none', burst=False):
     run = recording(name)
-    return diagnose([with_burst(run) if burst else run], twin_recording)
+    return diagnose([with_burst(run) if burst else run])
 
 
 def same_tables(a, b):

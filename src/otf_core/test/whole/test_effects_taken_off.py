@@ -14,7 +14,6 @@ from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.prediction.calibration_document import load_tables
 from otf_core.prediction.predict import predict
 from otf_core.reports.calibration_page import calibration_page
-from otf_core.sim.twin import twin_recording
 
 CELL = {
     'seed': 5,
@@ -91,7 +90,7 @@ def test_tables_with_an_effect_taken_off_predict(folder):
 
 def test_growth_is_found_and_taken_off():
     recording = GROWING.recording(rate=40.0)
-    done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
+    done = calibrate_with_effects([recording], 'auto', CONFIG)
     assert [e.effect for e in done.effects] == ['thermal_axis_expansion']
     assert done.effects[0].how == 'found' and 'Removed: ' in done.effects_sentence
     left = [judge(GROWING, r.tables, r.covariance_run).left_percent for r in (done.plain, done)]
@@ -99,7 +98,7 @@ def test_growth_is_found_and_taken_off():
 
 
 def test_nothing_is_taken_off_where_nothing_is_found():
-    done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
+    done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', CONFIG)
     assert done.effects == () and done.applied == ()
     assert 'No gap' in done.effects_sentence and 'No effect was removed' in done.effects_sentence
     assert 'No effect was removed' in calibration_page(done.to_dict())

@@ -35,6 +35,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import share_out
+from otf_core.calibration.calibrate import SolvedRecordings
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.effect_products import Candidates, tried_shapes
 from otf_core.diagnosis.engine.evidence import (
@@ -45,7 +46,7 @@ from otf_core.diagnosis.engine.evidence import (
     products_of,
 )
 from otf_core.diagnosis.engine.gap_sizes import with_measured_noise
-from otf_core.diagnosis.engine.residual_rows import Rows, build_rows
+from otf_core.diagnosis.engine.residual_rows import NOISE_RANGE, Rows, build_rows, rows_of
 from otf_core.diagnosis.engine.search import (
     Cause,
     displacement_of,
@@ -66,10 +67,17 @@ from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.observation import Samples
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.noise.standstill import noise_model
-from otf_core.pieces.runs import Run
+from otf_core.noise.standstill import (
+    MIN_TOTAL,
+    find_standstills,
+    level_scatter,
+    noise_model,
+    standstill_noise,
+)
+from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.joint import (
     JointSolution,
+    SolvedRun,
     Start,
     solve_jointly,
     sum_normal_equations,
@@ -78,6 +86,7 @@ from otf_core.solving.joint import (
 from otf_core.solving.model_choice import is_finer
 from otf_core.solving.roughness import Search
 from otf_core.solving.unknowns import Basis, linear_bases, smooth_bases
+from otf_core.solving.whitener import Whitener
 
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of
@@ -336,3 +345,65 @@ def _same(one: NoiseModel, other: NoiseModel) -> bool:
 def _factor(one: float, other: float) -> float:
     """Size of the logarithm of a ratio of times, either of which may be 0 for white noise."""
     return abs(float(np.log(max(one, SHORTEST) / max(other, SHORTEST))))
+
+
+def rows_of_axes(found: SolvedRecordings, config: CalibrationConfig) -> Rows:
+    """Rows of a machine with rotary axes: whitened for the noise of the standstills alone."""
+    solved, speed = found.solution.joint.runs, config.rest_speed
+    recordings = [run.recording for run in found.solution.runs]
+    observed = [
+        replace(one.run, noise=_floor(recording, speed, one), fitted=None)
+        for recording, one in zip(recordings, solved, strict=True)
+    ]
+    rows = rows_of(observed, found.solution.joint, config.unidentifiable_above)
+    return replace(rows, noise_range=_noise_range(recordings, speed))
+
+
+def _noise_range(recordings: Sequence[Recording], speed: float) -> tuple[float, float]:
+    """Variances over those of the standstills; the wider, the less standstill there is."""
+    low, high = NOISE_RANGE
+    for samples in (r.samples for r in recordings):
+        still = float(np.diff(find_standstills(samples, speed), axis=1).sum()) * samples.step
+        high = max(high, level_scatter(max(still, MIN_TOTAL)) ** 2)
+    return low, high
+
+
+def _floor(recording: Recording, speed: float, solved: SolvedRun) -> NoiseModel:
+    """Noise that the simulation of a recording has.
+
+    That of the standstills where they are louder than specified, however little; or less where all
+    that the residuals hold is less: stops of a second tell the slow part to some ten percent only.
+    """
+    samples, spec = recording.samples, recording.machine.tracker
+    runs = find_standstills(samples, speed)
+    mean = float(np.mean(runs[:, 1] - runs[:, 0])) * samples.step if len(runs) else 0.0
+    noise, measured = noise_model(samples, spec, speed), standstill_noise(samples, runs)
+    if measured is not None:
+        pairs = zip(noise, measured.noise, strict=True)
+        noise = NoiseModel(*(max(pair, key=lambda c: c.level) for pair in pairs))
+    fitted = solved.run.noise_and_misfit[0]
+    noise = with_slow_part(noise, fitted, mean)
+    expected = Whitener.of(solved.system, solved.run.pieces, noise).expected
+    less = np.sum(solved.whitener.expected**2) < np.sum(expected**2)
+    return at_most(noise, fitted) if less else noise
+
+
+def with_slow_part(noise: NoiseModel, fitted: NoiseModel, length: float) -> NoiseModel:
+    """Noise of standstills with the correlation time that they are too short to show.
+
+    A stop hides correlation over more than its length (s): up to that, the time is the fitted
+    one, which comes from pieces of lines that are longer than any stop.
+    """
+    pairs = zip(noise, fitted, strict=True)
+    times = [(own, min(f.correlation_time, max(own.correlation_time, length))) for own, f in pairs]
+    return NoiseModel(*(replace(own, correlation_time=time) for own, time in times))
+
+
+def at_most(noise: NoiseModel, fitted: NoiseModel) -> NoiseModel:
+    """Noise of standstills, with variances of fitted noise where these are smaller."""
+    components = []
+    for own, other in zip(noise, fitted, strict=True):
+        white = min(own.white, other.white)
+        level = float(np.hypot(white, min(own.slow, other.slow)))
+        components.append(replace(own, level=level, white=white))
+    return NoiseModel(*components)

@@ -3,30 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
+from scipy.special import ndtr
 
 from otf_core.arrays import Array
-from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.evidence import estimate, estimate_of, products_of
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, displacement_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
-from otf_core.model.frames import RigidTransform
-from otf_core.model.tables import ErrorTables
 from otf_core.noise.departure import Departure, noise_departure, simulated_noise
 from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
-from otf_core.pieces.runs import Recording, Run, reduce_recording
-from otf_core.solving.joint import MAX_REPETITIONS, far_pieces, systems_of
+from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.residuals import FOLDS, leg_numbers
 from otf_core.solving.whitener import Whitener
-from otf_core.tracking.matching import OFF_PATH
 
 JACKKNIFE = 20
 """Groups of legs."""
@@ -294,65 +291,38 @@ def _variance_ratio(rows: Rows) -> float:
     return measured / specified
 
 
-Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
-"""Simulates a run with these tables: its samples on the path, at the same moments."""
+def simulated_um(rows: Rows) -> float:
+    """Expected residual that tables and poses leave of the noise of the simulation alone, um.
 
+    With A the rows of a run, S the covariance of the noise, R what is known before the data and
+    N = A'S^-1 A + R, the variances of what is left (``Rows.left``) are the diagonal of
 
-def simulated_residual_um(
-    rows: Rows, nodes: Mapping[str, Array], config: CalibrationConfig, twin: Twin, seed: int = 1
-) -> float:
-    """Residual that tables and poses leave on the twins of runs, um; see ``Rows.left``.
+        S - A (N^-1 + N^-1 R N^-1) A'
 
-    The twins have the tables and poses found, so that what they leave is sought about these, with
-    the functions chosen for the runs.
-
-    Parameters
-    ----------
-    rows : Rows
-        Of the runs.
-    nodes : mapping of axis to ndarray, m
-        Table nodes.
-    twin : callable
-        ``sim.twin.twin_recording``.
-    seed : int
-        Of the noise in the first twin; the others follow.
+    What is louder than may pass as specified is simulated as specified, so that it is a gap.
     """
-    runs: list[Run] = []
-    for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
-        recording = twin(run, solved.pose, rows.tables, seed + k)
-        leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
-        again = reduce_recording(recording, replace(run.alignment, leg=leg), nodes, config)
-        runs.append(replace(again, late=run.late))
-    square: list[Array] = []
-    for _ in range(MAX_REPETITIONS):
-        left = _left_of_twins(rows, runs)
-        square = [np.sum(part**2, axis=0) for part in left]
-        far = [
-            far_pieces(part, run.pieces.leg, config.outlier_limit)
-            for part, run in zip(left, runs, strict=True)
-        ]
-        if not any(f.any() for f in far):
-            break
-        runs = [
-            replace(run, pieces=run.pieces.without(f)) for run, f in zip(runs, far, strict=True)
-        ]
-    return float(1e6 * np.sqrt(np.concatenate(square).mean()))
-
-
-def _left_of_twins(rows: Rows, runs: Sequence[Run]) -> list[Array]:
-    """What tables and poses leave of the pieces of twins, shape (c, p) of every run, m."""
-    joint, pairs = rows.done, zip(runs, rows.done.runs, strict=True)
-    posed = [replace(run, pose=solved.pose) for run, solved in pairs]
-    systems = systems_of(posed, joint.unknowns, rows.tables)
-    solved = [replace(s, system=own) for s, own in zip(joint.runs, systems, strict=True)]
-    twins = replace(
-        rows,
-        observed=tuple(runs),
-        done=replace(joint, runs=tuple(solved)),
-        whiteners=tuple(
-            Whitener.of(system, run.pieces, run.noise)
-            for system, run in zip(systems, runs, strict=True)
-        ),
-        plain_deviation=np.concatenate([s.deviation.reshape(-1) for s in systems]),
+    systems = [s.system for s in rows.done.runs]
+    whiteners = tuple(
+        Whitener.of(system, run.pieces, simulated_noise(run.noise, run.machine.tracker))
+        for system, run in zip(systems, rows.observed, strict=True)
     )
-    return twins.by_run(twins.left(twins.plain_deviation))
+    rows = replace(rows, whiteners=whiteners)
+    inverse = linalg.cho_solve((rows.factor, True), np.eye(len(rows.use)))
+    scale = rows.done.unknowns.gauge[:, rows.use] * rows.limit
+    followed = scale @ (inverse + inverse @ rows.ridge @ inverse) @ scale.T
+    square, pieces = 0.0, 0
+    for whitener, system in zip(rows.whiteners, systems, strict=True):
+        own = system.rows.dense(slice(None))
+        square += float(np.sum(whitener.expected**2)) - float(np.sum(own * (own @ followed)))
+        pieces += own.shape[1]
+    return float(1e6 * np.sqrt(square / pieces))
+
+
+def chance_of_misfit(measured_um: float, simulated_um: float, u_um: float, rows: int) -> float:
+    """Probability of a residual this large if the simulation were complete.
+
+    The logarithm of the residual over that of the simulation is taken as normal; its variance is
+    that of the simulated one and of the mean square of so many rows, 1/(2 n).
+    """
+    ratio = np.log(measured_um / simulated_um)
+    return float(ndtr(-ratio / np.hypot(u_um / simulated_um, 1.0 / np.sqrt(2.0 * rows))))
