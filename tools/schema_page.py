@@ -7,11 +7,14 @@
 from __future__ import annotations
 
 import sys
+import textwrap
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / 'docs' / 'schema.md'
+WIDTH = 130
 DOCUMENTS = (
     ('prediction.calibration_document', 'CalibrationDocument'),
     ('diagnosis.document', 'GapDocument'),
@@ -27,10 +30,30 @@ INTRODUCTION = """<!-- made by python3 tools/schema_page.py -->
 # Fields of the result files
 
 Each result is one JSON object. SI units; `u` is a standard uncertainty (k = 1) with everything
-that is stated, `u_run` that of noise and misfit of the run alone. `[]` stands for the entries of
-a list, `NAME` for the names of a mapping. What is not known is `null`. Readers ignore further
-fields.
+that is stated, `u_run` that of noise and misfit of the run alone. Each entry is an object with its
+fields: name, type, unit, meaning. `[]` stands for the entries of a list, `NAME` for the names of a
+mapping; a type with `?` may be `null`: not known. Readers ignore further fields.
 """
+
+
+def listed(rows: Iterable[tuple[str, str, str, str]]) -> Iterator[str]:
+    """Yield the lines of a list: an entry for every object, with its fields."""
+    heads, fields = {}, {}
+    for path, kind, unit, meaning in rows:
+        place, _, name = path.rpartition('.')
+        if kind.endswith('object'):
+            heads[path] = f' {meaning}'
+        else:
+            known = kind.removeprefix('or null, ') + ('?' if kind.startswith('or null') else '')
+            facts = f'{known}, {unit}' if unit else known
+            fields.setdefault(place, []).append(f'`{name}` ({facts}) {meaning}')
+    for place in dict.fromkeys([*fields, *heads]):
+        head = f'**`{place}`**{heads.get(place, "")}' if place else '**at the top**'
+        text = '; '.join(fields.get(place, ()))
+        yield from textwrap.wrap(
+            f'- {head}: {text}' if text else f'- {head}', WIDTH, subsequent_indent='  ',
+            break_long_words=False, break_on_hyphens=False,
+        )  # fmt: skip
 
 
 def schema_page() -> str:
@@ -46,10 +69,7 @@ def schema_page() -> str:
         document = getattr(import_module(f'otf_core.{module}'), name)
         file = document.file or 'otf check --json'
         first, *_ = (document.__doc__ or '').partition('\n')
-        rows = ['| field | type | unit | meaning |', '|---|---|---|---|']
-        rows += [f'| `{path}` | {kind} | {unit} | {meaning} |'
-                 for path, kind, unit, meaning in schema_rows(document)]  # fmt: skip
-        parts.append('\n'.join([f'## {file}', '', first, '', *rows, '']))
+        parts.append('\n'.join([f'## {file}', '', first, '', *listed(schema_rows(document)), '']))
     return with_micro_sign('\n'.join(parts))
 
 

@@ -3,7 +3,8 @@
 
 The contract, commands and files without ROS and then the live graph, knows nothing of modules. The
 core suite proper is quick; whole simulated cells through whole pipelines are a suite of their own.
-So are devices and their protocols: they wait more than they compute, and run side by side.
+So are devices and their protocols: they wait more than they compute, and run side by side, the
+check of types beside them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -50,6 +52,8 @@ class Check:
     env: dict[str, str]
     suite: str = ''
     targets: tuple[str, ...] = ()
+    meanwhile: Check | None = None
+    """One that computes while this one waits."""
 
     @property
     def whole(self) -> list[str]:
@@ -88,13 +92,15 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
     return [
         Check('ruff check', [python, '-m', 'ruff', 'check'], core),
         Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
-        Check('mypy', [python, '-m', 'mypy'], core),
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
         shared_out(python, 2, core, CONTRACT, (), f'--ignore={LIVE_CONTRACT}'),
         shared_out(node_python, 2, workspace_env, LIVE_CONTRACT),
         shared_out(python, 2, core, CORE_SUITE, (), f'--ignore={WHOLE_CELLS}'),
         shared_out(python, 2, core, WHOLE_CELLS),
-        shared_out(node_python, 4, workspace_env, DEVICES),
+        replace(
+            shared_out(node_python, 4, workspace_env, DEVICES),
+            meanwhile=Check('mypy', [python, '-m', 'mypy'], core),
+        ),
         shared_out(node_python, 2, workspace_env, PACKAGES, package_tests()),
         shared_out(
             node_python,
@@ -118,7 +124,7 @@ def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[C
         if mine or not paths:
             targets = tuple(mine) or check.targets
             command = [*check.command, *other]
-            checks.append(replace(check, command=command, targets=targets))
+            checks.append(replace(check, command=command, targets=targets, meanwhile=None))
     return checks
 
 
@@ -144,9 +150,18 @@ def run(arguments: list[str]) -> int:
     results = []
     for check in checks:
         print(f'\n=== {check.title} ===', flush=True)
-        start = time.monotonic()
-        code = subprocess.call(check.whole, env=check.env, cwd=ROOT)
-        results.append((check.title, code, time.monotonic() - start))
+        start, other = time.monotonic(), check.meanwhile
+        with tempfile.TemporaryFile('w+') as said:
+            beside = other and subprocess.Popen(
+                other.whole, env=other.env, cwd=ROOT, stdout=said, stderr=subprocess.STDOUT
+            )
+            code = subprocess.call(check.whole, env=check.env, cwd=ROOT)
+            results.append((check.title, code, time.monotonic() - start))
+            if other and beside:
+                code = beside.wait()
+                said.seek(0)
+                print(f'\n=== {other.title} ===\n{said.read()}', end='', flush=True)
+                results.append((other.title, code, time.monotonic() - start))
     print('\n=== summary ===')
     for title, code, seconds in results:
         print(f'{describe(code, bool(arguments)):8} {seconds:6.1f} s  {title}')

@@ -260,38 +260,6 @@ def grid_error(tables, truth, count=5):
     return mean_length(without_rigid_motion(wanted, q)), mean_length(left)
 
 
-def levers_by_hand(chain, offset, q):
-    """Lever arm of each axis straight from docs/conventions.md, one point."""
-    sequence = chain.split('-')[1:-1]
-    base = sequence.index('b')
-    travel = {a: q[k] * np.eye(3)[k] for k, a in enumerate(AXES)}
-    levers = {}
-    for place, axis in enumerate(sequence):
-        if axis == 'b':
-            continue
-        if place > base:
-            carried = sequence[place + 1 :]
-        else:
-            carried = [a for a in sequence[place:] if a != 'b']
-        levers[axis] = np.array(offset) + sum((travel[a] for a in carried), np.zeros(3))
-    return levers
-
-
-def error_by_hand(tables, q):
-    """First-order error of one point, term by term from docs/conventions.md."""
-    machine = tables.machine
-    levers = levers_by_hand(str(machine.chain), machine.target_offset, q)
-    total = np.zeros(3)
-    for k, axis in enumerate(AXES):
-        t, r = (
-            np.array([float(tables.motions[f'E{d}{axis}'].at(q[k])) for d in letters])
-            for letters in ('XYZ', 'ABC')
-        )
-        total += t + np.cross(r, levers[axis])
-    c0y, b0z, a0z = (tables.squareness[k].value for k in ('C0Y', 'B0Z', 'A0Z'))
-    return total + np.array([-c0y * q[1] + b0z * q[2], -a0z * q[2], 0.0])
-
-
 def transform_pose(machine, seed):
     """Pose of a tracker as the transform from its frame to the machine's."""
     rotation, place = some_pose(machine, np.random.default_rng(seed))

@@ -9,11 +9,8 @@ import pytest
 from test_nc import numbers, rs274  # noqa: F401  (the fixture)
 from test_rotary_paths import FEED, trunnion
 
-from otf_core.config import PlannerConfig
-from otf_core.errors import ConfigError
 from otf_core.model.axis_path import driven_through, seconds_of_legs
 from otf_core.model.chain import Sight
-from otf_core.model.plan import part_along
 from otf_core.planning import chains as paths
 from otf_core.planning.nc import DIALECTS, programs
 
@@ -93,15 +90,6 @@ def test_a_program_drives_the_part_that_is_published(name, link):
     assert DIALECTS[name].unchecked[:20] in text
 
 
-def test_corners_lie_on_the_increment_inside_the_ranges():
-    machine, parts = planned()
-    for part in parts:
-        q = part.path.positions * programs.program_units(machine) / programs.INCREMENT
-        np.testing.assert_allclose(q, np.rint(q), atol=1e-6)
-        low, high = machine.lower - 1e-12, machine.upper + 1e-12
-        assert np.all(part.path.positions >= low) and np.all(part.path.positions <= high)
-
-
 @pytest.mark.parametrize('name', DIALECTS)
 def test_the_verification_holds_the_reflector_at_one_place_with_tcp_on(name):
     machine = trunnion()
@@ -114,13 +102,6 @@ def test_the_verification_holds_the_reflector_at_one_place_with_tcp_on(name):
     np.testing.assert_allclose(found.q[:, :3], place, atol=1e-3)
     angles = np.degrees(part.path.positions[:, [machine.column(a) for a in 'AC']])
     np.testing.assert_allclose(found.q[:, 3:], angles, atol=1e-3)
-
-
-def test_a_block_that_no_control_takes_is_refused():
-    machine, parts = planned()
-    with pytest.raises(ConfigError, match='controls take'):
-        slow = part_along(machine, parts[0].path, PlannerConfig(feed=1e-4))
-        programs.part_program(DIALECTS['fanuc'], machine, slow, 1, [])
 
 
 def test_linuxcnc_interpreter_drives_a_part_in_its_times(rs274):  # noqa: F811

@@ -24,15 +24,6 @@ def test_functions_add_up_to_one_everywhere_and_are_never_negative(basis):
     assert np.count_nonzero(values, axis=1).max() <= basis.nonzero
 
 
-def test_places_are_the_entries_of_the_matrix(basis):
-    first, weight = basis.places(Q)
-    dense = basis.matrix(Q)
-    for k in range(len(Q)):
-        own = slice(first[k], first[k] + basis.nonzero)
-        np.testing.assert_array_equal(dense[k, own], weight[k])
-        assert dense[k].sum() == pytest.approx(weight[k].sum(), abs=1e-15)
-
-
 @pytest.mark.parametrize('name', ['cubic', 'even'])
 def test_cubics_are_reproduced_from_their_values_at_the_centres(name):
     basis = BASES[name]
@@ -42,11 +33,6 @@ def test_cubics_are_reproduced_from_their_values_at_the_centres(name):
 
     coefficients = basis.from_values @ function(basis.centres)
     np.testing.assert_allclose(basis.matrix(Q) @ coefficients, function(Q), atol=1e-13)
-
-
-def test_centres_as_coefficients_make_the_position_itself(basis):
-    np.testing.assert_allclose(basis.matrix(Q) @ basis.centres, Q, atol=1e-15)
-    assert np.all(np.diff(basis.centres) > 0)
 
 
 def test_values_at_the_ends_are_the_first_and_last_coefficients_and_stay_beyond(basis):
@@ -75,11 +61,6 @@ def test_cubics_have_two_continuous_derivatives():
         assert np.abs(np.diff(bend)).max() < 2.0
 
 
-def test_even_knots_span_the_nodes_in_equal_parts():
-    np.testing.assert_allclose(cubic(KNOTS, 7).knots, np.linspace(-0.2, 0.4, 8))
-    assert cubic(KNOTS, 7).size == 10
-
-
 @pytest.mark.parametrize('basis', [linear(np.array([0.1])), cubic(np.array([0.1]), 20)])
 def test_an_axis_that_stands_has_one_constant(basis):
     assert (basis.size, basis.nonzero) == (1, 1)
@@ -87,9 +68,3 @@ def test_an_axis_that_stands_has_one_constant(basis):
     np.testing.assert_array_equal(basis.centres, [0.1])
     np.testing.assert_array_equal(basis.from_values, [[1.0]])
     np.testing.assert_array_equal(basis.finer(8), [0.1])
-
-
-def test_finer_knots_hold_the_old_ones_and_cut_every_interval_alike():
-    found = linear(KNOTS).finer(4)
-    np.testing.assert_allclose(found[::4], KNOTS)
-    np.testing.assert_allclose(np.diff(found), np.repeat(np.diff(KNOTS) / 4, 4))

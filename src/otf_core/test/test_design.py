@@ -17,8 +17,7 @@ from core_cells import (
 )
 from scipy.linalg import block_diag
 
-from otf_core.effects.catalogue.backlash import Backlash
-from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.catalogue.machine import backlash, direction_dependent_tables
 from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.noise_model import Misfit
@@ -71,19 +70,6 @@ def close(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
 
 
-def test_products_are_those_of_the_dense_rows(case):
-    _, pieces, unknowns, system = case
-    dense, rng = system.rows.dense(slice(None)), np.random.default_rng(5)
-    assert dense.shape == (2, len(pieces), unknowns.full)
-    values = rng.standard_normal((unknowns.full, 3))
-    close(system.rows.times(values[:, 0]), dense @ values[:, 0])
-    close(system.rows.times(values), dense @ values)
-    rows = rng.standard_normal((2, len(pieces), 2))
-    close(system.rows.transposed(rows), np.einsum('cpf,cpk->fk', dense, rows))
-    close(system.rows.transposed(rows[..., 0]), np.einsum('cpf,cp->f', dense, rows[..., 0]))
-    close(system.design.toarray(), dense.reshape(-1, unknowns.full))
-
-
 @pytest.mark.parametrize('held', [False, True], ids=['returns at standstill', 'held'])
 def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     machine, pieces, unknowns, system = cell(linear_bases, reversal=4, held=held)
@@ -93,30 +79,15 @@ def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
     own = {
         reversal_block(f'E{axis}{axis}', 0): column
         for axis, column in zip(
-            'XYZ', Backlash().terms(state, {'held': held}).columns.T, strict=True
+            'XYZ', backlash.terms(state, {'held': held}).columns.T, strict=True
         )
     }
-    tables = DirectionDependentTables().terms(state, {'held': held, 'order': 3.0})
+    tables = direction_dependent_tables.terms(state, {'held': held, 'order': 3.0})
     own |= dict(zip(tables.names, tables.columns.T, strict=True))
     assert set(own) == {name for name in unknowns.blocks if is_reversal(name)}
     for name, column in own.items():
         across = np.einsum('cpi,ip->cp', system.axes, column)
         close(dense[:, :, unknowns.blocks[name].start], across)
-
-
-def test_rows_of_touched_unknowns_leave_nothing_out(case):
-    _, pieces, unknowns, system = case
-    dense = system.rows.dense(slice(None))
-    touched = []
-    for own in np.split(np.arange(len(pieces)), np.flatnonzero(np.diff(pieces.leg)) + 1):
-        columns, rows = system.rows.touched(own, width=2)
-        assert np.all(np.diff(columns) > 0)
-        whole = np.zeros((2, len(own), unknowns.full))
-        whole[:, :, columns] = rows[:, :, :-2]
-        np.testing.assert_array_equal(whole, dense[:, own])
-        assert not rows[:, :, -2:].any()
-        touched.append(len(columns))
-    assert min(touched) < 0.8 * unknowns.full
 
 
 def test_mean_over_a_piece_is_that_of_its_two_gauss_points():

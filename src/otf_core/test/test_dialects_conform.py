@@ -6,20 +6,17 @@ refuses what it does not know, so a new dialect may need its words here.
 """
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from core_cells import on_increments, program, small_plan, some_machine
 
-from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.plan import Plan
-from otf_core.planning.nc import DIALECTS, programs
+from otf_core.planning.nc import DIALECTS
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 NASTY = ['MILL (NEW); 5% [A] {B} Fräse µm', '', 'x' * 200]
-LONGEST_LINE = 80
 
 # ---------------------------------------------------------------- a small reader
 
@@ -139,23 +136,6 @@ def test_program_climbs_before_it_crosses_and_waits_at_the_start(name):
 
 
 @every_dialect
-def test_program_is_plain_short_lines(name):
-    text = program(DIALECTS[name], random_plan(5), NASTY)
-    assert text.isascii() and text.endswith('\n') and '\t' not in text
-    assert max(map(len, text.splitlines())) <= LONGEST_LINE
-
-
-@every_dialect
-def test_dialect_is_one_file_with_a_name_and_a_target(name):
-    dialect = DIALECTS[name]
-    module = Path(programs.__file__).with_name(f'{name}.py')
-    assert dialect.name == name and module.exists()
-    assert type(dialect).__module__ == f'otf_core.planning.nc.{name}'
-    assert re.fullmatch(r'\w+\.\w+', dialect.file_name)
-    assert len({d.file_name.lower() for d in DIALECTS.values()}) == len(DIALECTS)
-
-
-@every_dialect
 def test_what_cannot_be_said_is_refused(name):
     points = np.array([[0.0, 0.0, -0.1], [0.1, 0.05, -0.1], [0.1, 0.05, 0.0125]])
     refused = {
@@ -177,16 +157,3 @@ def test_machine_stops_at_corners_and_drives_through_smooth_ones_without_a_dwell
     if name != 'heidenhain':
         assert [bool(STOPS & set(line.split())) for line in lines] == [False, True]
     assert Reader(program(DIALECTS[name], little([[0, 0, 0], [0.1, 0, 0]]), [])).moves
-
-
-@every_dialect
-def test_command_line_offers_it(name):
-    asked = ['plan', '--machine', 'm', '--out', 'o', '--dialect', name]
-    assert cli._parser().parse_args(asked).dialect == name
-
-
-def test_command_line_offers_no_other(capsys):
-    with pytest.raises(SystemExit):
-        cli._parser().parse_args(['plan', '--machine', 'm', '--out', 'o', '--dialect', 'generic'])
-    said = capsys.readouterr().err
-    assert all(name in said for name in DIALECTS)

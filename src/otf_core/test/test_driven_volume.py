@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driven volume: ranges of the axes, hulls that are flat or not, what a file says of it."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_cells import some_machine, written_tables, zero_tables
+from core_cells import some_machine, zero_tables
 
-from otf_core.errors import InputError
 from otf_core.model.evaluation import lattice
 from otf_core.model.tables import MotionTable
 from otf_core.prediction.driven_volume import DrivenVolume, driven_volume, table_ranges
-from otf_core.prediction.predict import predict
 
 
 def test_range_of_an_axis_is_what_its_seen_tables_share():
@@ -55,30 +52,6 @@ def test_flat_volumes_hold_what_lies_in_them(size):
         assert not np.any(volume.holds(points + 0.5 * axes[0]))
 
 
-@pytest.mark.parametrize(
-    'driven',
-    [3, {'margin': 0.1}, {'corners': [[0, 0]]}, {'corners': [[0, 0, None]]},
-     {'corners': [[0, 0, 0]], 'margin': -1}, {'corners': 'cube'},
-     {'corners': [[0, 0, 0]], 'planes': [[1, 0, 0]]}],
-)  # fmt: skip
-def test_a_wrong_driven_volume_is_named(driven):
-    with pytest.raises(InputError, match=r'tables\.json: driven'):
-        DrivenVolume.from_dict(driven, 'tables.json: driven')
-
-
-def test_a_driven_volume_in_the_file_counts_beside_the_tables(tmp_path):
-    tables = zero_tables(some_machine())
-    corners = lattice(tables.machine, 2)[:-1]
-    q = np.array([[0.1, 0.1, -0.1], [0.29, 0.24, -0.01]])
-    assert predict(written_tables(tmp_path, tables), q).inside.tolist() == [True, True]
-    for prism in (
-        {'corners': corners.tolist(), 'margin': 0.01},
-        driven_volume(corners, 0.01).to_dict(),
-    ):
-        file = written_tables(tmp_path, tables, driven=prism)
-        assert predict(file, q).inside.tolist() == [True, False]
-
-
 def test_planes_in_the_file_say_the_same_as_its_corners():
     rng = np.random.default_rng(2)
     volume = driven_volume(rng.normal(size=(60, 3)), 0.01)
@@ -92,13 +65,3 @@ def test_planes_in_the_file_say_the_same_as_its_corners():
     of_corners = DrivenVolume.from_dict(data).holds(probes)
     np.testing.assert_array_equal(volume.holds(probes), of_corners)
     assert 0.2 < of_corners.mean() < 0.9
-
-
-def test_a_calibration_writes_what_was_driven(calibrated, cell, tmp_path):
-    file = tmp_path / 'error_tables.json'
-    file.write_text(json.dumps(calibrated.to_dict()))
-    q = lattice(cell.machine, 5)
-    found = predict(file, np.concatenate([q, np.add(q, [0.02, 0, 0])]))
-    assert found.inside[: len(q)].all()
-    assert found.inside[len(q) :].sum() == 100
-    assert 'u holds noise, misfit; systematic contributions typical' in found.summary

@@ -17,7 +17,7 @@ from otf_core.diagnosis.cause_parameters import (
 from otf_core.diagnosis.result import Gap, NamedCause
 from otf_core.diagnosis.weighing import Unnamed
 from otf_core.effects import REGISTRY
-from otf_core.effects.sizes import Coefficients
+from otf_core.effects.base import Coefficients
 from otf_core.effects.state import probe_state
 
 MACHINE = some_machine('w-Y-b-X-Z-t')

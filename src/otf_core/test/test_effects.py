@@ -8,13 +8,9 @@ import pytest
 from core_cells import some_machine
 from effect_cells import (
     driven_state,
-    shape_of,
-    tracker_pose,
 )
-from scipy.spatial.transform import Rotation
 
 from otf_core.effects import REGISTRY
-from otf_core.effects.beam import beam_of
 from otf_core.effects.state import probe_state, state_on_path
 from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
@@ -58,24 +54,6 @@ def at(state, **changes):
 
 def test_names_of_the_contract_are_registered():
     assert set(CONTRACT) <= set(REGISTRY)
-
-
-@pytest.mark.parametrize(
-    'name', [n for n in CONTRACT if n.startswith('tracker_') and n != 'tracker_noise']
-)
-def test_tracker_effects_turn_with_the_whole_cell(name, state):
-    """Turned as a whole, tracker and points see the same: the displacement turns along."""
-    turn = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
-    effect = REGISTRY[name]
-    columns = effect.terms(state, shape_of(name)).columns
-    turned = at(state, beam=state.beam @ turn.T, R_machine_tracker=turn @ state.R_machine_tracker)
-    names = effect.terms(turned, shape_of(name)).names
-    got = effect.terms(turned, shape_of(name)).columns
-    if name == 'tracker_pose_drift':  # its coefficients are vectors in machine axes
-        got = np.concatenate(
-            [got[:, :, k : k + 3] @ turn for k in range(0, len(names), 3)], axis=2
-        )
-    np.testing.assert_allclose(got, np.einsum('ij,njk->nik', turn, columns), atol=1e-12)
 
 
 # ---------------------------------------------------------------- physics, effect by effect
@@ -272,12 +250,3 @@ def test_tracker_angles_are_those_of_the_spherical_formulas(state):
     moved = displacement('tracker_angles', state, **values)
     np.testing.assert_allclose(moved, expected, atol=2e-10)
     assert np.abs(moved).max() > 1e-6
-
-
-def test_beam_straight_up_is_no_division_by_zero():
-    state = driven_state(pose=tracker_pose())
-    up = at(state, beam=np.tile([0.0, 0, 1], (len(state), 1)), R_machine_tracker=np.eye(3))
-    assert np.all(np.isfinite(REGISTRY['tracker_angles'].terms(up, {}).columns))
-    assert np.all(np.isfinite(REGISTRY['target_incidence'].terms(up, {}).columns))
-    beam = beam_of(up)
-    np.testing.assert_allclose(np.cross(beam.e_h, beam.e_v), -beam.e_r)

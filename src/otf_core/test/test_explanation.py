@@ -19,13 +19,12 @@ from scipy.optimize import brentq
 
 from otf_core.diagnosis.engine.gap_sizes import plain_residuals, residuals_with
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.diagnosis.engine.time_courses import Jump
+from otf_core.diagnosis.engine.time_courses import JUMP
 from otf_core.diagnosis.weighing import _without_small, explain, matters
 from otf_core.effects import REGISTRY
 from otf_core.solving.residuals import FOLDS
 
 BACKLASH, LAG, TABLES = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'table_resolution'))
-JUMP = Jump()
 
 
 def single(effect, axis):

@@ -9,11 +9,9 @@ from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.search import Cause, fit_jointly
 from otf_core.effects import REGISTRY
 from otf_core.effects.action import vector
-from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
-from otf_core.effects.free_form import FreeForm
-from otf_core.effects.inputs import functions_of, scaled_input, span_of
-from otf_core.effects.located_inputs import CYCLE, found_name
+from otf_core.effects.free_form import Empirical, FreeForm
+from otf_core.effects.inputs import CYCLE, found_name, functions_of, scaled_input, span_of
 
 CYCLIC, BACKLASH = REGISTRY['cyclic_error'], REGISTRY['backlash']
 PERIOD = 0.031

@@ -5,6 +5,7 @@ The long version is ``bench/fuzz_readers.py``.
 """
 
 import resource
+import struct
 
 import mutations
 import pytest
@@ -12,13 +13,18 @@ import yaml
 import zstandard
 from bag_cells import write_rosbag
 from rosbags.rosbag2 import CompressionMode
-from test_bag_damage import chunk, record
 
 from otf_core.bags import bag_source
 from otf_core.bags.bag import read_bag
 from otf_core.bags.mcap_messages import MAGIC
 from otf_core.errors import InputError
 from otf_core.model.machine import load_machine
+
+
+def record(opcode, content):
+    """A record of an MCAP file."""
+    return struct.pack('<BQ', opcode, len(content)) + content
+
 
 COUNTS = {'machine.yaml': 20, 'effects.yaml': 20, 'program.nc': 40, 'points.csv': 40}
 COUNT = 200
@@ -60,7 +66,8 @@ def test_small_chunk_that_unpacks_to_a_gigabyte_is_refused_unread(tmp_path):
     packer = zstandard.ZstdCompressor().compressobj(size=size)
     packed = b''.join(packer.compress(bytes(1 << 24)) for _ in range(size >> 24)) + packer.flush()
     assert len(packed) < 100_000
-    body = chunk(size, 'zstd', packed)
+    head = struct.pack('<QQQII4sQ', 0, 0, size, 0, 4, b'zstd', len(packed))
+    body = record(6, head + packed)
     file = tmp_path / 'a.mcap'
     end = record(15, bytes(4)) + record(2, bytes(20))
     file.write_bytes(MAGIC + record(1, bytes(8)) + body + end + MAGIC)
@@ -76,5 +83,5 @@ def test_packed_file_that_unpacks_to_far_too_much_is_refused_unread(tmp_path, mo
     (file,) = folder.glob('*.zstd')
     assert len(read_bag(folder).samples) == 200
     file.write_bytes(zstandard.ZstdCompressor().compress(bytes(1 << 26)))
-    with pytest.raises(InputError, match='unpacks to more than 4 MB'):
+    with pytest.raises(InputError, match='4 MB'):
         read_bag(folder)

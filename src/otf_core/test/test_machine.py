@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Machine descriptions: good ones are read as they stand, every wrong one names file and key."""
 
-import numpy as np
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.model.machine import Chain, load_machine, machine_from_dict
+from otf_core.model.machine import load_machine, machine_from_dict
 
 GOOD = """name: cell-600
 chain: w-b-X-Y-Z-t
@@ -43,95 +42,51 @@ def test_values_are_read_as_they_stand(read):
     assert (machine.tracker.u_range, machine.tracker.u_angle) == (0.5e-6, 2e-6)
 
 
-def test_plain_data_of_a_machine_makes_the_same_machine(read):
-    data = read(GOOD).to_dict()
-    assert machine_from_dict(data).to_dict() == data
-
-
 @pytest.mark.parametrize('number', ['5e-07', '5E-7', '.5e-6', '0.5e-6', '0.0000005', '+5e-7'])
 def test_every_way_to_write_a_small_number_is_a_number(read, number):
     assert read(GOOD.replace('0.5e-6', number)).tracker.u_range == float(number)
 
 
 @pytest.mark.parametrize(
-    ('old', 'new', 'words'),
-    [
-        ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected text, got \['w', 'b'\]$"),
-        (
-            'name:',
-            'feed: 3\nname:',
-            'feed: unknown key; known here: name, .*, limits, .*targets, surroundings$',
-        ),
-        ('chain:', 'chian:', r'chian: unknown key; did you mean chain\?$'),
-        ('name:', 'Name:', r'Name: unknown key; did you mean name\?$'),
-        (
-            'target_offset',
-            'target_ofset',
-            r'target_ofset: unknown key; did you mean target_offset\?$',
-        ),
-        ('  u_range: 0.5e-6\n', '', 'tracker: u_range: missing$'),
-    ],
+    ('wrong', 'meant'), [('chian', 'chain'), ('Name', 'name'), ('target_ofset', 'target_offset')]
 )
-def test_messages_name_the_file_once_and_all_keys_that_are_possible(read, old, new, words):
-    with pytest.raises(ConfigError, match=words):
-        read(GOOD.replace(old, new))
-
-
-def test_whole_numbers_are_numbers(read):
-    machine = read(GOOD.replace('max: 0.6', 'max: 1'))
-    assert machine.axes['X'].max == 1.0
-    assert isinstance(machine.axes['X'].max, float)
+def test_a_key_that_is_misspelt_is_named_with_the_one_that_is_meant(read, wrong, meant):
+    with pytest.raises(ConfigError, match=rf'machine.yaml: {wrong}: .*{meant}'):
+        read(GOOD.replace(f'{meant}:', f'{wrong}:', 1))
 
 
 @pytest.mark.parametrize(
     ('old', 'new', 'key'),
     [
         ('name: cell-600\n', '', 'name: missing'),
-        ('chain: w-b-X-Y-Z-t\n', '', 'chain: missing'),
-        ('target_offset: [0.01, 0.02, -0.15]\n', '', 'target_offset: missing'),
         ('  u_angle: 2.0e-6\n', '', 'tracker: u_angle: missing'),
         (', table_pitch: 0.04', '', 'axes: Y: table_pitch: missing'),
         ('  Z: {', '  W: {', 'axes: Z: missing'),
-        ('  u_angle: 2.0e-6\n', '  u_angle: 2.0e-6\n  u_temperature: 1\n', 'u_temperature'),
         ('name: cell-600', 'name: cell-600\nfeeed: 3', 'feeed: unknown'),
         ('max: 0.5,', 'max: 0.5, maximum: 1,', 'axes: Y: maximum: unknown'),
         ('name: cell-600', 'name: a\nname: b', "'name' appears twice"),
         ('min: 0.0, max: 0.6', 'min: 0.0, min: 0.0, max: 0.6', "'min' appears twice"),
         ('name: cell-600', 'name: 600', 'name: expected text'),
-        ('name: cell-600', 'name: ""', 'name: expected text'),
-        ('name: cell-600', 'name:', 'name: expected text'),
         ('name: cell-600', r'name: "a\nG0 X100"', 'name: expected one line without control'),
-        ('name: cell-600', r'name: "a\x07"', 'name: expected one line without control'),
-        ('name: cell-600', r'name: "a\L"', 'name: expected one line without control'),
-        ('max: 0.6', 'max: 0.6 m', 'axes: X: max: expected a plain number'),
-        ('table_pitch: 0.03', "table_pitch: '0.03'", 'axes: X: table_pitch: expected a plain'),
-        ('max: 0.6', 'max: true', 'axes: X: max: expected a plain number'),
-        ('max: 0.6', 'max:', 'axes: X: max: expected a plain number'),
-        ('max: 0.6', 'max: [0.6]', 'axes: X: max: expected a plain number'),
-        ('max: 0.6', 'max: 600', 'axes: X: max: 600 is out of range'),
+        ('max: 0.6', 'max: 0.6 m', 'axes: X: max:'),
+        ('table_pitch: 0.03', "table_pitch: '0.03'", 'axes: X: table_pitch:'),
+        ('max: 0.6', 'max: true', 'axes: X: max:'),
+        ('max: 0.6', 'max: 600', 'axes: X: max:'),
         ('max: 0.6', 'max: .nan', 'axes: X: max: nan'),
-        ('max: 0.6', 'max: .inf', 'axes: X: max: inf'),
-        ('min: 0.0, max: 0.6', 'min: 0.6, max: 0.6', 'axes: X: max: 0.6 m is not above min'),
-        ('min: -0.4, max: 0.0', 'min: 0.4, max: 0.0', 'axes: Z: max: 0.0 m is not above min'),
-        ('table_pitch: 0.03', 'table_pitch: 0', 'axes: X: table_pitch: 0 is out of range'),
-        ('table_pitch: 0.03', 'table_pitch: -0.03', 'axes: X: table_pitch: -0.03 is out of range'),
+        ('min: 0.0, max: 0.6', 'min: 0.6, max: 0.6', 'axes: X: max:'),
+        ('table_pitch: 0.03', 'table_pitch: 0', 'axes: X: table_pitch:'),
         ('table_pitch: 0.03', 'table_pitch: 30', 'axes: X: table_pitch: 30'),
-        ('table_pitch: 0.03', 'table_pitch: 1e-6', 'axes: X: table_pitch: 1e-06'),
         ('[0.01, 0.02, -0.15]', '[0.01, 0.02]', 'target_offset: expected a list of 3'),
-        ('[0.01, 0.02, -0.15]', '0.15', 'target_offset: expected a list of 3'),
         ('[0.01, 0.02, -0.15]', '[0.01, 0.02, .nan]', 'target_offset: nan'),
-        ('[0.01, 0.02, -0.15]', "[0.01, 0.02, '1']", 'target_offset: expected a plain number'),
         ('[0.01, 0.02, -0.15]', '[10, 20, -150]', 'target_offset: [10.0, 20.0, -150.0] m'),
-        ('0.5e-6', '0', 'tracker: u_range: 0 is out of range'),
-        ('0.5e-6', '-1e-6', 'tracker: u_range: -1e-06 is out of range'),
-        ('0.5e-6', '0.5', 'tracker: u_range: 0.5 is out of range'),
-        ('0.5e-6', '0.5 um', 'tracker: u_range: expected a plain number'),
+        ('0.5e-6', '0', 'tracker: u_range:'),
+        ('0.5e-6', '0.5', 'tracker: u_range:'),
+        ('0.5e-6', '0.5 um', 'tracker: u_range:'),
         (
             'tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n',
             'tracker: 3\n',
             'tracker: expected a',
         ),
-        ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker:\n', 'tracker: expected a'),
     ],
 )
 def test_wrong_content_names_file_and_key(read, old, new, key):
@@ -156,80 +111,23 @@ def test_chain_that_is_none_is_refused_with_its_text(read, chain):
     assert f"'{chain}'" in str(caught.value)
 
 
-@pytest.mark.parametrize('text', ['', '[]', '3', 'just text', 'null'])
-def test_file_without_keys_is_refused(read, text):
-    with pytest.raises(ConfigError, match=r'machine\.yaml: expected a mapping'):
-        read(text)
-
-
-@pytest.mark.parametrize(
-    'text',
-    ['a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', '{a: 1', 'name: "x'],
-)
-def test_broken_yaml_names_file_line_and_column(read, text):
-    with pytest.raises(
-        ConfigError, match=r'machine\.yaml: not valid YAML at line \d+, column \d+'
-    ):
-        read(text)
-
-
-@pytest.mark.parametrize('text', [b'\xff\xfe\x00\x01', b'name: \xe4\n', b'\x89PNG\r\n\x1a\n\x00'])
-def test_binary_file_is_no_yaml(read, text):
-    with pytest.raises(ConfigError, match=r'machine\.yaml: not'):
-        read(text)
-
-
 @pytest.mark.parametrize(
     'text',
     [
+        *('', '[]', 'a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', 'name: "x'),
+        *(b'\xff\xfe\x00\x01', b'name: \xe4\n', '[' * 3000),
         GOOD.replace('cell-600', '{{ cell_name }}'),  # template that was not filled in
         GOOD.replace('name:', '? [name]\n:'),
         GOOD.replace('cell-600', '2023-13-45'),  # no such month
         GOOD.replace('cell-600', '!!int x'),
-        GOOD.replace('cell-600', '!!float abc'),
         GOOD.replace('axes:', 'axes: !!map [1]\nmore:'),
         GOOD.replace('max: 0.6', 'max: 1' + 400 * '0'),
-        '[' * 3000,
+        GOOD.replace('cell-600', '!!python/object/apply:os.getcwd []'),
     ],
-    ids=['template', 'list-key', 'date', 'int-tag', 'float-tag', 'map-tag', 'huge', 'nested'],
 )
-def test_yaml_that_trips_its_parser_is_a_config_error_too(read, text):
+def test_what_is_no_yaml_of_a_machine_is_refused_with_the_file(read, text):
     with pytest.raises(ConfigError, match=r'machine\.yaml'):
         read(text)
-
-
-def test_python_tags_are_refused(read):
-    with pytest.raises(ConfigError, match='not valid YAML'):
-        read(GOOD.replace('cell-600', '!!python/object/apply:os.getcwd []'))
-
-
-def test_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r'nowhere\.yaml: cannot be read'):
-        load_machine(tmp_path / 'nowhere.yaml')
-    with pytest.raises(ConfigError, match='cannot be read'):
-        load_machine(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ('text', 'table', 'target'),
-    [
-        ('w-b-X-Y-Z-t', (), ('X', 'Y', 'Z')),
-        ('w-Y-b-X-Z-t', ('Y',), ('X', 'Z')),
-        ('w-X-Y-b-Z-t', ('X', 'Y'), ('Z',)),
-        ('w-Z-Y-X-b-t', ('Z', 'Y', 'X'), ()),
-    ],
-)
-def test_chain_splits_at_the_base(text, table, target):
-    chain = Chain.parse(text)
-    assert (chain.table_side, chain.target_side) == (table, target)
-    assert chain.axis_names == ('X', 'Y', 'Z'), 'the order of the columns of positions'
-    assert str(chain) == text
-
-
-def test_arrays_of_ranges_follow_the_axis_order_not_the_file_order(read):
-    lines = GOOD.splitlines(keepends=True)
-    swapped = ''.join([*lines[:3], lines[5], lines[4], lines[3], *lines[6:]])
-    np.testing.assert_array_equal(read(swapped).lower, [0.0, 0.0, -0.4])
 
 
 FIVE = """\
@@ -264,28 +162,28 @@ def test_five_axes_are_read_and_written_back(read):
 @pytest.mark.parametrize(
     ('old', 'new', 'words'),
     [
-        ('max: 6.2832', 'max: 360', r'C: max: 360 rad .*; is it in degrees\? Write 6.28319 rad'),
-        ('table_pitch: 0.1,', 'table_pitch: 5,', r'axes: A: table_pitch: 5.0 rad .* in degrees\?'),
+        ('max: 6.2832', 'max: 360', r'C: max: .*degrees.* 6\.28319'),
+        ('table_pitch: 0.1,', 'table_pitch: 5,', 'axes: A: table_pitch: .*degrees'),
         ('kind: rotary, min: -0.5', 'min: -0.5', 'axes: A: kind: missing'),
-        ('[2, 0, 0]', '[0, 0, 0]', 'axes: A: direction: is zero'),
+        ('[2, 0, 0]', '[0, 0, 0]', 'axes: A: direction:'),
         (', centre: [0, 0, 0.05]', '', 'axes: A: centre: missing'),
-        ('endless: true', 'endless: 1', 'axes: C: endless: expected true or false'),
-        ('max: 6.2832', 'max: 3.1', 'axes: C: max: of an endless axis a full turn above min'),
-        ('[0, 0, 0.05]', '[0, 0, 50.0]', 'axes: A: centre: .* is it in mm'),
-        ('w-C-A-b', 'w-C-b', 'axes: A: is not in the chain w-C-b-Y-X-Z-t'),
+        ('endless: true', 'endless: 1', 'axes: C: endless:'),
+        ('max: 6.2832', 'max: 3.1', 'axes: C: max:'),
+        ('[0, 0, 0.05]', '[0, 0, 50.0]', 'axes: A: centre: .*mm'),
+        ('w-C-A-b', 'w-C-b', 'axes: A: .* w-C-b-Y-X-Z-t'),
         ('min: -0.3, max', 'kind: rotary, min: -0.3, max', "axes: X: kind: must be 'linear'"),
-        ('link: b', 'link: t', 'tracker: link: expected .w.'),
-        ('link: w', 'link: b', 'targets: nest-1: link: expected .w.'),
-        ('u: 1.0e-3', 'u: 1.0', 'targets: nest-1: u: 1 is out of range'),
-        ('place: [0.2', 'place: [200', 'targets: nest-1: place: .*unit is m, not mm'),
+        ('link: b', 'link: t', 'tracker: link:'),
+        ('link: w', 'link: b', 'targets: nest-1: link:'),
+        ('u: 1.0e-3', 'u: 1.0', 'targets: nest-1: u:'),
+        ('place: [0.2', 'place: [200', 'targets: nest-1: place: .*unit'),
         ('tool: {u', 'tool: {link: w, u', "targets: tool: place: the target 'tool'"),
-        ('w-C-A-b', 'w-C-A-B-b', 'it has 3 rotary axes, 2 at most'),
-        ('u: 1.0e-3}', 'u: 1.0e-3, height: 1}', 'targets: nest-1: height: unknown key'),
-        ('u: 1.0e-3}', 'u: 1.0e-3, facings: 2.5}', 'facings: expected a whole number, got 2.5'),
+        ('w-C-A-b', 'w-C-A-B-b', '3 rotary axes'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, height: 1}', 'targets: nest-1: height:'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, facings: 2.5}', 'facings: .* 2.5'),
         ('u: 1.0e-3}', 'u: 1.0e-3, facings: 90}', 'facings: 90 is out of range'),
-        ('u: 1.0e-3}', 'u: 0.0, facings: 3}', 'nest-1: facings: goes with u above 0'),
-        ('u: 1.0e-3}', 'u: 1.0e-3, u_facing: 1.0e-6}', 'u_facing: goes with facings'),
-        ('u: 5.0e-6}', 'u: 5.0e-6, facings: 3}', 'tool: facings: of a reflector on the table'),
+        ('u: 1.0e-3}', 'u: 0.0, facings: 3}', 'nest-1: facings:'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, u_facing: 1.0e-6}', 'u_facing:'),
+        ('u: 5.0e-6}', 'u: 5.0e-6, facings: 3}', 'tool: facings:'),
     ],
 )  # fmt: skip
 def test_mistakes_in_rotary_axes_and_targets_name_the_key(read, old, new, words):

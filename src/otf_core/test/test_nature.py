@@ -14,7 +14,6 @@ from nature import (
     target_on_table,
     tilted,
 )
-from nature_forms import FORMS, Curve, draw_curve
 from nature_tracker import coloured
 
 OFFSET = np.array([0.02, -0.03, -0.15])
@@ -30,13 +29,6 @@ def constant(value):
 
 def some_points(seed=0, count=20):
     return np.random.default_rng(seed).uniform(-0.4, 0.6, (count, 3))
-
-
-@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
-def test_no_error_means_no_error(chain):
-    curves, square = nothing()
-    q = some_points()
-    assert np.abs(target_on_table(chain, OFFSET, curves, square, q) - q).max() < 1e-15
 
 
 def test_yaw_of_one_axis_on_the_target_side_by_hand():
@@ -90,34 +82,6 @@ def test_squareness_tilts_the_axis_to_the_side_that_the_contract_says(name, axis
     direction = tilted(**{name.lower(): 1e-3})[axis]
     assert direction @ towards == pytest.approx(np.sin(1e-3), rel=1e-6)
     assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-15)
-
-
-def test_all_errors_together_are_the_sum_to_second_order():
-    for chain in CONTRACT_CHAINS:
-        cell = Cell(2, chain, form='legendre', path='short', offset=OFFSET)
-        q = cell.lattice()
-        influence = influences(chain, OFFSET, q)
-        total = sum(cell.square[n] * influence[n] for n in SQUARE)
-        for n in NAMES:
-            total = total + cell.curves[n](q[:, 'XYZ'.index(n[2])])[:, None] * influence[n]
-        assert np.abs(cell.error(q)).max() > 5e-5
-        assert np.abs(cell.error(q) - total).max() < 2e-7
-
-
-@pytest.mark.parametrize('form', FORMS)
-def test_forms_are_of_the_size_asked_for(form):
-    rng = np.random.default_rng(5)
-    peaks = [np.abs(draw_curve(rng, form, -0.2, 0.4, 6e-5, 0.03).value).max() for _ in range(40)]
-    assert 3e-5 < np.median(peaks) < 9e-5
-
-
-def test_kinked_breaks_and_waves_do_not():
-    def steepest_turn(form):
-        curve = draw_curve(np.random.default_rng(3), form, 0.0, 1.0, 1.0, 0.1)
-        return np.abs(np.diff(np.diff(curve.value) / np.diff(curve.position))).max()
-
-    assert steepest_turn('kinked') > 0.5
-    assert steepest_turn('waves') < 0.05
 
 
 def test_noise_has_the_variance_and_the_colour_asked_for():
@@ -178,11 +142,3 @@ def test_judging_true_tables_leaves_nothing_and_zero_tables_everything():
     count = 3 + sum(len(m.value) for m in motions.values())
     found = judge(cell, true, 1e-12 * np.eye(count))
     assert found.within_2u_percent == 100.0
-
-
-def test_a_rigid_motion_is_no_error():
-    cell = Cell(7, form='polygon', path='short')
-    tables = zero_tables(cell.machine)
-    before = judge(cell, tables).before_um
-    cell.curves['EXX'] = Curve(cell.curves['EXX'].position, cell.curves['EXX'].value + 1e-3)
-    assert judge(cell, tables).before_um == pytest.approx(before, rel=1e-3)

@@ -15,7 +15,6 @@ from core_cells import (
     transform_pose,
     zero_tables,
 )
-from scipy.stats import multivariate_normal
 
 from otf_core.model.path import leg_bounds
 from otf_core.noise.noise_model import (
@@ -34,14 +33,11 @@ from otf_core.noise.noise_model import (
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import cubic, layout
 from otf_core.solving.variance_components import (
-    LOWER_BOUNDS,
     PRIOR_SIGMAS,
-    UPPER_BOUNDS,
     _lines,
     _slopes,
     fit_noise,
 )
-from otf_core.solving.whitener import Whitener
 
 RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)
 ANGLE = NoiseComponent(2e-6, 2e-6 * np.sqrt(0.4), 0.3)
@@ -98,31 +94,6 @@ def drawn(rows, logs, seed):
     return found
 
 
-def test_score_is_the_slope_of_the_density_with_tables_and_pose_integrated_out(short):
-    A = (short.system.design @ short.unknowns.gauge).toarray()
-    prior = np.full(A.shape[1], 1e-5) ** 2
-    y = A @ (1e-5 * np.random.default_rng(1).standard_normal(A.shape[1]))
-    y += drawn(short, START + np.array([0.5, 0.3, 0.2, 4.0, 5.0]), 2).ravel()
-    logs = START + np.array([0.2, -0.3, 0.4, 3.0, 4.0])
-    weight = np.linalg.inv(dense(short, logs))
-    own = np.linalg.inv(A.T @ weight @ A + np.diag(1 / prior))
-    residual = (y - A @ (own @ (A.T @ weight @ y))).reshape(2, -1)
-    gauge = short.unknowns.gauge.toarray()
-    lines = _lines(short.system, short.pieces, residual, gauge @ own @ gauge.T)
-    score, information = _slopes(NOISE, logs, lines)
-
-    def density(at):
-        return multivariate_normal.logpdf(y, cov=dense(short, at) + (A * prior) @ A.T)
-
-    for j, found in enumerate(score):
-        step = 1e-3 * np.eye(5)[j]
-        near = (density(logs + step) - density(logs - step)) / 2e-3
-        # the derivative by the correlation time is itself a difference of 0.1 %
-        assert found == pytest.approx(near, abs=2e-3 * np.abs(score).max())
-    assert np.abs(score).min() > 0.02
-    assert np.linalg.eigvalsh(information).min() > 0
-
-
 TRUTH = START + np.array([0.6, -0.5, 0.7, 2 * np.log(8.0), 2 * np.log(12.0)])
 """White noise up, slow noise down and slower, misfit of 0.4 um and 0.6 um."""
 
@@ -141,14 +112,6 @@ def test_sizes_are_found_again_within_their_uncertainty(long):
     # 20 ratios of five correlated sizes each time, of a standard deviation of 1
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.6
     assert np.abs(ratios).max() < 3.5
-
-
-def test_white_and_slow_noise_as_stated_stay(long):
-    nothing = np.zeros((long.unknowns.full,) * 2)
-    found = fit_noise(long.system, long.pieces, drawn(long, START, 9), NOISE, nothing).logs
-    assert np.abs(found[[WHITE, SLOW, TIME]] - START[[WHITE, SLOW, TIME]]).max() < 0.5
-    assert misfit_of(found).independent < 4e-7
-    assert misfit_of(found).slow < 4e-7
 
 
 def test_estimates_that_took_up_noise_are_allowed_for():
@@ -186,17 +149,6 @@ def test_the_prior_holds_what_residuals_do_not_show(short):
     assert np.abs(alone - START)[[WHITE, SLOW, TIME]].max() < 0.7
 
 
-@pytest.mark.parametrize('size', [0.0, 1e-2])
-def test_sizes_stay_in_their_bounds(short, size):
-    nothing = np.zeros((short.unknowns.full,) * 2)
-    residual = size * np.random.default_rng(5).standard_normal((2, len(short.pieces)))
-    found = fit_noise(short.system, short.pieces, residual, NOISE, nothing).logs
-    assert np.all(found >= LOWER_BOUNDS)
-    assert np.all(found <= UPPER_BOUNDS)
-    assert misfit_of(found).independent >= 2e-8 * (1 - 1e-12)
-    assert misfit_of(found).slow >= 2e-8 * (1 - 1e-12)
-
-
 def test_factors_act_on_white_and_slow_variance_each_for_itself():
     found = scale_noise(NOISE, np.array([np.log(3.0), np.log(0.5), np.log(0.8), 0.0, 0.0]))
     for part, old, before in zip(found, (1e-6, 2e-6, 2e-6), (0.5, 0.4, 0.4), strict=True):
@@ -226,19 +178,3 @@ def test_parts_of_the_covariance_are_averages_of_the_processes_over_the_pieces()
     np.testing.assert_allclose(found[1], slow, rtol=1e-4)
     np.testing.assert_allclose(found[2], 1e-14)
     np.testing.assert_allclose(found[3], 9e-14 * mean(3.0), rtol=1e-4)
-
-
-def test_whitening_by_leg_is_that_of_the_whole_covariance():
-    rows = rows_of(ZIGZAG, 0.05)
-    logs = START + np.array([0.3, -0.2, 0.1, 4.0, 5.0])
-    covariance = dense(rows, logs)
-    whitener = Whitener.of(rows.system, rows.pieces, scale_noise(NOISE, logs), misfit_of(logs))
-    values = np.random.default_rng(8).normal(size=(2, len(rows.pieces), 3))
-    white, flat = whitener.whiten(values), values.reshape(-1, 3)
-    wanted = np.linalg.solve(covariance, flat)
-    np.testing.assert_allclose(whitener.weighted(values).reshape(-1, 3), wanted, rtol=1e-8)
-    again = whitener.whiten_transposed(white).reshape(-1, 3)
-    np.testing.assert_allclose(again, wanted, rtol=1e-8)
-    np.testing.assert_allclose(whitener.unwhiten(white), values, rtol=1e-9)
-    spread = np.sqrt(np.diag(covariance)).reshape(2, -1)
-    np.testing.assert_allclose(whitener.expected, spread, rtol=1e-9)

@@ -116,14 +116,6 @@ def test_noise_json_is_read_as_it_was_written(rest, tmp_path):
         assert noise_to_fields(read_noise(tmp_path / 'noise.json'))[key] == data[key]
 
 
-def test_noise_that_is_all_white_can_be_planned_with(tmp_path):
-    white = at_rest(6, 4.0, 250.0, 3, LEVEL, white=(1.0, 1.0, 1.0))
-    write_document(noise_report(white, SPEED), tmp_path)
-    found = read_noise(tmp_path / 'noise.json')
-    assert [c.correlation_time for c in found] == [0.0] * 3
-    np.testing.assert_array_equal(found.white, found.level)
-
-
 @pytest.mark.parametrize(
     ('changed', 'message'),
     [

@@ -1,24 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise of standstills: level, colour, tails, peaks, and what is left out."""
 
-import json
-
 import numpy as np
 import pytest
 from core_cells import START_NS, some_machine
-from html_cells import Page, unloading
 
-from otf_core import cli
-from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import InputError
-from otf_core.model.expanded import with_expanded
 from otf_core.model.observation import Samples
-from otf_core.model.path import NominalPath
 from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.reports.noise_report import format_noise
-from otf_core.reports.rendering import typeset
 from otf_core.sim.tracker import measure
 
 
@@ -77,14 +69,6 @@ def test_level_and_colour_are_those_of_the_simulation(
     assert 0.4 < noise.range.correlation_time / correlation_time < 2.5
 
 
-def test_white_noise_has_no_correlation_time():
-    samples = stops(5, 4.0, share=0.0)
-    noise = standstill_noise(samples, find_standstills(samples, SPEED)).noise
-    assert [c.correlation_time for c in noise] == [0.0] * 3
-    np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.05)
-    assert 'the noise is white' in text_of(noise_report(samples, SPEED))
-
-
 def test_standstills_in_which_the_target_creeps_are_left_out():
     def creep(k, time):
         return (k % 2) * 60e-6 * np.exp(-time)[:, None] * [1, 1, 0]
@@ -93,31 +77,6 @@ def test_standstills_in_which_the_target_creeps_are_left_out():
     report = noise_report(samples, SPEED)
     assert report.windows_left_out >= 8
     np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
-
-
-def test_a_short_stretch_in_which_the_target_turns_back_is_no_standstill():
-    def turning(k, time):
-        slow, away = 60e-6 * time, 0.1 * np.maximum(time - 0.4, 0.0)
-        return (k % 2) * (slow + away)[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3
-
-    samples = stops(24, 1.0, add=turning)
-    runs = find_standstills(samples, 5e-4)
-    assert np.sum(np.diff(runs, axis=1) < 0.5 * RATE) == 12
-    seen = standstill_noise(samples, runs)
-    assert seen.windows == seen.left_out == 12
-    np.testing.assert_allclose(relative(seen.noise)[0], 1.0, atol=0.3)
-
-
-def test_settling_and_the_next_start_are_no_noise():
-    def settling(k, time):
-        ringing = np.exp(-time / 0.2) * np.cos(2 * np.pi * 12 * time)
-        move = 40e-6 * np.exp(-time / 0.15) + 20e-6 * ringing + 80e-6 * (time > 2.9)
-        return move[:, None] * [1.0, -0.5, 0.3]
-
-    quiet, settled = (noise_report(stops(12, 3.0, add=a), SPEED) for a in (None, settling))
-    np.testing.assert_allclose(relative(settled.noise)[0], relative(quiet.noise)[0], rtol=0.15)
-    np.testing.assert_allclose(relative(settled.noise)[1], relative(quiet.noise)[1], rtol=0.05)
-    assert settled.duration > 0.6 * quiet.duration
 
 
 def test_a_step_is_told_and_is_no_noise():
@@ -196,31 +155,6 @@ def test_short_stops_give_a_noise_model_without_bias():
     assert min(ratio) > 0.7 and max(ratio) < 1.4
 
 
-def test_little_standstill_does_not_contradict_the_specified_level():
-    spec = some_machine().tracker
-    models = [
-        noise_model(stops(2, 3.0, seed=s, share=0.93, correlation_time=1.0), spec, SPEED)
-        for s in range(10)
-    ]
-    assert sum(m.vertical.level == spec.u_angle for m in models) >= 9
-
-
-def test_a_held_point_is_no_quiet_standstill():
-    samples = stops(8, 3.0)
-    samples.xyz[:1600] = samples.xyz[0]  # the first stop
-    seen = standstill_noise(samples, find_standstills(samples, SPEED))
-    assert seen.windows == 7
-    np.testing.assert_allclose(relative(seen.noise)[0], 1.0, atol=0.3)
-
-
-def test_recordings_of_one_tracker_agree_within_their_stated_uncertainties():
-    reports = [noise_report(stops(1, 15.0, seed=s, rate=250.0), SPEED) for s in range(6)]
-    levels = np.array([r.noise.level for r in reports])
-    stated = np.array([[r.uncertainty.u_range, *r.uncertainty.u_angle] for r in reports])
-    # jackknife of ten groups: itself known to some 30 %
-    assert 0.5 < np.mean(levels.std(axis=0, ddof=1) / stated.mean(axis=0)) < 2.0
-
-
 def test_vibration_is_a_peak_with_its_frequency_and_size():
     def shaken(k, time):
         return 0.6e-6 * np.sin(2 * np.pi * 37.0 * time)[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3
@@ -230,10 +164,6 @@ def test_vibration_is_a_peak_with_its_frequency_and_size():
     assert [round(p.frequency) for p in along] == [37]
     assert along[0].rms == pytest.approx(0.6e-6 / np.sqrt(2), rel=0.3)
     assert 'peak of the range at 37' in text_of(report)
-
-
-def test_noise_without_vibration_shows_no_peaks():
-    assert sum(len(noise_report(stops(4, 5.0, seed=s), SPEED).peaks) for s in range(5)) == 0
 
 
 def test_heavy_tails_are_told_from_normal_ones():
@@ -248,61 +178,3 @@ def test_heavy_tails_are_told_from_normal_ones():
     tail = noise_report(heavy, SPEED).tails['range']
     assert tail.excess_kurtosis > 1.0
     assert 3.0 < tail.student_freedom < 6.0
-
-
-def test_without_standstill_it_says_so():
-    samples = stops(1, 0.8)
-    with pytest.raises(InputError, match=r'0\.7 s of standstill'):
-        noise_report(samples, SPEED)
-    moving = Samples(samples.stamp_ns, samples.xyz + 0.1 * samples.time[:, None])
-    with pytest.raises(InputError, match=r'0\.0 s of standstill'):
-        noise_report(moving, SPEED)
-
-
-def test_standstills_without_noise_are_called_that():
-    samples = stops(3, 2.0)
-    with pytest.raises(InputError, match='repeat without any noise'):
-        noise_report(Samples(samples.stamp_ns, samples.xyz.round(3)), SPEED)
-
-
-def test_little_standstill_and_rounding_are_warned_of():
-    samples = stops(1, 2.0)
-    text = format_noise(
-        noise_report(Samples(samples.stamp_ns, samples.xyz.round(5)), SPEED).to_dict()
-    )
-    assert 'WARNING only 1.9 s of standstill' in text
-    assert 'the recording is rounded' in text
-
-
-def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
-    samples = stops(3, 4.0)
-    path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    write_bag(tmp_path / 'bag', BagContent(samples, path))
-    assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
-    data = json.loads((tmp_path / 'out' / 'noise.json').read_text())
-    keys = ['u_range', 'u_angle', 'white_range', 'white_angle', 'correlation_time']
-    assert list(data)[:8] == ['schema', *keys, 'standstills', 'samples']
-    assert data['schema'] == 'otf-noise/1'
-    assert len(data['u_angle']) == len(data['white_angle']) == 2
-    block = data.pop('provenance')
-    assert (block['verb'], block['runs'][0]['samples']) == ('noise', len(samples))
-    own = json.loads(json.dumps(noise_report(samples, SPEED).to_dict()))
-    assert own.pop('provenance') and data == own
-    assert (data['standstills'], data['windows']) == (3, 3)
-    assert not list((tmp_path / 'out').glob('*.svg'))
-    source = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
-    page = Page(source)
-    assert page.faults == [] and unloading(source) == []
-    level, wide = 1e6 * data['u_range'], 2e6 * data['uncertainty']['u_range']
-    assert page.rows('Levels')[0][1] == typeset(f'{with_expanded(level, wide)} um')
-    assert source.count('<svg') == 6
-    assert 'correlation time' in capsys.readouterr().out
-
-
-def test_command_refuses_a_bag_without_standstill(tmp_path, capsys):
-    samples = stops(1, 0.5)
-    path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    write_bag(tmp_path / 'bag', BagContent(samples, path))
-    assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 3
-    assert not (tmp_path / 'out').exists()
-    assert 'record while the target stands still' in capsys.readouterr().err

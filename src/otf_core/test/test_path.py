@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from otf_core.errors import InputError, ShapeError
-from otf_core.model.path import Legs, NominalPath, leg_bounds, sides_of_travel
+from otf_core.errors import InputError
+from otf_core.model.path import Legs, NominalPath, sides_of_travel
 
 # along X, a dwell, on along X, a repeated end, then up Y
 L_SHAPE = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0]]
@@ -29,17 +29,6 @@ def test_corners_are_where_the_direction_changes_and_the_two_ends():
     assert [L_SHAPE[i] for i in index] == corners.tolist()
 
 
-def test_point_of_return_on_a_line_is_a_corner():
-    corners, _ = path([[0, 0, 0], [0.3, 0, 0], [0.1, 0, 0]]).corners()
-    assert len(corners) == 3
-
-
-def test_slight_bend_is_a_corner():
-    # 0.01 mm over 0.2 m is less than any tolerance of the matching, but no straight line
-    corners, _ = path([[0, 0, 0], [0.1, 1e-5, 0], [0.2, 0, 0]]).corners()
-    assert len(corners) == 3
-
-
 @pytest.mark.parametrize(
     ('points', 'reason'),
     [
@@ -55,12 +44,6 @@ def test_points_without_motion_are_no_path(points, reason):
         path(points)
 
 
-@pytest.mark.parametrize('shape', [(3,), (2, 2), (2, 3, 1)])
-def test_points_of_wrong_shape_are_no_path(shape):
-    with pytest.raises(ShapeError, match=r'shape \(n, 3\)'):
-        NominalPath(np.zeros(shape))
-
-
 def test_axis_that_stands_stays_on_the_side_of_its_last_travel():
     unit = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 1e-9], [0, 0, -1.0]])
     wanted = [[0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, -1, -1]]
@@ -74,15 +57,6 @@ def test_places_on_legs():
     along = legs.along(points, leg)
     assert along.tolist() == pytest.approx([1.0, 0.1])
     np.testing.assert_allclose(legs.at(along, leg), [[0.6, 0.8, 0], [0.3, 0.4, 0.1]], atol=1e-15)
-
-
-def test_a_point_where_the_machine_waits_has_no_direction():
-    legs = Legs(np.array(L_SHAPE, float))
-    np.testing.assert_allclose(legs.unit, path(L_SHAPE).directions, atol=1e-15)
-
-
-def test_a_leg_that_comes_again_is_another_part():
-    assert leg_bounds(np.array([4, 4, 4, 0, 4])) == [(0, 3), (3, 4), (4, 5)]
 
 
 def test_point_beyond_all_machines_is_refused_before_lengths_overflow():

@@ -7,18 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_cells import run
 from test_rotary_exports import five_axes
 
 from otf_core.comparison.compare import compare, load_sources
 from otf_core.errors import ConfigError
-from otf_core.fleet.document import fleet_document
-from otf_core.fleet.fleet import JobResult
 from otf_core.model.chain import displacement, rotations
 from otf_core.model.evaluation import without_rigid_motion
-from otf_core.model.tables import MotionTable, ScalarError
+from otf_core.model.tables import MotionTable
 from otf_core.prediction.calibration_document import tables_to_dict
-from otf_core.reports.fleet_report import fleet_pages, fleet_rows
 from otf_core.sim.cell import random_tables
 
 GAUGE = {'gauge': 'one gauge'}
@@ -48,29 +44,6 @@ def changed(tables, ecc=0.0, x0c=0.0):
     own = tables.location['X0C']
     location = {**tables.location, 'X0C': replace(own, value=own.value + x0c)}
     return replace(tables, motions=motions, location=location)
-
-
-def test_compare_states_differences_of_rotary_motions_and_location_errors(
-    tables, tmp_path, capsys
-):
-    a = written(tmp_path, 'a', tables)
-    b = written(tmp_path, 'b', changed(tables, ecc=1e-5, x0c=3e-5))
-    assert run('compare', a, b, '--out', tmp_path / 'out') == 0
-    shown = capsys.readouterr().out
-    ecc, x0c = (next(r for r in shown.splitlines() if r.startswith(n)) for n in ('ECC', 'X0C'))
-    assert ecc.split()[1:3] == ['urad', '20.00']  # 1e-5 of 2 rad, either way
-    assert '114.59 deg' in ecc
-    assert x0c.split()[1:3] == ['um', '30.00']
-    assert 'E_n <= 1 for' in shown
-    assert 'not compared: EBA' in shown
-    data = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
-    largest = 30 / (2 * 2**0.5 * 2)  # by its own u, to which that of the motions of C adds
-    assert 1 < data['location']['X0C']['normalised_error'] < largest
-    assert data['motions']['ECC']['position_unit'] == 'rad'
-    assert data['motions']['EXC']['largest_difference'] < 1e-15
-    assert data['volume']['mae_difference'] > 1e-6
-    assert 'EBA' in data['not_compared']
-    assert 'X0C' in (tmp_path / 'out' / 'report.html').read_text()
 
 
 def compared(a, b):
@@ -145,39 +118,3 @@ def test_other_nominal_lines_are_refused(tables, tmp_path):
     other = replace(tables, machine=replace(machine, axes={**machine.axes, 'C': moved}))
     with pytest.raises(ConfigError, match='direction or centre of C'):
         compared(written(tmp_path, 'a', tables), written(tmp_path, 'b', other))
-
-
-def test_history_takes_machines_with_rotary_axes(tables, tmp_path):
-    a, store = written(tmp_path, 'a', tables), tmp_path / 'store'
-    for day in ('01', '02'):
-        assert run('history', store, '--add', a, '--at', f'2026-01-{day}') == 0
-    assert run('history', store, '--out', tmp_path / 'page') == 0
-    names = {f.name for f in (tmp_path / 'page').iterdir()}
-    assert {'history.html', 'history.json'} <= names
-
-
-def test_fleet_shows_location_errors_of_rotary_axes(tables, tmp_path):
-    hidden = {**tables.location, 'A0C': ScalarError(0.0, 0.0, identifiable=False)}
-    tables = replace(tables, location={**hidden, 'X0C': ScalarError(1.25e-5, 1e-6)})
-    folder = tmp_path / 'one'
-    folder.mkdir()
-    extra = {
-        'verdicts': {'machine': {'state': 'fail'}, 'measurement': {'good': True}},
-        'not_identifiable': ['A0C', 'EBA'],
-        'headline': {
-            'error': {'mean': 5e-5, 'max': 1e-4},
-            'u_of_largest': 2.5e-6,
-            'k': 2.0,
-            'u': {'mean': 1e-6, 'max': 2.5e-6},
-            'u_run': {'mean': 1e-7, 'max': 2e-7},
-        },
-        'target_offset_bound': {'contains': {}, 'offset': [0.0, 0.0, 0.0]},
-    }
-    written(folder, 'error_tables', tables, **extra)
-    outcomes = {'one': JobResult(0, '', 'x')}
-    doc = fleet_document('calibrate', tmp_path, outcomes).to_dict()
-    _, (row,), _ = fleet_rows(doc)
-    assert 'X0C 12.5 +/- 2.0 um' in row[-1]
-    assert 'A0C not known' in row[-1]
-    assert row[3].words == 'broken'
-    assert 'X0C' in fleet_pages(doc)['fleet.html']

@@ -2,24 +2,20 @@
 """Exports of machines with rotary axes, read back and applied by transforms of their own."""
 
 import itertools
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_cells import message, run
 from export_readers import etalon_blocks, evenly, sinumerik_values
 from test_chain import constant, machine_of
 
-from otf_core.errors import ConfigError
-from otf_core.exports import HOMES, export_format
-from otf_core.exports.format import THREE_AXES, Request, remaining_error
+from otf_core.exports import export_format
+from otf_core.exports.format import Request, remaining_error
 from otf_core.exports.pivot import correct_axis_lines
-from otf_core.exports.terms import linear_tables
 from otf_core.model.chain import exact_position, nominal_position
 from otf_core.model.tables import MotionTable, ScalarError
-from otf_core.prediction.calibration_document import CalibrationDocument, tables_to_dict
+from otf_core.prediction.calibration_document import CalibrationDocument
 from otf_core.prediction.predict import Predictor
 from otf_core.sim.cell import random_tables
 
@@ -231,43 +227,6 @@ def test_every_column_has_its_sign(name):
             assert after.max() < 0.02 * before.max()
 
 
-def test_isg_csv_states_units_frame_and_that_orientation_keeps_its_error():
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
-    made = exported('isg', tables)
-    text = made.files['cell.txt'].decode()
-    assert 'only the position of the tool is corrected' in text
-    assert any('only the position' in remark for remark in made.remarks)
-    assert any('set the workpiece zero anew' in remark for remark in made.remarks)
-    rows = [line.split('\t') for line in text.splitlines()]
-    start = next(k for k, row in enumerate(rows) if row[0] == 'C')
-    nodes = np.degrees(tables.motions['ECC'].position)
-    assert [float(row[0]) for row in rows[start + 1 : start + 1 + len(nodes)]] == pytest.approx(
-        nodes
-    )
-    assert 'X0C' in text and 'PXC' in text
-    left = remaining_error(tables, made.held)
-    assert left.after_mean < 1e-3 * left.before_mean
-
-
-def test_unseen_errors_of_rotary_axes_are_named_in_the_file():
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
-    location = dict(tables.location)
-    location['A0C'] = replace(location['A0C'], value=0.0, identifiable=False)
-    motions = dict(tables.motions)
-    motions['ECC'] = replace(motions['ECC'], value=0.0 * motions['ECC'].value, identifiable=False)
-    made = exported('isg', replace(tables, location=location, motions=motions))
-    (words,) = [r for r in made.remarks if 'does not determine' in r]
-    assert 'A0C' in words and 'ECC' in words
-    assert words in made.files['cell.txt'].decode()
-
-
-@pytest.mark.parametrize('name', [n for n in HOMES if export_format(n).holds == THREE_AXES])
-def test_a_format_of_three_axes_refuses_rotary_axes(name):
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
-    with pytest.raises(ConfigError, match=rf'--format {name}: holds three linear axes only.*A, C'):
-        exported(name, tables)
-
-
 # New pivot points: a control that knows the moved lines drives as if there were no location error.
 
 
@@ -330,11 +289,6 @@ def test_pins_of_linuxcnc_put_the_tool_where_the_moved_lines_say(tilting):
     np.testing.assert_allclose(found, wanted, atol=1e-5)  # mm; pins to six decimals
 
 
-def test_machines_that_trunnion_kinematics_do_not_hold_are_told():
-    text = exported('pivot', location_only(five_axes(), np.random.default_rng(2))).files
-    assert 'not this machine' in text['cell.txt'].decode()
-
-
 @pytest.mark.parametrize(('chain', 'kind'), list(zip(CHAINS, 'PMT', strict=True)))
 def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
     tables = location_only(five_axes(chain), np.random.default_rng(3))
@@ -359,25 +313,6 @@ def test_vectors_of_sinumerik_lead_to_the_moved_centres(chain, kind):
     for axis, centre, direction in zip((one, two), reached, ('V1', 'V2'), strict=True):
         np.testing.assert_allclose(centre, 1e3 * np.array(moved.axes[axis].centre), atol=2e-6)
         np.testing.assert_allclose(vector[direction], moved.axes[axis].direction, atol=1e-9)
-
-
-def test_new_centre_is_old_and_the_location_error():
-    machine = five_axes()
-    tables = replace(
-        constant(machine, 1e-4, 'X0C'),
-        location={n: ScalarError(1e-4 if n == 'X0C' else 0.0) for n in machine.location},
-    )
-    made = exported('pivot', tables)
-    text = made.files['cell.txt'].decode()
-    assert '+ (0.100000, 0.000000, 0.000000)' in text
-    assert 'location errors of C: X0C 0.100000 mm' in text
-    assert 'not checked in a manual' in text
-    assert remaining_error(tables, made.held).after_max < 1e-9
-
-
-def test_a_machine_without_rotary_axis_has_no_pivot():
-    with pytest.raises(ConfigError, match='has no rotary axis'):
-        exported('pivot', random_tables(machine_of('w-b-X-Y-Z-t'), 5e-5, np.random.default_rng(1)))
 
 
 # Positioning of rotary axes in SINUMERIK ENC_COMP.
@@ -439,7 +374,7 @@ def test_encoder_tables_take_the_angular_positioning_off(chain, letter):
         assert after.max() < 0.01 * before.max()
         assert remaining_error(tables, file.held).after_max < 0.01 * before.max()
     assert 'angular positioning' in text
-    assert any('actual angles in degrees' in remark for remark in joints.remarks)
+    assert any('degrees' in remark for remark in joints.remarks)
 
 
 def test_an_endless_axis_joins_its_ends_in_the_encoder_table():
@@ -454,34 +389,6 @@ def test_an_endless_axis_joins_its_ends_in_the_encoder_table():
     values = sinumerik_values(text, 'AA_ENC_COMP')[0]
     last = max(int(key[1]) for key in values if key[2] == 'C1')
     assert values['0', '0', 'C1'] == pytest.approx(values['0', str(last), 'C1'], abs=2e-6)
-
-
-def test_positioning_of_linear_axes_is_that_with_the_rotary_axes_at_zero():
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(1))
-    text = exported('sinumerik-enc', tables).files['cell.txt'].decode()
-    alone = exported('sinumerik-enc', linear_tables(tables)).files['cell.txt'].decode()
-    across = [exported('sinumerik-cec', t) for t in (tables, linear_tables(tables))]
-    values = [sinumerik_values(made.files['cell.txt'].decode(), 'AN_CEC') for made in across]
-    assert values[0] == values[1]
-    tables_of = [line for line in alone.splitlines() if line.startswith('$')]
-    assert [line for line in text.splitlines() if line in set(tables_of)] == tables_of
-    assert 'rotary axes at zero' in text
-
-
-@pytest.mark.parametrize('name', [n for n in HOMES if n != 'lattice-csv'])
-def test_the_command_exports_machines_with_rotary_axes(name, tmp_path, capsys):
-    tables = random_tables(five_axes(), 5e-5, np.random.default_rng(8))
-    file = tmp_path / 'error_tables.json'
-    file.write_text(json.dumps(tables_to_dict(tables)))
-    sign = ['--sign', 'error'] if export_format(name).sign_is_asked else []
-    out = tmp_path / 'out.ini'
-    assert run('export', file, '--format', name, '--out', out, *sign) == 0
-    assert 'this file leaves' in capsys.readouterr().out
-    assert run('info', out, '--json') == 0
-    assert json.loads(capsys.readouterr().out)['schema'] == name
-    assert run('export', file, '--format', 'lattice-csv', '--out', tmp_path / 'x.xml') == 2
-    assert 'holds three linear axes only' in message(capsys)
-    assert not (tmp_path / 'x.xml').exists()
 
 
 @pytest.mark.parametrize('chain', CHAINS)

@@ -9,17 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import multivariate_normal
 
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.roughness import (
-    LOWER_BOUNDS,
-    UPPER_BOUNDS,
     CoefficientPrior,
     Search,
-    _centres,
-    _Point,
     expected_precision,
     kernel,
     precision_like_others,
@@ -64,17 +59,6 @@ def problem(accepted=ACCEPTED, rows=60, functions=None, bases=BASES, seed=1, bli
         A=A, y=y, normal=normal, unknowns=unknowns, accepted=accepted,
         search=Search(normal, unknowns, accepted, LIMIT),
     )  # fmt: skip
-
-
-def rough(search, seed=2):
-    """Logarithms of every motion, here and there."""
-    rng = np.random.default_rng(seed)
-    middle = np.array([-6.0, np.log(0.2), -7.0])
-    return {m: middle + 0.7 * rng.standard_normal(3) for m in search.places}
-
-
-def full_logs(search, flat):
-    return dict(zip(search.places, flat.reshape(-1, 3), strict=True))
 
 
 @pytest.fixture(scope='module')
@@ -140,11 +124,6 @@ def test_a_motion_without_data_is_as_rough_as_its_like():
     np.testing.assert_allclose(np.diag(bend @ spread @ bend.T), wanted, rtol=1e-3)
 
 
-def test_nothing_is_said_of_a_motion_without_its_like():
-    basis = BASES['Y']
-    assert precision_like_others(ErrorMotion.of('ECY'), basis, {'EXX': np.zeros(3)}) is None
-
-
 def covariance(some, logs):
     """Covariance of the solved-for unknowns before any data, written as one dense matrix."""
     search = some.search
@@ -152,19 +131,6 @@ def covariance(some, logs):
     for motion, place in search.places.items():
         found[place, place] = search.priors[motion].at(logs[motion])[0] * LIMIT**2
     return found
-
-
-def test_likelihood_is_the_density_of_the_rows_with_everything_integrated_out(some):
-    A = some.A[:, some.search.use]
-    values = []
-    for seed in (2, 3, 4):
-        logs = rough(some.search, seed)
-        own = np.eye(len(A)) + A @ covariance(some, logs) @ A.T
-        dense = multivariate_normal.logpdf(some.y, cov=own)
-        values.append((_Point(some.search, logs).likelihood, dense))
-    found, dense = np.diff(np.array(values), axis=0).T
-    assert np.abs(dense).min() > 1.0
-    np.testing.assert_allclose(found, dense, atol=1e-5 * np.abs(dense).max())
 
 
 def test_solution_is_the_posterior_of_the_gaussian_process(some):
@@ -185,59 +151,6 @@ def test_solution_is_the_posterior_of_the_gaussian_process(some):
     np.testing.assert_allclose(
         rough_now.square, some.y @ np.linalg.solve(whole, some.y), rtol=1e-7
     )
-
-
-def test_score_and_moves_are_finite_differences(some):
-    search = some.search
-    logs = rough(search)
-    centres = {m: np.array([-5.0, -1.5, -6.0]) for m in logs}
-    flat = np.concatenate(list(logs.values()))
-    score, information, moves = _Point(search, logs).slopes(centres)
-    assert np.linalg.eigvalsh(information).min() > 0
-    for j in range(len(flat)):
-        step = 1e-4 * np.eye(len(flat))[j]
-        high, low = (_Point(search, full_logs(search, flat + s)) for s in (step, -step))
-        near = (high.penalised(centres) - low.penalised(centres)) / 2e-4
-        assert score[j] == pytest.approx(near, abs=1e-4 * max(1.0, np.abs(score).max()))
-        moved = (high.value - low.value) / 2e-4
-        np.testing.assert_allclose(moves[:, j], moved, atol=1e-4 * np.abs(moves).max())
-
-
-def test_information_is_the_scatter_of_the_score():
-    """Over rows drawn from the model itself the score has mean zero and that covariance."""
-    some, rng = problem(), np.random.default_rng(7)
-    search = some.search
-    logs = rough(search)
-    A = some.A[:, search.use]
-    root = np.linalg.cholesky(np.eye(len(A)) + A @ covariance(some, logs) @ A.T)
-    scores = []
-    for _ in range(200):
-        y = root @ rng.standard_normal(len(A))
-        normal = NormalEquations(some.normal.matrix, some.A.T @ y, float(y @ y), len(A))
-        again = Search(normal, some.unknowns, some.accepted, LIMIT)
-        score, information, _ = _Point(again, logs).slopes(logs)
-        scores.append(score)
-    data = information - np.diag(np.tile([1 / 9, 1.0, 1 / 9], len(search.places)))
-    scores = np.array(scores)
-    u = np.sqrt(np.diag(data))
-    # mean of 200 within 0.07 u, variance within 10 % and more for the skew ones; 4 of it
-    assert np.abs(scores.mean(axis=0) / u).max() < 0.28
-    np.testing.assert_allclose(scores.var(axis=0) / u**2, 1.0, atol=0.6)
-
-
-def test_the_search_ends_where_nothing_is_to_be_gained(some):
-    found = some.search.run()
-    point = _Point(some.search, found.logs)
-    score, information, _ = point.slopes(_centres(found.logs))
-    flat = np.concatenate(list(found.logs.values()))
-    inside = (flat > np.tile(LOWER_BOUNDS, len(found.logs))) & (
-        flat < np.tile(UPPER_BOUNDS, len(found.logs))
-    )
-    score, information = score[inside], information[np.ix_(inside, inside)]
-    assert inside.sum() > 0.7 * len(flat)
-    assert 0.5 * score @ np.linalg.solve(information, score) < 0.2
-    start = _Point(some.search, {m: np.array([-2.3, -1.9, -4.6]) for m in found.logs})
-    assert found.log_likelihood > start.likelihood + 5.0
 
 
 FINE = {axis: cubic(basis.knots, 20) for axis, basis in BASES.items()}
@@ -264,18 +177,6 @@ def test_size_and_length_of_drawn_waves_are_found(length):
     assert 1e-5 < LIMIT * np.exp(0.5 * np.median(logs[:, 0])) < 4e-5
 
 
-@pytest.mark.parametrize('waves', [1.5, 4.0])
-def test_a_wave_gives_a_length_of_its_own_order(waves):
-    functions = {
-        m: lambda q, m=m: 2e-5 * np.sin(2 * np.pi * waves * q / np.ptp(FINE[m[2]].knots))
-        for m in SEEN
-    }
-    found = problem(SEEN, 800, functions, FINE).search.run()
-    length = np.exp(np.median([v[1] for v in found.logs.values()]))
-    # radius of a sine is 1 / (2 pi waves); the process takes up to three of it
-    assert 0.7 < length * 2 * np.pi * waves < 4.0
-
-
 def test_motions_that_no_row_sees_are_as_rough_as_the_others():
     rng = np.random.default_rng(12)
     functions = {m: drawn(rng, 2e-5, 0.2, FINE[m[2]]) for m in SEEN}
@@ -284,17 +185,6 @@ def test_motions_that_no_row_sees_are_as_rough_as_the_others():
     np.testing.assert_allclose(found.logs['EZY'], others, atol=0.3)
     # the only one of its unit stays where it started
     np.testing.assert_allclose(found.logs['EAX'], np.log([0.1, 0.15, 0.01]), atol=1e-6)
-
-
-def test_smoother_motions_leave_less_uncertain():
-    functions = {m: lambda q: 2e-5 * np.sin(5 * q) for m in SEEN}
-    u = []
-    for size in (1e-6, 1e-4):
-        one = problem(SEEN, 40, functions)
-        precision = expected_precision(one.unknowns, LIMIT, size)
-        done = solve(one.normal, one.unknowns, LIMIT, SEEN, precision)
-        u.append(np.sqrt(np.diag(done.covariance).sum()))
-    assert u[0] < 0.5 * u[1]
 
 
 def test_expected_precision_is_of_motions_of_the_size_asked_for():

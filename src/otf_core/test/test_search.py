@@ -27,13 +27,13 @@ from otf_core.diagnosis.engine.search import (
     search_beside,
     tried_effects,
 )
-from otf_core.diagnosis.engine.time_courses import Jump, SlowWave
+from otf_core.diagnosis.engine.time_courses import JUMP, SLOW_WAVE
 from otf_core.effects import REGISTRY
 
 BACKLASH, LAG, COUPLING, TILT = (
     REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'cross_coupling', 'table_tilt')
 )
-JUMP, WAVE = Jump(), SlowWave()
+WAVE = SLOW_WAVE
 
 
 def found_in(rows, options):

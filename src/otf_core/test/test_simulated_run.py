@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated runs of chains with and without rotary axes, with one reflector and with several."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_cells import run as otf
 from core_cells import some_machine
 from rotary_cells import machine as trunnion
 
-from otf_core.bags.bag import read_bag
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.chain import Sight
@@ -114,49 +111,3 @@ def test_rounding_lost_packets_and_effects_act_on_every_machine(machine):
     moved = simulated(machine, [SILENT, offset])
     far = [np.linalg.norm(r.samples.xyz, axis=1) for r in (plain, moved)]
     np.testing.assert_allclose(far[1] - far[0], 1e-4, atol=1e-9)
-
-
-@every_machine
-def test_drawn_errors_have_the_size_that_is_asked_for(machine):
-    tables = random_tables(machine, 3e-5, np.random.default_rng(1))
-    run = simulated(machine)
-    twice = random_tables(machine, 6e-5, np.random.default_rng(1))
-    q = np.concatenate([part.positions for part in run.parts])
-    seen = Sight.of_tool(machine).at(q)
-    assert 5e-6 < np.linalg.norm(seen.displacement(tables), axis=1).mean() < 2e-4
-    np.testing.assert_allclose(seen.displacement(twice), 2 * seen.displacement(tables), atol=1e-15)
-
-
-@every_machine
-@pytest.mark.parametrize('name', ['run', 'run.mcap'])
-def test_bag_holds_points_or_parts_and_the_truth(machine, name, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'machine.yaml').write_text(json.dumps(machine.to_dict()))
-    short = {'passes': 1, 'levels': 2}
-    assert otf('simulate', '--machine', 'machine.yaml', '--rate', '5', short, '--out', name) == 0
-    content = read_bag(tmp_path / name)
-    plain = set(machine.targets) == {'tool'} and not machine.rotary_names
-    assert (content.path is not None) == plain and bool(content.axis_paths) != plain
-    prefix = 'run/' if name == 'run' else 'run.'
-    about = json.loads((tmp_path / f'{prefix}simulation.json').read_text())
-    truth = json.loads((tmp_path / f'{prefix}truth_tables.json').read_text())
-    assert set(truth['targets']) == set(machine.targets)
-    driven = [part['target'] for part in about['parts']]
-    assert driven == (['tool'] if plain else [part.target for part in content.axis_paths])
-    assert all(len(p['feed']) + 1 == len(p['dwell']) == len(p['corners']) for p in about['parts'])
-
-
-def test_parts_of_three_linear_axes_are_read_from_a_table(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    machine = MACHINES['two lengths']
-    (tmp_path / 'machine.yaml').write_text(json.dumps(machine.to_dict()))
-    rows = [
-        f'{x},0,{z},{t}' for t in ('tool', 'long') for x, z in ((0, 0), (0.1, -0.1), (0, -0.1))
-    ]
-    (tmp_path / 'path.csv').write_text('\n'.join(['x,y,z,target', *rows]))
-    words = ('simulate', '--machine', 'machine.yaml', '--path', 'path.csv', '--rate', '20')
-    assert otf(*words, '--out', 'run') == 0
-    parts = read_bag(tmp_path / 'run').axis_paths
-    assert [part.target for part in parts] == ['tool', 'long']
-    np.testing.assert_allclose(parts[1].positions, [[0, 0, 0], [0.1, 0, -0.1], [0, 0, -0.1]])
-    assert 'parts: tool, long' in capsys.readouterr().out

@@ -20,8 +20,7 @@ from otf_core.effects.action import vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free import declare_switching
 from otf_core.effects.free_form import FreeForm
-from otf_core.effects.inputs import known_input
-from otf_core.effects.switching import Switching
+from otf_core.effects.inputs import Switching, known_input
 from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables

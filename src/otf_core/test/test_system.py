@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from core_cells import (
     CONTRACT_CHAINS,
-    error_by_hand,
+    error_of,
     observed,
     pieces_of,
     small_plan,
@@ -67,10 +67,11 @@ def test_columns_of_errors_are_derivatives_of_the_error_model(chain, bases, exac
                 tables = replace(base, motions={**base.motions, name: table})
             else:
                 tables = replace(base, squareness={**base.squareness, name: ScalarError(1.0)})
-            for row in rows:
-                expected = system.axes[:, row] @ error_by_hand(tables, system.q[row])
-                found = design[:, row, block.start + k]
-                np.testing.assert_allclose(found, expected, atol=exact, err_msg=name)
+            expected = np.einsum(
+                'cpi,pi->cp', system.axes[:, rows], error_of(tables, system.q[rows])
+            )
+            found = design[:, rows, block.start + k]
+            np.testing.assert_allclose(found, expected, atol=exact, err_msg=name)
 
 
 def test_columns_of_the_pose_take_off_a_motion_of_the_tracker():
@@ -96,31 +97,9 @@ def test_deviations_are_the_errors_across_the_path(chain):
     truth = random_tables(machine, 2e-5, np.random.default_rng(0))
     # positions are derived with the tables known, as in the last iteration
     _, _, system = system_of(machine, truth, known=truth)
-    expected = [
-        [axis @ error_by_hand(truth, q) for q, axis in zip(system.q, axes, strict=True)]
-        for axes in system.axes
-    ]
+    expected = np.einsum('cpi,pi->cp', system.axes, error_of(truth, system.q))
     # the position along the path is found to 1e-4 of the errors, which are 1e-4
     np.testing.assert_allclose(system.deviation, expected, atol=1e-10)
-
-
-def test_axes_are_across_the_path():
-    machine = some_machine()
-    pieces, _, system = system_of(machine, zero_tables(machine))
-    for axes in system.axes:
-        np.testing.assert_allclose(np.sum(axes * pieces.direction, axis=1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.sum(system.axes[0] * system.axes[1], axis=1), 0, atol=1e-12)
-
-
-def test_all_pieces_of_a_line_have_the_same_axes_even_if_it_runs_towards_the_tracker():
-    machine = some_machine()
-    pieces, _, _ = system_of(machine, zero_tables(machine))
-    on_it = pieces.origin[0] - 0.5 * pieces.direction[0]
-    pose = replace(transform_pose(machine, 0), translation=on_it)
-    truth = random_tables(machine, 2e-5, np.random.default_rng(0))
-    pieces, _, system = system_of(machine, truth, pose)
-    for leg in np.unique(pieces.leg):
-        assert np.ptp(system.axes[:, pieces.leg == leg], axis=1).max() < 1e-12
 
 
 def test_positions_lie_on_their_legs_even_with_errors_along_them():
@@ -158,16 +137,6 @@ def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_pa
     assert found.rows == 2 * len(pieces)
 
 
-@pytest.mark.parametrize(('bases', 'entries'), [(linear_bases, 2), (smooth_bases, 4)])
-def test_rows_hold_a_few_coefficients_of_a_motion_and_no_more(bases, entries):
-    machine = some_machine()
-    _, unknowns, system = system_of(machine, zero_tables(machine), bases=bases)
-    filled = np.diff(system.design.indptr)
-    # 6 of the pose, 3 squareness, and 18 motions: independent of the number of knots
-    assert filled.max() <= 6 + 3 + entries * 18
-    assert system.design.shape == (2 * len(system.q), unknowns.full)
-
-
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
 def test_rows_of_the_volumetric_error_are_those_of_the_contract(chain):
     machine = some_machine(chain)
@@ -180,7 +149,7 @@ def test_rows_of_the_volumetric_error_are_those_of_the_contract(chain):
         values[unknowns.blocks[name]] = tables.motions[name].at(unknowns.knots[name[2]])
     for name, squareness in tables.squareness.items():
         values[unknowns.blocks[name]] = squareness.value
-    expected = [error_by_hand(tables, point) for point in q]
+    expected = error_of(tables, q)
     np.testing.assert_allclose(model_rows(machine, unknowns, q) @ values, expected, atol=1e-15)
 
 

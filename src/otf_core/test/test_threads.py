@@ -5,14 +5,12 @@ import os
 import subprocess
 import sys
 import threading
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import otf_core
-from otf_core import threads
-from otf_core.threads import WORKERS, one_thread, side_by_side
+from otf_core.threads import WORKERS, side_by_side
 
 
 def test_what_is_side_by_side_within_another_adds_no_threads():
@@ -31,33 +29,6 @@ def test_what_is_side_by_side_within_another_adds_no_threads():
         [10 * item + k for k in range(5)] for item in (1, 2, 3, 4)
     ]
     assert max(most) <= WORKERS and threading.get_ident() not in seen
-
-
-def test_error_of_the_first_item_that_fails_is_raised():
-    def fails(item):
-        if item:
-            raise ValueError(item)
-        return item
-
-    with pytest.raises(ValueError, match='1'):
-        side_by_side(fails, [0, 1, 2])
-
-
-def test_one_thread_is_asked_for_once_where_contexts_lie_within_each_other(monkeypatch):
-    asked = []
-
-    def limits(count):
-        asked.append(count)
-        return nullcontext()
-
-    monkeypatch.setattr(threads, 'threadpool_limits', limits)
-    with pytest.raises(ValueError, match='it'), one_thread():
-        with one_thread():
-            pass
-        raise ValueError('it')
-    assert asked == [1]
-    with one_thread():
-        assert asked == [1, 1]
 
 
 THREADS = """

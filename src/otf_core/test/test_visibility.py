@@ -21,23 +21,14 @@ from otf_core.noise.noise_model import MODEL_FLOOR, Misfit, NoiseModel
 from otf_core.solving.whitener import Whitener
 
 
-class Made(Effect):
-    """An effect of one coefficient for the tests."""
-
-    name = 'made'
-    cause = equation = typical = source = signature = needs = ''
-
-    def __init__(self, column):
-        self.column = column
-
-    def terms(self, state, shape):
-        column = self.column(state) if len(state) else np.zeros((0, 3))
-        return Terms(('c',), ('m',), ('',), column[:, :, None])
-
-
 def along_x(size):
-    """Displacement along X of sizes that depend on the state."""
-    return Made(lambda state: np.asarray(size(state), float)[:, None] * np.eye(3)[0])
+    """An effect of one coefficient: displacement along X of sizes that depend on the state."""
+
+    def terms(state, shape):
+        column = np.asarray(size(state), float)[:, None] * np.eye(3)[0]
+        return Terms.of(['c'], 'm', column[:, :, None])
+
+    return Effect(terms, 'made')
 
 
 def hat(position, node, pitch):
@@ -132,7 +123,7 @@ def test_twice_the_noise_makes_the_smallest_twice_as_large(name):
 def test_a_unit_does_not_change_what_is_seen():
     """The same displacement per mm instead of per m."""
     effect = OUTSIDE['the sense of travel']
-    small = Made(lambda state: 1e-3 * effect.column(state))
+    small = along_x(lambda s: 1e-3 * np.sign(s.direction[:, 0]))
     assert sight(small).smallest == pytest.approx(sight(effect).smallest, rel=1e-9)
     assert sight(small).share == pytest.approx(sight(effect).share, rel=1e-9)
 

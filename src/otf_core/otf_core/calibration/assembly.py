@@ -42,7 +42,7 @@ from otf_core.calibration.machine_verdict import judge, measurement_verdict
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.table_checks import check_worth, sample_noise
 from otf_core.effects import State
-from otf_core.effects.stated_effect import RemovedEffects
+from otf_core.effects.removable_effect import RemovedEffects
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import SPINDLE, TABLE, TOOL, Machine

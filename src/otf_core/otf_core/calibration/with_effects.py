@@ -35,9 +35,13 @@ from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, Shape, State
 from otf_core.effects.effects_yaml import read_effects
-from otf_core.effects.removable_effect import RemovableEffect, removable_effect
+from otf_core.effects.removable_effect import (
+    FILE,
+    RemovableEffect,
+    RemovedEffects,
+    removable_effect,
+)
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated_effect import FILE, RemovedEffects
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine

@@ -43,7 +43,7 @@ from otf_core.diagnosis.place.groups import RunView, part_targets
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.weighing import EXPLAINED_SHARE, Explanation, Unnamed
 from otf_core.effects import State
-from otf_core.effects.located_inputs import CYCLE, MOMENT, head_of
+from otf_core.effects.inputs import CYCLE, MOMENT, head_of
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
 from otf_core.pieces.finding import WARNING, Finding

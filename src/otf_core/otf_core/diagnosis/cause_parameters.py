@@ -16,6 +16,7 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.documents import Document, stated
 from otf_core.effects import EVERY, AppliedEffect, BelongsTo, State
+from otf_core.effects.base import Coefficients, Size
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,
@@ -24,7 +25,6 @@ from otf_core.effects.inputs import (
     unit_of_input,
     unscaled_input,
 )
-from otf_core.effects.sizes import Coefficients, Size
 from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import Machine
 from otf_core.solving.residuals import leg_numbers

@@ -16,8 +16,7 @@ from otf_core.calibration.with_effects import (
 )
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
-from otf_core.effects.removable_effect import RemovableEffect, removable_effect
-from otf_core.effects.stated_effect import FOUND
+from otf_core.effects.removable_effect import FOUND, RemovableEffect, removable_effect
 from otf_core.solving.reversal import Reversal
 
 SURE = 0.99

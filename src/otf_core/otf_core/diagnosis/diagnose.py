@@ -62,7 +62,7 @@ from otf_core.diagnosis.weighing import (
     run_views,
 )
 from otf_core.effects import EVERY, ROTARY, Effect, catalogue
-from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.catalogue.machine import direction_dependent_tables
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.chain import displacement, nominal_position
@@ -274,7 +274,7 @@ def _search_axes(
     rows = rows_of_axes(observed, without)
     offered = catalogue(rows.observed[0].machine)
     # of reversal that changes along an axis the constant part is named
-    exclude = (*exclude, *(n for n in EVERY if n not in offered), DirectionDependentTables.name)
+    exclude = (*exclude, *(n for n in EVERY if n not in offered), direction_dependent_tables.name)
     of_rotary = [e for n, e in ROTARY.items() if n not in exclude]
     found = search_catalogue(rows, exclude, (*of_rotary, *own), ())
     progress('diagnosing', 0.5)
@@ -434,7 +434,7 @@ def _not_visible(
     """Effects that leave no trace in these data, and what would show them."""
     named = {c.effect for c in causes} | {n for c in causes for n in c.indistinguishable_from}
     hidden = [n for n, v in visible.items() if not v.visible and n not in named]
-    return tuple((n, EVERY[n].needs) for n in hidden)
+    return tuple((n, EVERY[n].words.shown_by) for n in hidden)
 
 
 def _table_change_um(calibration: CalibrationResult) -> float:

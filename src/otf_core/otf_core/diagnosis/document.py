@@ -144,7 +144,7 @@ def _name(effect: str) -> str:
 
 def _needed_for(effect: str) -> str:
     known = EVERY.get(effect)
-    return known.needs if known else ''
+    return known.words.shown_by if known else ''
 
 
 def next_measurements(document: GapDocument) -> list[str]:

@@ -56,15 +56,15 @@ from otf_core.effects.action import (
     Along,
     acting_name,
 )
-from otf_core.effects.inputs import LETTERS, SIGNAL
-from otf_core.effects.located_inputs import (
+from otf_core.effects.inputs import (
     CYCLE,
+    LETTERS,
     MOMENT,
     PLACE,
+    SIGNAL,
     TURNS,
-    found_kind,
+    found_input,
     head_of,
-    numbers_of,
     plain_names,
 )
 from otf_core.model.frames import XYZ
@@ -506,8 +506,8 @@ def input_words(name: str) -> str:
     """Name of an input in words."""
     if name.startswith(SIGNAL):
         return f'the signal {name.removeprefix(SIGNAL)}'
-    if kind := found_kind(name):
-        return kind.words(numbers_of(name))
+    if found := found_input(name):
+        return found.words
     head, _, axis = name.rpartition('_')
     of_axis = {
         'sense': 'the sense of travel of',

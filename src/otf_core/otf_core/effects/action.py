@@ -29,7 +29,7 @@ def _unit_columns(state: State) -> Array:
 
 def vector(state: State, shape: Shape) -> Terms:
     """Shifts along X, Y, Z."""
-    return Terms(XYZ, ('m',) * 3, XYZ, _unit_columns(state))
+    return Terms.of(XYZ, 'm', _unit_columns(state), XYZ)
 
 
 def rigid_tracker(state: State, shape: Shape) -> Terms:
@@ -43,10 +43,14 @@ def rigid_table(state: State, shape: Shape) -> Terms:
 
 
 def _rigid(state: State, arm: Array) -> Terms:
-    turned = np.stack([np.cross(e, arm) for e in np.eye(3)], axis=2)
-    names = (*(f'M_{a}' for a in XYZ), *(f'W_{a}' for a in XYZ))
-    columns = np.concatenate([_unit_columns(state), turned], axis=2)
-    return Terms(names, ('m',) * 3 + ('rad',) * 3, ('',) * 6, columns)
+    shifts = Terms.of([f'M_{a}' for a in XYZ], 'm', _unit_columns(state))
+    return Terms.joined(shifts, turns(arm))
+
+
+def turns(arm: Array) -> Terms:
+    """Turns W_X, W_Y, W_Z of vectors (n, 3)."""
+    columns = np.stack([np.cross(e, arm) for e in np.eye(3)], axis=2)
+    return Terms.of([f'W_{a}' for a in XYZ], 'rad', columns)
 
 
 def turned_by_axis(state: State, shape: Shape) -> Terms:
@@ -64,7 +68,7 @@ def _turns_by_axis(state: State, arm: Array, head: str) -> Terms:
     axes = state.machine.axis_names
     names = tuple(f'{head}_{k}_by_{a}' for k in XYZ for a in axes)
     columns = np.stack([turn for turn in turned for _ in axes], axis=2)
-    return Terms(names, ('rad',) * 9, axes * 3, columns)
+    return Terms.of(names, 'rad', columns, axes * 3)
 
 
 RIGID_MOTIONS: tuple[Acting, ...] = (
@@ -94,7 +98,7 @@ class Along:
     def __call__(self, state: State, shape: Shape) -> Terms:
         """Return the one term."""
         column = np.broadcast_to(np.array(self.direction)[:, None], (len(state), 3, 1))
-        return Terms(('along',), ('m',), ('',), column)
+        return Terms.of(['along'], 'm', column)
 
 
 def acting_name(acts: Acting | None) -> str:

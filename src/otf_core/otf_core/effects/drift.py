@@ -9,22 +9,17 @@ shape has ``since``, both are less their value there instead, and g_1 is one at 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import ClassVar
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from otf_core.arrays import Array
-from otf_core.effects.base import Effect, Shape, State
+from otf_core.effects.base import Effect, ShapeParameter
+from otf_core.effects.terms import Shape, State, Terms
 
 ORDER = 4
-SHAPE_NAMES = ('tau', 'until', 'order')
-SHAPE_UNITS = ('s', 's', '')
-SHAPE_DEFAULTS: Mapping[str, float] = MappingProxyType({'until': 0.0, 'order': float(ORDER)})
-"""``until`` 0 stands for the end of the recording."""
-
 TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Time constants worth trying, in durations of the recording."""
 REACHED = 'by the end of the run'
@@ -33,8 +28,13 @@ LINEAR = 100.0
 """In durations of the recording; bends the line by less than 0.2 % of its end."""
 STRAIGHT = 10.0
 """Time constants of so many durations and more make a straight line, whatever they are."""
-TIME_CONSTANT_WIDTH = 1.0
-"""Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
+
+SHAPE = (
+    ShapeParameter('tau', 's', width=1.0),
+    ShapeParameter('until', 's', 0.0),
+    ShapeParameter('order', '', float(ORDER)),
+)
+"""``until`` 0 stands for the end of the recording; a time constant was found on a raster."""
 
 
 def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
@@ -81,19 +81,19 @@ def value_reached(name: str, shape: Shape) -> dict[str, float]:
     return {name: 1.0, **{f'{name}_{k}': 2.0 for k in odd}}
 
 
-class DriftingEffect(Effect):
-    """Base of the effects whose course in time is one of these functions."""
+def bends(shape: Shape) -> bool:
+    """Whether the time constant bends the course."""
+    return shape['tau'] < STRAIGHT * shape.get('until', 0.0)
 
-    shape_names: ClassVar[tuple[str, ...]] = SHAPE_NAMES
-    shape_units: ClassVar[tuple[str, ...]] = SHAPE_UNITS
-    shape_defaults: ClassVar[Mapping[str, float]] = SHAPE_DEFAULTS
-    own_per_run: ClassVar[bool] = True
 
-    def loose(self, shape: Shape) -> dict[str, float]:
-        """Time constant, where it bends the course."""
-        bent = shape['tau'] < STRAIGHT * shape.get('until', 0.0)
-        return {'tau': TIME_CONSTANT_WIDTH} if bent else {}
+def over_time(state: State, shape: Shape, base: Terms) -> Terms:
+    """Terms times each function of time, one function after the other."""
+    functions = time_functions(state, shape)
+    names = tuple(name + suffix for suffix, _ in functions for name in base.names)
+    columns = np.concatenate([g[:, None, None] * base.columns for _, g in functions], axis=2)
+    count = len(functions)
+    return Terms(names, base.units * count, base.axes * count, columns)
 
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Time constants around the duration, a line, and a general slow drift."""
-        return drift_shapes(state)
+
+drifting = partial(Effect, shape=SHAPE, shapes=drift_shapes, shape_matters=bends, own_per_run=True)
+"""Effects whose course in time is one of these functions."""

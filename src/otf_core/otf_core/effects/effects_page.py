@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/effects.md from the registry: ``python3 -m otf_core.effects.effects_page FILE``."""
+"""Write docs/effects.md from the catalogue: ``python3 -m otf_core.effects.effects_page FILE``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from otf_core.effects import REGISTRY, ROTARY, Effect
+from otf_core.effects import EVERY, REGISTRY, ROTARY, Effect
+from otf_core.effects.base import words_of_effects
 from otf_core.effects.state import probe_state
 from otf_core.files.message_text import with_micro_sign
 from otf_core.files.writing import write_text
@@ -21,8 +22,8 @@ LISTED = 18
 INTRODUCTION = """<!-- Generated: python3 -m otf_core.effects.effects_page docs/effects.md -->
 # Effects
 
-Effects that make a real cell differ from the rigid-body simulation. Every effect is one file in
-`src/otf_core/otf_core/effects/catalogue/` and one line in its registry; its `terms` are the only
+Effects that make a real cell differ from the rigid-body simulation. Every effect is one function
+in `src/otf_core/otf_core/effects/catalogue/` and one entry in `words.yaml` beside it: the only
 formula, used by simulation (`./otf simulate --effects effects.yaml`), fit, diagnosis and report.
 
 An effect displaces the measured point, in the machine frame, actual minus nominal: linear in its
@@ -79,17 +80,17 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _parameters(effect: Effect) -> str:
-    state = probe_state(_turning_machine() if effect.name in ROTARY else _machine())
+    state = probe_state(_turning_machine() if effect.of_rotary_axes else _machine())
     first = next(iter(effect.shapes(state)), dict.fromkeys(effect.shape_names, 1.0))
-    shape = {n: v for n, v in first.items() if n not in effect.shape_defaults}
+    shape = {p.name: first[p.name] for p in effect.shape if p.default is None}
     terms = effect.terms(state, effect.complete_shape(shape))
     parts = []
     for unit in dict.fromkeys(terms.units):
         names = [n for n, u in zip(terms.names, terms.units, strict=True) if u == unit]
         parts.append(f'{_listed(names)} ({unit})')
     shaped = [
-        f'`{n}` ({u or "number"}{", may be left out" if n in effect.shape_defaults else ""})'
-        for n, u in zip(effect.shape_names, effect.shape_units, strict=True)
+        f'`{p.name}` ({p.unit or "number"}{"" if p.default is None else ", may be left out"})'
+        for p in effect.shape
     ]
     return '; '.join(parts + shaped)
 
@@ -99,13 +100,14 @@ def _free_words(effect: Effect) -> str:
 
 
 def _section(effect: Effect) -> str:
+    words = effect.words
     rows = (
-        ('Displacement', f'`{effect.equation}`'),
-        ('Parameters', f'{effect.coefficients}: {_parameters(effect)}'),
+        ('Displacement', f'`{words.displacement}`'),
+        ('Parameters', f'{words.parameters}: {_parameters(effect)}'),
         *([('Free forms', _free_words(effect))] if effect.free else []),
-        ('Looks like', effect.signature),
-        ('Shown by', effect.needs),
-        ('Source', effect.source),
+        ('Looks like', words.looks_like),
+        ('Shown by', words.shown_by),
+        ('Source', words.source),
     )
     return '\n'.join([f'## {effect.name}', '', *(f'- **{k}**: {v}' for k, v in rows), ''])
 
@@ -113,8 +115,8 @@ def _section(effect: Effect) -> str:
 def catalogue_markdown() -> str:
     """Return the text of docs/effects.md."""
     rows = ['| effect | cause | typical size |', '|---|---|---|']
-    every = {**REGISTRY, **ROTARY}
-    rows += [f'| [{n}](#{n}) | {e.cause} | {e.typical} |' for n, e in every.items()]
+    words = words_of_effects()
+    rows += [f'| [{n}](#{n}) | {words[n].cause} | {words[n].typical_size} |' for n in EVERY]
     sections = [_section(effect) for effect in REGISTRY.values()]
     shared = ', '.join(f'`{n}`' for n, e in REGISTRY.items() if e.any_axes)
     own = [OF_ROTARY_AXES.format(shared=shared), *(_section(e) for e in ROTARY.values())]

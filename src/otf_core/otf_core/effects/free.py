@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from otf_core.effects.action import RIGID_MOTIONS, Acting
-from otf_core.effects.inputs import SIGNAL
-from otf_core.effects.switching import Switching
+from otf_core.effects.inputs import SIGNAL, Switching
 from otf_core.effects.terms import BelongsTo, Terms
 
 AXIS, TERM = '{axis}', '{term}'

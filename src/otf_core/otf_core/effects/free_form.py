@@ -12,25 +12,48 @@ Processes for Machine Learning, 2006, sections 2.7 and 5.4).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects.action import ACTING, Acting, Along
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import AppliedEffect, Effect, no_terms
 from otf_core.effects.free import AXIS, TERM, Free, follower
-from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
-from otf_core.effects.located_inputs import TURNS, head_of
+from otf_core.effects.inputs import (
+    SIGNAL,
+    TURNS,
+    Span,
+    compression,
+    cycle_period,
+    functions_of,
+    head_of,
+    input_values,
+    nodes_of,
+    scaled_input,
+    span_of,
+    unscaled_input,
+)
+from otf_core.effects.terms import Shape, State, Terms
+from otf_core.files.message_text import shortened
 
-_TAKEN_OVER = (
-    'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
-    'own_per_run', 'rigid', 'couples', 'belongs_to', 'stays_in_place', 'material_um',
-)  # fmt: skip
 SAME_PLACE = 0.05
 """Distance of two places of the tracker, as a share of the longest beam, up to which they count
 as one."""
-_OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
+
+
+_BARE = Effect(no_terms)
+_OF_FORMULA = (
+    'sizes',
+    'many_alike',
+    'held_by_tables',
+    'contributions',
+    'follows',
+    'switches',
+    'free',
+)
+_OF_SHAPE = ('shape', 'shapes', 'shape_matters', 'refine', 'wave')
+"""Facts that a free form does not share with its effect; the second where it has no shape."""
 
 
 class FreeForm(Effect):
@@ -39,16 +62,21 @@ class FreeForm(Effect):
     Attributes
     ----------
     parent : Effect
-        Whose name it has.
+        Whose name it has, and whose shape where it acts with that.
     spans : mapping of input to (float, float)
     """
 
+    form: Free
+    parent: Effect
+    spans: dict[str, Span]
+
     def __init__(self, parent: Effect, free: Free, spans: Mapping[str, Span]) -> None:
-        self.form, self.parent, self.spans = free, parent, dict(spans)
-        names = _TAKEN_OVER + (_OF_FORMULA if free.shaped else ())
-        vars(self).update({name: getattr(parent, name) for name in names})
+        facts = {f.name: getattr(parent, f.name) for f in fields(Effect)}
+        for fact in _OF_FORMULA if free.shaped else (*_OF_FORMULA, *_OF_SHAPE):
+            facts[fact] = getattr(_BARE, fact)
         own = {'own_per_run': free.own_per_run, 'belongs_to': free.belongs_to}
-        vars(self).update({name: value for name, value in own.items() if value is not None})
+        facts |= {name: value for name, value in own.items() if value is not None}
+        vars(self).update(facts, form=free, parent=parent, spans=dict(spans))
 
     def __eq__(self, other: object) -> bool:
         """Two are the same with the same declaration and ranges."""
@@ -91,23 +119,11 @@ class FreeForm(Effect):
         terms = multipliers(parent, free)(states[0].part(slice(0, 1)), shape)
         return cls(parent, free, {name: span_of(states, name) for name in free.names(terms)})
 
-    def loose(self, shape: Shape) -> dict[str, float]:
-        """As of the formula, where it acts with that."""
-        return self.parent.loose(shape) if self.form.shaped else {}
-
     def orders_of(self, names: Sequence[str]) -> Array:
         """Sum of the orders of the polynomials that a name ends with."""
         count = len(self.form.orders)
         numbers = [[float(n) for n in name.rsplit('_', count)[1:]] for name in names]
         return np.asarray(np.maximum(np.sum(numbers, axis=1) - sum(self.form.least), 0.0))
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Those of the formula, where it acts with that."""
-        return self.parent.shapes(state) if self.form.shaped else ({},)
-
-    def complete_shape(self, parameters: Shape) -> dict[str, float]:
-        """As of the formula, where it acts with that; else there is none."""
-        return self.parent.complete_shape(parameters) if self.form.shaped else {}
 
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; signals need not be known for that."""
@@ -200,3 +216,128 @@ def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:
     names = [n for n in names if n.partition('@')[0] not in others]
     names = [n for n in names if all(n in s.more and np.ptp(s.more[n]) > 0.0 for s in states)]
     return [follower(acts, name) for name in names for acts in effect.follows]
+
+
+# Effects without a formula: a tabulated smooth function of inputs, as a diagnosis found it. The
+# table holds values at nodes of each input; between them the function is the polynomial through
+# the nodes in the scaled inputs, so table and coefficients of a free form say the same to the last
+# digits. Beyond the range of an input it stays as at its end.
+
+EMPIRICAL = 'empirical'
+CONDITION = 1e8
+"""Nodes so close that digits are lost are refused; the condition number of their polynomials."""
+
+
+class Empirical(Effect):
+    """What carries a tabulated function; it does nothing by itself."""
+
+    def __init__(self, name: str = EMPIRICAL) -> None:
+        super().__init__(no_terms, name)
+
+
+def node_table(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
+    """Nodes of every input, SI, and the values of every term on their grid.
+
+    Parameters
+    ----------
+    one : AppliedEffect
+        Of a ``FreeForm`` whose inputs do not depend on the term.
+    """
+    effect = one.effect
+    assert isinstance(effect, FreeForm)
+    form = effect.form
+    names = list(effect.spans)
+    places = [
+        _reached(n, nodes_of(n, order), effect.spans[n])
+        for n, order in zip(names, form.orders, strict=True)
+    ]
+    grid = np.meshgrid(*places, indexing='ij')
+    table = effect.functions([g.ravel() for g in grid])
+    nodes = {
+        n: unscaled_input(n, p, effect.spans[n]).tolist()
+        for n, p in zip(names, places, strict=True)
+    }
+    values = {}
+    terms = {n.rsplit('_', len(form.orders))[0] for n in one.parameters}
+    for term in sorted(terms):
+        own = [one.parameters.get(coefficient_name(term, k), 0.0) for k in form.numbers]
+        values[term] = (table @ np.array(own)).reshape([len(p) for p in places])
+    return nodes, values
+
+
+def _reached(name: str, places: Array, span: Span) -> Array:
+    """Nodes in [-1, 1] moved to where the values of an input end; only infinity is 1 of some."""
+    top = float(scaled_input(name, np.array([span[1]]), span)[0]) if compression(name) else 1.0
+    return np.asarray(-1.0 + 0.5 * (places + 1.0) * (top + 1.0))
+
+
+def of_table(
+    name: str, acts: Acting, nodes: Mapping[str, Sequence[float]], values: Mapping[str, Array]
+) -> AppliedEffect:
+    """Build the effect of a table.
+
+    Parameters
+    ----------
+    nodes : mapping of input to sequence of float
+        Ascending, the first and the last are the range; of a phase an odd number in one period.
+    values : mapping of term to ndarray
+        On the grid of the nodes.
+
+    Raises
+    ------
+    ValueError
+        If the nodes of an input are too close or not apart.
+    """
+    spans: dict[str, Span] = {
+        n: (0.0, cycle_period(n)) if cycle_period(n) else (float(v[0]), float(v[-1]))
+        for n, v in nodes.items()
+    }
+    form = Free(tuple(nodes), tuple(len(v) - 1 for v in nodes.values()), acts=acts)
+    inverses = []
+    for n, own in nodes.items():
+        place = scaled_input(n, np.array(own, dtype=float), spans[n])
+        matrix = functions_of(n, place, len(own) - 1)
+        if not np.linalg.cond(matrix) < CONDITION:
+            raise ValueError(
+                f'{shortened(n)}: the nodes are too close to each other or not ascending'
+            )
+        inverses.append(np.linalg.inv(matrix))
+    parameters = {}
+    for term, value in values.items():
+        coefficients = np.asarray(value, dtype=float)
+        for k, inverse in enumerate(inverses):
+            coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, k)), 0, k)
+        for number in form.numbers:
+            parameters[coefficient_name(term, number)] = float(coefficients[number])
+    return AppliedEffect(FreeForm(Empirical(name), form, spans), parameters)
+
+
+class OwnCause(Empirical):
+    """A cause of one's own: an empirical effect with a name, its size free.
+
+    Its free form depends on the same inputs in the same way.
+
+    Parameters
+    ----------
+    one : AppliedEffect
+        As read from a file.
+    """
+
+    one: AppliedEffect
+
+    def __init__(self, one: AppliedEffect) -> None:
+        super().__init__(one.effect.name)
+        assert isinstance(one.effect, FreeForm)
+        form = replace(one.effect.form, words='the function is another one of the same inputs')
+        vars(self).update(one=one, free=(form,))
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return size: 1 is as tabulated."""
+        moved = self.one.effect.displacement(state, self.one.parameters)
+        return Terms.of(['size'], '', moved[:, :, None])
+
+    def sized(self, parameters: Shape) -> AppliedEffect:
+        """The table times a size."""
+        size = parameters.get('size', 0.0)
+        scaled = {name: size * value for name, value in self.one.parameters.items()}
+        return AppliedEffect(self.one.effect, scaled)

@@ -15,10 +15,12 @@ from typing import Literal
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Effect, State
-from otf_core.effects.stated_effect import FILE, FOUND
+from otf_core.effects.base import AppliedEffect, Effect
+from otf_core.effects.terms import State
+from otf_core.prediction.calibration_document import StatedEffect
 
+FOUND: Literal['found'] = 'found'
+FILE: Literal['file'] = 'file'
 LARGEST_STEP = 0.5
 """Of the logarithm of a time constant or a period, in its prior standard deviations."""
 DIFFERENCE = 1e-4
@@ -121,6 +123,20 @@ class RemovableEffect:
         return AppliedEffect(
             self.effect, {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
         )
+
+
+@dataclass(frozen=True)
+class RemovedEffects:
+    """Effects that were taken off, and what the unknowns are uncertain by for them.
+
+    Attributes
+    ----------
+    of_unknowns : ndarray, shape (full, full), m and rad
+        Covariance.
+    """
+
+    stated: tuple[StatedEffect, ...]
+    of_unknowns: Array
 
 
 def removable_effect(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 
@@ -159,6 +159,18 @@ class State:
         return np.stack(own, axis=2) * values[:, None, :]
 
     @property
+    def scaled(self) -> Array:
+        """Positions scaled to [-1, 1] over the axis ranges, shape (n, k)."""
+        low, high = self.machine.lower, self.machine.upper
+        return np.asarray((2.0 * self.q - low - high) / (high - low))
+
+    @property
+    def travel(self) -> Array:
+        """Positions less the reference position of each axis: zero, else its minimum; (n, k)."""
+        low, high = self.machine.lower, self.machine.upper
+        return np.asarray(self.q - np.where((low <= 0.0) & (high >= 0.0), 0.0, low))
+
+    @property
     def velocity(self) -> Array:
         """Speeds of the axes, shape (n, k), m/s and rad/s."""
         if self.turning is None:
@@ -191,6 +203,22 @@ class Terms:
     columns: Array
     orders: tuple[float, ...] = ()
 
+    @classmethod
+    def of(
+        cls, names: Sequence[str], unit: str, columns: Array, axes: Sequence[str] = ()
+    ) -> Terms:
+        """Terms of one unit; of no axis where none are given."""
+        names = tuple(names)
+        return cls(names, (unit,) * len(names), tuple(axes) or ('',) * len(names), columns)
+
+    @classmethod
+    def joined(cls, *parts: Terms) -> Terms:
+        """Terms of several effects one after the other."""
+        names, units, axes = (
+            tuple(v for p in parts for v in getattr(p, key)) for key in ('names', 'units', 'axes')
+        )
+        return cls(names, units, axes, np.concatenate([p.columns for p in parts], axis=2))
+
 
 class BelongsTo(Enum):
     """The part of a calibration that takes an effect up."""
@@ -199,9 +227,3 @@ class BelongsTo(Enum):
     TABLES = 'the tables follow it more finely; nothing is removed'
     REVERSAL = 'the calibration chooses its own tables for both senses of travel'
     NOISE = 'no displacement: it changes the noise, which every calibration judges anyway'
-
-
-def rotary_columns(state: State, values: Array) -> Array:
-    """Displacements by angular errors (n, k) of the axes, those of rotary ones, (n, 3, rotary)."""
-    places = [state.machine.column(a) for a in state.machine.rotary_names]
-    return state.by_axes(values)[:, :, places]

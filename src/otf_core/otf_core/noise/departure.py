@@ -24,6 +24,7 @@ from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise.standstill import (
     FREEDOMS,
     MIN_TOTAL,
+    SLOW_TIME,
     fast_part,
     find_standstills,
     noise_of_windows,
@@ -33,8 +34,6 @@ from otf_core.noise.standstill import (
 
 MAX_LEVEL_RATIO = 1.6
 """Actual over specified standard deviation that still passes as specified."""
-SLOW_TIME = 1.0
-"""s; correlation times of recorded trackers reach it in the calmest air (docs/uncertainty.md)."""
 HEAVY_TAILS = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 MIN_EVIDENCE_OF_TAILS = 3.0
@@ -137,8 +136,14 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
     if sum(len(w) for w in windows) * step < MIN_TOTAL:
         return None
     seen, parts = noise_of_windows(windows, step).noise, left_out_fits(windows, step)
-    *level, time = _over_specified(seen, spec)
-    u = jackknife_u(np.log([_over_specified(p, spec) for p in parts]))
+    expected = np.array([spec.u_range, spec.u_angle, spec.u_angle, TYPICAL_CORRELATION_TIME])
+
+    def over_expected(noise: NoiseModel) -> Array:
+        time = noise.range.correlation_time or TYPICAL_CORRELATION_TIME
+        return np.asarray(np.array([*noise.level, time]) / expected)
+
+    *level, time = over_expected(seen)
+    u = jackknife_u(np.log([over_expected(p) for p in parts]))
     u = np.maximum(u, MIN_U_OF_LOGARITHM)
     likelihoods = [student_likelihood(column) for column in fast_part(windows, step).T]
     student, normal = np.sum([s for s, _ in likelihoods], axis=0), sum(n for _, n in likelihoods)
@@ -151,10 +156,3 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
         dof=float(FREEDOMS[np.argmax(student)]),
         tails=float(student.max() - normal),
     )
-
-
-def _over_specified(noise: NoiseModel, spec: TrackerSpec) -> Array:
-    """Three levels over the specified ones, and the correlation time over the typical one."""
-    time = noise.range.correlation_time or TYPICAL_CORRELATION_TIME
-    expected = [spec.u_range, spec.u_angle, spec.u_angle, TYPICAL_CORRELATION_TIME]
-    return np.array([*noise.level, time]) / expected

@@ -145,6 +145,16 @@ def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> QuietBlocks
     )
 
 
+def _judged_blocks(
+    samples: Samples, runs: Index
+) -> tuple[int, list[tuple[Array, Array]], QuietBlocks]:
+    """Samples in a block, the blocks of every standstill, and what quiet ones show."""
+    size = block_size(samples)
+    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
+    own = [blocks_of(d, size) for d in deviations]
+    return size, own, quiet_blocks(own, resolution(deviations))
+
+
 def _settled(mean: Array, away: Array) -> tuple[int, int]:
     """Blocks (first, one past last) between settling and the next start."""
     if len(mean) < MIN_BLOCKS_FOR_MEDIAN:
@@ -173,10 +183,7 @@ def trim_to_rest(samples: Samples, runs: Index) -> Index:
     """
     if not len(runs):
         return runs
-    size = block_size(samples)
-    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
-    blocks = [blocks_of(d, size) for d in deviations]
-    quiet = quiet_blocks(blocks, resolution(deviations))
+    size, blocks, quiet = _judged_blocks(samples, runs)
     spans = []
     for (first, last), (mean, deviation) in zip(runs, blocks, strict=True):
         jump = np.any(np.abs(np.diff(mean, axis=0)) > MAX_BLOCK_CHANGE * quiet.change, axis=1)
@@ -260,10 +267,7 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
     """
-    size = block_size(samples)
-    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
-    blocks = [blocks_of(d, size) for d in deviations]
-    quiet = quiet_blocks(blocks, resolution(deviations))
+    size, blocks, quiet = _judged_blocks(samples, runs)
     limit = MAX_BLOCK_CHANGE * np.hypot(
         quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0)
     )

@@ -390,7 +390,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
         words = (
             f'{name:28} found from {size} on'
             if sight.visible
-            else (f'{name:28} not visible; needs {known[name].needs}')
+            else (f'{name:28} not visible; needs {known[name].words.shown_by}')
         )
         if others:
             words += f', indistinguishable from {", ".join(others)}'
@@ -400,7 +400,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
                 'visible': sight.visible,
                 'smallest_um': 1e6 * sight.smallest if np.isfinite(sight.smallest) else None,
                 'not_told_from': list(others),
-                'needs': known[name].needs,
+                'needs': known[name].words.shown_by,
                 'words': words,
             }
         )

@@ -364,7 +364,7 @@ def _seen(rows: Rows, question: OpenQuestion) -> Answer:
     chosen, stand_in = shapes_of(rows, effect, {})
     sight = best_sight([sight_of(t) for t in tried_shapes(rows, effect, chosen or stand_in)])
     if not sight.visible:
-        words = f'{question.effect} remains invisible; it needs {effect.needs}'
+        words = f'{question.effect} remains invisible; it needs {effect.words.shown_by}'
         return Answer(question, 0.0, words)
     words = f'shows {question.effect} from {1e6 * sight.smallest:.2f} um on'
     return Answer(question, min(2.0, 5e-6 / sight.smallest) * NAMED_LOG_ODDS, words)

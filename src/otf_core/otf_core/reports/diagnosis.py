@@ -33,6 +33,7 @@ CONFIDENCE_WORDS = (
     (0.5, 'more likely than not'),
     (0.0, 'doubtful'),
 )
+CAUSES = {name: effect.words.cause for name, effect in EVERY.items()}
 SHOWN_PARAMETERS, DRAWN_CURVES = 8, 6
 """Of longer lists the most significant parameters are shown, and the largest curves."""
 VERDICTS = {
@@ -96,7 +97,7 @@ def shape_words(cause: Mapping[str, Any]) -> str:
 
 def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
     """Rank, name, axes, parameters with U, gap, confidence."""
-    about = getattr(EVERY.get(cause['effect']), 'cause', '')
+    about = CAUSES.get(cause['effect'], '')
     rivals = ' or '.join(effect_name(r) for r in cause['indistinguishable_from'])
     named = [effect_name(cause['effect']), *([about] if about else [])]
     sure = [confidence_words(cause['confidence'])]
@@ -160,11 +161,11 @@ def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
         sized=[_size_tile(c) for c in doc['causes'][:2] if c['sizes']],
         measured=' to '.join(f'{m}Z' for m in when),
         rows=[cause_row(k, c) for k, c in enumerate(doc['causes'], start=1)],
-        meanings=[(effect_name(e), EVERY[e].equation, EVERY[e].coefficients) for e in
+        meanings=[(effect_name(e), EVERY[e].words.displacement, EVERY[e].words.parameters) for e in
                   dict.fromkeys(c['effect'] for c in doc['causes']) if e in EVERY],
         curves=[(name, said, [charts.curve_chart(c) for c in own[:DRAWN_CURVES]])
                 for name, said, own in curves],
-        causes_of={name: known.cause for name, known in EVERY.items()},
+        causes_of=CAUSES,
         stated=stated_tables(machine_from_dict(doc['machine'])),
         **_content(doc),
     )  # fmt: skip

@@ -11,9 +11,8 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect, Shape, State
-from otf_core.effects.catalogue.tracker_noise import SPECIFIED, TrackerNoise
-from otf_core.effects.history import lap_numbers
-from otf_core.effects.state import state_in_parts
+from otf_core.effects.catalogue.tracker import SPECIFIED, tracker_noise
+from otf_core.effects.state import lap_numbers, state_in_parts
 from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.nodes import axis_nodes
@@ -127,7 +126,7 @@ def changed_noise(noise: NoiseModel, effects: Sequence[AppliedEffect]) -> NoiseM
     """Noise once tracker_noise has acted on it; the last one counts."""
     model = noise
     for one in effects:
-        if isinstance(one.effect, TrackerNoise):
+        if one.effect is tracker_noise:
             shape = one.effect.complete_shape(one.parameters)
             factors = (shape['level_range'], *[shape['level_angle']] * 2)
             parts = (_changed(c, f, shape) for c, f in zip(noise, factors, strict=True))

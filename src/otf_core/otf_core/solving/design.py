@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.effects.catalogue.direction_dependent_tables import functions_along
+from otf_core.effects.catalogue.machine import functions_along
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
 from otf_core.solving.unknowns import Basis, Unknowns, reversal_blocks

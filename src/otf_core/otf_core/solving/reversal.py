@@ -23,7 +23,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
-from otf_core.effects.catalogue.direction_dependent_tables import ORDER, functions_along
+from otf_core.effects.catalogue.machine import ORDER, functions_along
 from otf_core.model.chain import Sight
 from otf_core.model.expanded import quantity
 from otf_core.model.machine import Axis, Machine

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from otf_core.arrays import Array, Index
 from otf_core.config import POINTS
-from otf_core.effects.catalogue.backlash import HELD, travel_sign
+from otf_core.effects.catalogue.machine import HELD, travel_sign
 from otf_core.effects.state import state_of_travel
 from otf_core.model.chain import ReflectorView, Sight
 from otf_core.model.frames import RigidTransform, beam_frame

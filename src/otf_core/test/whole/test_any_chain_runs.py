@@ -74,13 +74,3 @@ def test_two_reflectors_in_one_run_of_three_linear_axes(run):
     same_machine = ('--tables', 'bag/truth_tables.json', '--seed', '3')
     assert run(TWO, of_tool, 'x,y,z', *same_machine, out='one') == 0  # of the tool alone
     assert share_left('bag', 'one') < 0.05
-
-
-def test_a_path_along_an_axis_that_is_not_there_is_refused(run, capsys):
-    rows = [(x, y, z) for z in ENDS for y in GRID for x in ENDS]
-    three = {**TWO, 'chain': 'w-b-X-Y-Z-t', 'targets': {}}
-    assert run(three, rows, 'x,y,z') == 0
-    with open('m.yaml', 'w') as file:
-        yaml.safe_dump(GANTRY, file)
-    assert cli.main(['calibrate', 'bag', '--machine', 'm.yaml', '--out', 'cal']) == 3
-    assert 'the path moves 300 mm along Z, which the chain w-b-X-Y-t' in capsys.readouterr().err

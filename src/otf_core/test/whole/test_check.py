@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The check of a recording against recordings that were spoilt on purpose."""
 
-import json
-
 import numpy as np
 import pytest
-import yaml
 from bag_cells import PATH_MESSAGE, point_messages, write_mcap
-from cli_cells import run
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.bags.rosbag2_metadata import PATH
 from otf_core.checking.checks import check
 from otf_core.model.observation import Samples
 
@@ -87,15 +82,6 @@ def test_half_a_path_is_not_usable_and_the_missing_legs_are_named(cell, samples,
     assert 0.3 * legs < facts['legs_missing'] < 0.7 * legs
 
 
-def test_without_a_path_the_samples_are_judged_all_the_same(samples, tmp_path):
-    bag = write_mcap(tmp_path / 'run.mcap', point_messages(samples.part(0, 3000)))
-    report = check(str(bag))
-    assert not report.usable
-    assert PATH.name in report.problems[0].what
-    facts = report.to_dict()
-    assert facts['rate_hz'] == pytest.approx(100.0, rel=1e-3) and facts['coverage'] == 0.0
-
-
 def test_a_clock_that_was_set_is_told_from_a_gap(samples, tmp_path):
     part = samples.part(0, 4000)
     later = part.stamp_ns + np.where(np.arange(4000) < 2500, 0, 2_000_000_000)
@@ -109,20 +95,3 @@ def test_a_clock_that_was_set_is_told_from_a_gap(samples, tmp_path):
     assert f'first {part.time[2499]:.1f} s' in problem.what
     report = check(str(write_mcap(tmp_path / 'gap.mcap', [PATH_MESSAGE, *stamped])))
     assert not report.checked['clock'].problems and report.to_dict()['gaps'] == 1
-
-
-def test_exit_codes_and_one_object_on_stdout(cell, samples, tmp_path, capsys):
-    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(cell.machine.to_dict()))
-    (tmp_path / 'broken.mcap').write_bytes(b'nothing')
-    assert run('check', tmp_path / 'broken.mcap', '--json') == 3
-    shown = capsys.readouterr()
-    answer = json.loads(shown.out)
-    assert answer['usable'] is False and answer['problems'][0]['severity'] == 'error'
-    assert 'NOT USABLE' in shown.err and 'Traceback' not in shown.err
-    assert run('check', tmp_path / 'nothing', '--json') == 2
-    shown = capsys.readouterr()
-    assert json.loads(shown.out)['exit'] == 2 and shown.err.count('\n') == 1
-    write_bag(tmp_path / 'bag', BagContent(samples, cell.path))
-    assert run('check', tmp_path / 'bag', '--machine', tmp_path / 'machine.yaml') == 0
-    shown = capsys.readouterr()
-    assert shown.err == '' and shown.out.startswith(f'{tmp_path / "bag"}: usable')

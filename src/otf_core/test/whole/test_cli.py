@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_cells import read_csv, run, without_date, write_points
-from core_cells import CONTRACT_CHAINS, error_by_hand, some_machine
+from core_cells import CONTRACT_CHAINS, error_of, some_machine
 
 import otf_core
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
@@ -59,7 +59,7 @@ def test_prediction_leaves_less_than_two_per_cent_of_the_truth(done):
     header, rows = read_csv(done.folder / 'errors.csv')
     assert header == 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,u_run_dx,u_run_dy,u_run_dz,inside'
     np.testing.assert_array_equal(rows[:, :3], done.q)
-    truth = np.array([error_by_hand(done.truth, point) for point in done.q])
+    truth = error_of(done.truth, done.q)
     left = without_rigid_motion(rows[:, 3:6] - truth, done.q)
     # the contract demands at most 2 % left
     assert mean_length(left) < 0.02 * mean_length(without_rigid_motion(truth, done.q))
@@ -68,7 +68,7 @@ def test_prediction_leaves_less_than_two_per_cent_of_the_truth(done):
 def test_prediction_agrees_with_the_sum_of_the_contract_over_the_written_tables(done):
     tables = load_tables(done.tables).tables
     _, rows = read_csv(done.folder / 'errors.csv')
-    expected = [error_by_hand(tables, point) for point in done.q]
+    expected = error_of(tables, done.q)
     # the contract asks for 0.01 um; both are plain sums
     np.testing.assert_allclose(rows[:, 3:6], expected, atol=1e-15)
 

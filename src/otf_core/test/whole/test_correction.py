@@ -21,9 +21,8 @@ from otf_core.diagnosis.corrected_calibration import (
 )
 from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.effects.removable_effect import removable_effect
+from otf_core.effects.removable_effect import FILE, FOUND, removable_effect
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated_effect import FILE, FOUND
 from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import some_machine
-from nameless_effects import BallPassage, Jolt
+from nameless_effects import nameless_ball_passage, nameless_jolt
 
 from otf_core.calibration.calibrate import calibrate_recordings, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
@@ -33,9 +33,9 @@ BACKLASH = AppliedEffect(REGISTRY['backlash'], {'B_X': 6e-6, 'B_Y': -4e-6})
 GROWTH = AppliedEffect(
     REGISTRY['thermal_axis_expansion'], {'tau': 200.0, 'until': 0.0, 'S_X': 40e-6, 'S_Y': 25e-6}
 )
-JOLT = AppliedEffect(Jolt(), {'t0': 90.0, 'A_X': 4e-6, 'A_Z': -3e-6})
+JOLT = AppliedEffect(nameless_jolt, {'t0': 90.0, 'A_X': 4e-6, 'A_Z': -3e-6})
 PERIOD = 0.0137
-BALLS = AppliedEffect(BallPassage(), {'p': PERIOD, 'A_X': 12e-6, 'A_Z': 0.0, 'A_Y': 0.0})
+BALLS = AppliedEffect(nameless_ball_passage, {'p': PERIOD, 'A_X': 12e-6, 'A_Z': 0.0, 'A_Y': 0.0})
 
 EFFECTS = {
     'none': [], 'backlash': [BACKLASH], 'growth': [GROWTH], 'jolt': [JOLT], 'balls': [BALLS]

@@ -2,7 +2,6 @@
 """Effects in simulated runs: added as stated, written and read again, found again by the fit."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from effect_cells import (
 from otf_core import cli
 from otf_core.bags.bag import read_bag
 from otf_core.config import CalibrationConfig, SimulationConfig
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import REGISTRY
 from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import state_on_path
 from otf_core.errors import ConfigError
@@ -33,7 +32,7 @@ from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import drives_of
-from otf_core.sim.effects import changed_noise, total_displacement
+from otf_core.sim.effects import changed_noise
 from otf_core.solving.joint import solve_jointly, tables_of
 from otf_core.solving.normal import sum_groups
 from otf_core.solving.solution import TIE_BREAK, smoothness
@@ -106,21 +105,6 @@ def test_run_with_an_effect_differs_by_its_displacement(name, machine, plan, pla
     np.testing.assert_array_equal(run.samples.stamp_ns, plain.samples.stamp_ns)
 
 
-def test_effects_add_up(machine, plan, plain):
-    both = simulate(machine, plan, CONFIG, effects=[applied('backlash'), applied('vibration')])
-    one, other = (
-        simulate(machine, plan, CONFIG, effects=[applied(n)]) for n in ('backlash', 'vibration')
-    )
-    total = one.samples.xyz + other.samples.xyz - plain.samples.xyz
-    np.testing.assert_allclose(both.samples.xyz, total, atol=2e-10)
-    state = driven_state()
-    two = [applied('backlash'), applied('vibration')]
-    np.testing.assert_array_equal(
-        total_displacement(state, two),
-        sum(e.effect.displacement(state, e.parameters) for e in two),
-    )
-
-
 def test_displacement_in_a_wrong_unit_is_refused(machine, plan):
     with pytest.raises(ConfigError, match=r'backlash: displaces .* B_X = 5 m'):
         simulate(machine, plan, CONFIG, effects=[applied('backlash', B_X=5.0)])
@@ -174,24 +158,6 @@ def test_noise_not_stated_stays_as_it_is(machine, plan, plain):
 # ---------------------------------------------------------------- effects.yaml
 
 
-def test_written_effects_reproduce_the_run_exactly(machine, plan, tmp_path):
-    rng = np.random.default_rng(3)
-    effects = []
-    for name, parameters in EXAMPLES.items():
-        varied = {
-            k: v * (1.0 if k in REGISTRY[name].shape_names else rng.uniform(0.5, 1.5))
-            for k, v in parameters.items()
-        }
-        effects.append(AppliedEffect(REGISTRY[name], varied))
-    write_effects(tmp_path / 'effects.yaml', effects, machine)
-    again = read_effects(tmp_path / 'effects.yaml', machine)
-    assert [(e.effect.name, dict(e.parameters)) for e in again] == [
-        (e.effect.name, e.parameters) for e in effects
-    ]
-    first, second = (simulate(machine, plan, CONFIG, effects=e) for e in (effects, again))
-    np.testing.assert_array_equal(first.samples.xyz, second.samples.xyz)
-
-
 def test_written_effects_state_their_units(machine, tmp_path):
     write_effects(tmp_path / 'e.yaml', [applied('thermal_axis_expansion')], machine)
     data = yaml.safe_load((tmp_path / 'e.yaml').read_text())
@@ -243,14 +209,6 @@ def test_command_line_adds_effects(machine, tmp_path):
     wrong = ['--effects', str(tmp_path / 'wrong.yaml'), '--out', str(tmp_path / 'none')]
     assert cli.main([*common, *wrong]) == 2
     assert not (tmp_path / 'none').exists()
-
-
-def test_command_line_names_the_wrong_parameter(machine, tmp_path, capsys):
-    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(machine.to_dict()))
-    (tmp_path / 'wrong.yaml').write_text('[{effect: backlash, parameters: {B_W: 1e-4}}]')
-    cli.main(['simulate', '--machine', str(tmp_path / 'machine.yaml'), '--effects',
-              str(tmp_path / 'wrong.yaml'), '--out', str(tmp_path / 'bag')])  # fmt: skip
-    assert re.search(r'wrong.yaml: entry 1: backlash: B_W: unknown', capsys.readouterr().err)
 
 
 # ---------------------------------------------------------------- found again

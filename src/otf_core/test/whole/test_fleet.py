@@ -10,18 +10,13 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
-import yaml
-from bag_cells import CONTENT
 from cli_cells import run
 
-from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import fleet as fleet_module
 from otf_core.fleet.document import fleet_document
-from otf_core.fleet.fleet import listed_jobs, read_list
-from otf_core.prediction.calibration_document import load_tables
+from otf_core.fleet.fleet import read_list
 from otf_core.reports.fleet_report import fleet_rows
 
 STUB = """
@@ -117,89 +112,12 @@ def test_the_run_of_a_killed_worker_is_done_again(plant, monkeypatch):
     assert told(plant / 'out') == told(plant / 'whole')
 
 
-def test_a_run_that_is_killed_each_time_fails_alone(plant, monkeypatch):
-    class Killing(subprocess.Popen):
-        def __init__(self, command, **options):
-            super().__init__(command, **options)
-            if 'b.mcap' in command[4]:
-                self.send_signal(signal.SIGKILL)
-
-    monkeypatch.setattr(fleet_module.subprocess, 'Popen', Killing)
-    fleet('out')
-    data = told(plant / 'out')
-    assert data['done'] == 3
-    assert 'killed by signal 9 in 3 tries' in data['runs']['b']['message']
-
-
 def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plant):
     (plant / 'gate.mcap').write_text('')
     (plant / 'runs.csv').write_text('name,bag,machine\ng,gate.mcap,machine.yaml\n')
     assert fleet('out') == 4
     assert told(plant / 'out')['done'] == 1
     assert told(plant / 'out')['runs']['g']['message'] == 'NOT GOOD'
-
-
-def test_every_run_gets_the_config_and_a_changed_one_is_another_input(plant, capsys):
-    (plant / 'runs.csv').write_text('name,bag,machine\na,a.mcap,machine.yaml\n')
-    given = ('fleet', 'calibrate', '--list', 'runs.csv', '--out', 'out', '--config', 'c.yaml')
-    for text in ('piece_length: 0.016', 'piece_length: 0.016', 'piece_length: 0.02'):
-        (plant / 'c.yaml').write_text(text)
-        assert run(*given) == 0
-    assert (plant / 'calls').read_text() == 'a\na\n'
-    (plant / 'c.yaml').write_text('passes: 2')
-    capsys.readouterr()
-    assert run(*given) == 2
-    assert 'passes: a key of otf plan, simulate only' in capsys.readouterr().err
-    jobs = listed_jobs('calibrate', read_list('runs.csv'), plant / 'out', 'c.yaml')
-    assert jobs[0].words[-3:] == ('--config', str(plant / 'c.yaml'), '--overwrite')
-
-
-def test_a_machine_out_of_its_limits_is_no_measurement_that_failed(plant, capsys):
-    rows = ['name,bag,machine', 'x,limit.mcap,machine.yaml']
-    (plant / 'limit.mcap').write_text('')
-    (plant / 'runs.csv').write_text('\n'.join(rows) + '\n')
-    assert fleet('out') == 5
-    said = capsys.readouterr().out
-    assert 'limits of the machine not proven to be met: x' in said
-    assert 'not good' not in said
-    page = (plant / 'out/fleet.html').read_text(encoding='utf-8')
-    assert '1 with limits of the machine not proven to be met' in page and '>broken<' in page
-    (plant / 'gate.mcap').write_text('')
-    (plant / 'runs.csv').write_text('\n'.join([*rows, 'g,gate.mcap,machine.yaml']) + '\n')
-    assert fleet('out') == 4
-    said = capsys.readouterr().out
-    assert 'measurement not good: g' in said and 'not proven to be met: x' in said
-
-
-def test_runs_with_other_target_offsets_are_not_compared_silently(plant, capsys):
-    rows = ['name,bag,machine', 'a,offset.mcap,machine.yaml', 'b,offset_b.mcap,machine.yaml']
-    for name in ('offset', 'offset_b', 'longer_offset'):
-        (plant / f'{name}.mcap').write_text('')
-    (plant / 'runs.csv').write_text('\n'.join(rows) + '\n')
-    assert fleet('out') == 0
-    said = capsys.readouterr().out
-    assert '* holds at the target offset of its run only: A0Z contain' in said
-    assert 'WARNING' not in said
-    (plant / 'runs.csv').write_text('\n'.join([*rows, 'c,longer_offset.mcap,machine.yaml']) + '\n')
-    assert fleet('out') == 0
-    warning = (
-        'WARNING target offsets differ ((0, 0, -150) mm: a, b; (0, 0, -250) mm: c): compare these '
-        'values among runs of one offset only.'
-    )
-    assert warning in capsys.readouterr().out
-    assert told(plant / 'out')['warnings'][1] == warning
-    page = (plant / 'out/fleet.html').read_text(encoding='utf-8')
-    assert '1.00 ± 0.10*' in page.replace('\u00a0', ' ') and 'target offsets differ' in page
-
-
-def test_folders_of_others_and_fleets_of_other_verbs_are_left_alone(plant, capsys):
-    (plant / 'mine').mkdir()
-    (plant / 'mine/file').write_text('mine')
-    assert fleet('mine') == 2
-    fleet('out')
-    assert run('fleet', 'diagnose', '--list', 'runs.csv', '--out', 'out') == 2
-    assert 'holds a fleet of calibrate' in capsys.readouterr().err
-    assert (plant / 'mine/file').read_text() == 'mine'
 
 
 @pytest.mark.parametrize(
@@ -268,23 +186,6 @@ def test_dask_workers_give_the_bits_of_processes_though_one_is_killed(plant, das
     assert sorted(worker.poll() is None for worker in workers) == [False, True]
 
 
-def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, 'distributed', None)
-    arguments = ('--list', 'runs.csv', '--out', 'out', '--scheduler', 'tcp://localhost:1')
-    assert run('fleet', 'calibrate', *arguments) == 2
-    assert 'pip install distributed' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ('words', 'said'),
-    [(('calibrate',), '--list'), (('blind', '--list', 'a.csv'), 'blind')],
-)
-def test_a_fleet_needs_a_list_and_a_verb_for_it(tmp_path, capsys, words, said):
-    assert run('fleet', *words, '--out', tmp_path / 'out') == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / 'out').exists()
-
-
 def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     sizes = {'mean': 1e-5, 'max': 2e-5}
     data = {
@@ -305,19 +206,3 @@ def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
     assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
         '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',
     ]  # fmt: skip
-
-
-def test_real_bags_give_what_calibrating_gives(cell, calibrated, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(cell.machine.to_dict()))
-    write_bag(tmp_path / 'good', BagContent(cell.recording.measured(cell.truth), cell.path))
-    write_bag(tmp_path / 'short', CONTENT)
-    rows = ['name,bag,machine', 'g,good,machine.yaml', 's,short,machine.yaml']
-    (tmp_path / 'runs.csv').write_text('\n'.join(rows) + '\n')
-    assert fleet('out') == 4
-    data = told(tmp_path / 'out')
-    assert data['runs']['g']['exit'] == 0
-    assert data['runs']['s']['exit'] == 3
-    tables = load_tables(tmp_path / 'out/g/error_tables.json').tables
-    for name, table in calibrated.tables.motions.items():
-        np.testing.assert_array_equal(tables.motions[name].value, table.value)

@@ -2,27 +2,21 @@
 """Forecast: what a calibration will show equals what it does show; said in words."""
 
 import json
-import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_cells import run
-from core_cells import corner_path, plan_for_path, record, small_plan, smooth, some_machine
-from html_cells import Page, unloading
+from core_cells import record, small_plan, smooth, some_machine
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
+from otf_core.config import ForecastConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.chain import displacement
 from otf_core.model.evaluation import free_rows, without_rigid_motion
-from otf_core.model.machine import TrackerSpec
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import MOTIONS
 from otf_core.model.plan import Timing
-from otf_core.noise.noise_model import NoiseComponent, NoiseModel, read_noise
-from otf_core.planning.findings import chain_shows, findings
+from otf_core.noise.noise_model import NoiseComponent, read_noise
+from otf_core.planning.findings import findings
 from otf_core.planning.follow_up import (
-    beam_lengths,
     candidate_places,
     check_place,
     compare_places,
@@ -30,7 +24,6 @@ from otf_core.planning.follow_up import (
 )
 from otf_core.planning.forecast import Setup, forecast
 from otf_core.planning.line_of_sight import default_tracker_place
-from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.drive import drives_of
@@ -119,68 +112,6 @@ def test_drive_times_are_those_of_the_simulated_drive(acceleration):
         np.testing.assert_allclose(drive.at(moment), expected, atol=1e-9)
 
 
-def test_repeating_at_other_times_helps_more_than_driving_slower():
-    machine = some_machine()
-    # errors of any size: what is expected of them tells nothing
-    setup = Setup.of(machine, config=ForecastConfig(error_size=1e-2))
-    once, slow = (forecast(small_plan(machine, feed=f), setup) for f in (0.25, 0.05))
-    four = forecast(small_plan(machine, feed=0.25, feed_ratio=1.0, passes=4), setup)
-    assert four.duration < slow.duration
-    assert four.mean_grid_u == pytest.approx(once.mean_grid_u / 2, rel=0.01)
-    assert four.mean_grid_u < slow.mean_grid_u < once.mean_grid_u
-
-
-def test_correlated_noise_averages_out_less():
-    machine = some_machine()
-    plan, spec = small_plan(machine), machine.tracker
-    white, slow = (
-        forecast(plan, Setup.of(machine, noise=NoiseModel.from_spec(spec, w))) for w in (1.0, 0.1)
-    )
-    assert slow.mean_grid_u > 1.5 * white.mean_grid_u
-
-
-@pytest.mark.parametrize(
-    ('chain', 'error', 'mixed', 'said'),
-    [
-        ('w-b-X-Y-Z-t', 'EBZ', ('EXZ',), 'distinguished from EXZ with one target offset along Z'),
-        ('w-Y-b-X-Z-t', 'EAZ', ('EYZ',), 'distinguished from EYZ with one target offset along Z'),
-        ('w-Y-b-X-Z-t', 'ECX', (), 'rotation about a line through the reflectors'),
-        ('w-X-Y-Z-b-t', 'ECY', ('EXY',), 'distinguished from EXY with one target offset along Z'),
-    ],
-)
-def test_what_the_chain_hides_is_said_in_words(chain, error, mixed, said):
-    machine = some_machine(chain, offset=(0.0, 0.0, -0.15))
-    found = words(machine, small_plan(machine))
-    assert set(found) == {n for n in MOTIONS if not chain_shows(machine, n)}
-    assert found[error].mixed_with == mixed
-    assert said in found[error].words
-    assert 'target offset that differs' in found[error].needs
-
-
-def test_lines_along_the_axes_alone_are_said_to_be_too_few():
-    machine = some_machine(offset=(0.0, 0.0, -0.15))
-    path = corner_path(machine, (0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 0, 1))
-    found = words(machine, plan_for_path(path, PlannerConfig()))
-    for name in ('EXX', 'EYY', 'EZZ'):
-        assert 'along the lines of this path' in found[name].words
-    assert 'along the lines of this path' in found['EBX'].words
-    assert all('diagonals' in found[n].needs for n in ('EXX', 'EBX'))
-
-
-def test_nodes_that_no_line_determines_are_named():
-    machine = some_machine(offset=(0.0, 0.0, -0.15))
-    plan = small_plan(machine)
-    half = plan.path.points[:, 0] <= 0.16
-    kept = plan.path.points[half]
-    far = np.array([[0.3, 0.1, -0.1], [0.0, 0.1, -0.1]])
-    path = type(plan.path)(np.concatenate([kept, far]))
-    found = words(machine, plan_for_path(path, PlannerConfig()))
-    assert 'X' not in found  # driven to both ends
-    loose = [f for f in found.values() if 'not determined at X' in f.words]
-    assert loose
-    assert all('interpolated' in f.words for f in loose)
-
-
 def test_part_of_a_range_that_is_not_driven_is_named_and_not_judged():
     machine = some_machine(offset=(0.0, 0.0, -0.15))
     plan = small_plan(machine, margin=0.01)
@@ -211,36 +142,6 @@ def test_places_lie_outside_the_volume_and_nearer_is_better():
     assert near.mean_grid_u < far.mean_grid_u
 
 
-def test_places_beyond_the_range_limits_are_left_out():
-    machine = some_machine()
-    plan = small_plan(machine)
-    limits = ForecastConfig(grid=2, min_range=0.2, max_range=0.65)
-    setup = Setup.of(machine, config=limits)
-    ranked = compare_places(plan, setup, judged(plan, setup))
-    assert 0 < len(ranked) < 22
-    assert max(p.longest for p in ranked) <= 0.65
-    setup = Setup.of(machine, config=replace(limits, max_range=0.3))
-    none = compare_places(plan, setup, judged(plan, setup))
-    assert none == []
-
-
-def test_place_is_judged_as_the_whole_forecast_judges_it():
-    machine = some_machine()
-    plan = small_plan(machine)
-    for place in ([0.1, -0.5, 0.2], [-0.4, 0.3, 0.5]):
-        setup = Setup.of(machine, np.array(place), config=ForecastConfig(grid=3))
-        found = judged(plan, Setup.of(machine, config=setup.config))(setup.place)
-        assert found == pytest.approx(forecast(plan, setup).mean_grid_u, rel=0.03)
-
-
-def test_beam_lengths_are_to_the_lines_not_only_the_corners():
-    machine = some_machine()
-    plan = plan_for_path(corner_path(machine, (0, 0, 1), (1, 0, 1)), PlannerConfig())
-    near, far = beam_lengths(plan, Setup.of(machine, np.array([0.15, -0.4, 0.0])))
-    assert near == pytest.approx(0.4)
-    assert far == pytest.approx(np.hypot(0.15, 0.4))
-
-
 def test_tracker_inside_the_path_is_refused():
     machine = some_machine()
     inside = 0.5 * (machine.lower + machine.upper)
@@ -248,12 +149,6 @@ def test_tracker_inside_the_path_is_refused():
         check_place(small_plan(machine), Setup.of(machine, inside))
     assert check_place(small_plan(machine), Setup.of(machine)) is None
     assert default_tracker_place(machine)[1] < machine.lower[1]
-
-
-@pytest.mark.parametrize('text', ['', '1,2', '1,2,3,4', 'a,b,c', '1,2,nan', '300,0,0'])
-def test_wrong_place_is_refused(text):
-    with pytest.raises(ConfigError, match='tracker_place'):
-        read_place(text)
 
 
 def test_noise_file_gives_levels_and_white_shares(tmp_path):
@@ -270,88 +165,6 @@ def test_noise_file_gives_levels_and_white_shares(tmp_path):
             read_noise(file)
     with pytest.raises(ConfigError, match='cannot be read'):
         read_noise(tmp_path / 'none.json')
-
-
-def test_wishes_that_exclude_each_other_are_refused():
-    with pytest.raises(ConfigError, match='time_budget and wanted_uncertainty'):
-        PlanRequest(time_budget=100.0, wanted_uncertainty=1e-6)
-    for value in (0.0, -1.0, float('nan')):
-        with pytest.raises(ConfigError, match='not above 0'):
-            PlanRequest(time_budget=value)
-
-
-def test_noise_given_counts_in_the_forecast():
-    machine = some_machine()
-    given = small_plan(machine)
-    config, judged = PlannerConfig(), ForecastConfig(grid=2)
-    loud, quiet = (
-        make_plan(machine, PlanRequest(given=given, noise=noise), config, judged).forecast
-        for noise in (NoiseModel.from_spec(TrackerSpec(1e-6, 8e-6)), None)
-    )
-    assert loud.u['EYX'].max() > 2 * quiet.u['EYX'].max()
-
-
-@pytest.fixture
-def machine_file(tmp_path):
-    data = some_machine(offset=(0.0, 0.0, -0.15)).to_dict()
-    file = tmp_path / 'machine.yaml'
-    file.write_text(json.dumps(data))  # JSON is YAML
-    return file
-
-
-def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file, capsys):
-    out = tmp_path / 'out'
-    arguments = ('plan', '--machine', machine_file, '--out', out, '--tracker-place',
-                 '-0.3,0.1,-0.1', {'passes': 1, 'levels': 2, 'grid': 2})  # fmt: skip
-    assert run(*arguments) == 0
-    said, hints = capsys.readouterr()
-    names = ['manifest.json', 'path.csv', 'plan.json', 'report.html']
-    assert sorted(f.name for f in out.iterdir()) == names
-    assert 'no NC program: give --dialect' in hints.splitlines()[-1]
-    assert len(said.splitlines()) <= 14
-    assert said.splitlines()[-1] == f'open {out / "report.html"}'
-    data = json.loads((out / 'plan.json').read_text())
-    assert data['schema'] == 'otf-plan/2'
-    assert data['assumed']['tracker_place'] == [-0.3, 0.1, -0.1]
-    (part,) = data['parts']
-    assert len(part['positions']) == len(part['feed']) + 1 == len(part['dwell'])
-    assert set(data['forecast']['errors']) == {*SQUARENESS, *MOTIONS}
-    entry = data['forecast']['errors']['EYX']
-    assert len(entry['u']) == len(entry['position']) == len(entry['node_identifiable'])
-    assert {f['error'] for f in data['not_shown']} == {
-        n for n, e in data['forecast']['errors'].items() if not e['identifiable']
-    }
-    source = (out / 'report.html').read_text(encoding='utf-8')
-    page = Page(source)
-    assert page.faults == [] and unloading(source) == []
-    assert '@top-left' in source and '(m)' not in page.text.replace('Beam (m)', '')
-    assert [row[0] for row in page.rows('Position of the tracker')]
-    assert 'written: path.csv, report.html, plan.json' in said
-    for name, entry in data['forecast']['errors'].items():
-        mean, unit = 1e6 * np.mean(entry['u']), 'µm' if entry['unit'] == 'm' else 'µrad'
-        largest = 1e6 * np.max(entry['u'])
-        said = (
-            f'{mean:.2f}, largest {largest:.2f}\u00a0{unit}'
-            if entry['identifiable']
-            else 'not shown by this path'
-        )
-        row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', source)
-        assert row[1] == said, name
-    sight = {name: entry['visible'] for name, entry in data['effects'].items()}
-    assert sight['backlash']
-    assert not sight['tracker_scale']  # an equal slope of all axes
-    assert not sight['target_offset']
-
-
-def test_plan_judges_a_given_path(tmp_path, machine_file, capsys):
-    (tmp_path / 'p.csv').write_text('x,y,z\n0,0,-0.1\n0.3,0.25,-0.1\n0.3,0,-0.1\n0,0.25,-0.1\n')
-    out = tmp_path / 'out'
-    arguments = ('plan', '--machine', machine_file, '--out', out, {'grid': 2})
-    assert run(*arguments, '--path', tmp_path / 'p.csv') == 0
-    said = capsys.readouterr().out
-    assert 'Plan: the path given' in said
-    page = (out / 'report.html').read_text(encoding='utf-8')
-    assert 'EYZ: no part moves Z between tracker and reflector' in page
 
 
 def test_recorded_plan_of_the_shared_cell_has_the_forecast_rank(cell):

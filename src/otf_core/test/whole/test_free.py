@@ -26,20 +26,20 @@ from otf_core.effects.action import (
     vector,
 )
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
-from otf_core.effects.empirical import node_table, of_table
 from otf_core.effects.free import Free
-from otf_core.effects.free_form import FreeForm, free_forms
-from otf_core.effects.history import lap_numbers, path_history, travel_at_start
-from otf_core.effects.inputs import scaled_input, unscaled_input
-from otf_core.effects.located_inputs import (
+from otf_core.effects.free_form import FreeForm, free_forms, node_table, of_table
+from otf_core.effects.inputs import (
     DIRECTION,
     MOMENT,
     PLACE,
     cycle_period,
     head_of,
     numbers_of,
+    scaled_input,
+    unscaled_input,
 )
 from otf_core.effects.removable_effect import removable_effect
+from otf_core.effects.state import lap_numbers, path_history, travel_at_start
 from otf_core.errors import ConfigError
 from otf_core.tracking.curves import Lines, straight_shape
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from otf_core.errors import ConfigError
 from otf_core.files.output_folder import MANIFEST, OutputFolder
 from otf_core.files.writing import DiskFull, write_if_possible, write_text
 
@@ -49,13 +48,6 @@ def test_what_may_not_be_missing_is_refused_and_nothing_is_left(tmp_path, little
     with pytest.raises(DiskFull, match='cannot be written'), out.filled('calibrate') as folder:
         write_if_possible(None, 'large', lambda: write_text(folder / 'large', LARGE))
     assert not list(tmp_path.iterdir())
-
-
-def test_another_trouble_is_no_full_disk(tmp_path):
-    missing = {}
-    with pytest.raises(ConfigError, match='cannot be written'):
-        write_if_possible(missing, 'x', lambda: write_text(tmp_path / 'none' / 'x', SMALL))
-    assert not missing
 
 
 SMALL_DISK = """

@@ -2,17 +2,11 @@
 """What pip installs: all that is imported, all that requirements/core.txt names, the command."""
 
 import ast
-import os
 import re
-import runpy
 import subprocess
 import sys
 from configparser import ConfigParser
 from pathlib import Path
-from xml.etree import ElementTree
-
-import pytest
-import yaml
 
 import otf_core
 
@@ -24,7 +18,6 @@ NAMES = {'yaml': 'pyyaml'}
 FOLDER = ROOT / 'src/otf_core'
 PROJECT = ConfigParser()
 PROJECT.read(FOLDER / 'setup.cfg', encoding='utf-8')
-README = FOLDER / 'README.md'
 
 
 def required():
@@ -55,68 +48,6 @@ def test_what_the_offline_commands_are_set_up_with_is_what_pip_brings():
     listed = {line.split()[0].lower() for line in lines if not line.startswith('#')}
     assert required() - listed == {'zstandard', 'lz4'}  # come with mcap
     assert listed <= required()
-
-
-def test_the_command_is_that_of_the_offline_verbs():
-    script = PROJECT['options.entry_points']['console_scripts'].strip()
-    name, module, function = re.fullmatch(r'(\w+) = ([\w.]+):(\w+)', script).groups()
-    assert name == 'otf'
-    code = (
-        f'import sys; sys.argv = ["otf", "--version"]; from {module} import {function} as f; f()'
-    )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
-    assert done.stdout == f'otf {otf_core.__version__}\n'
-
-
-def test_every_package_is_a_package_that_is_found():
-    folders = {file.parent for file in PACKAGE.rglob('*.py')}
-    assert all((folder / '__init__.py').exists() for folder in folders)
-
-
-def test_wheels_bring_licence_and_readme_and_nobody_has_a_false_address():
-    assert (FOLDER / 'LICENSE').read_bytes() == (ROOT / 'LICENSE').read_bytes()
-    known = PROJECT['metadata']
-    assert known['keywords'] and known['author'] and known['license'] == 'Apache-2.0'
-    described = ElementTree.parse(FOLDER / 'package.xml').getroot()
-    assert described.findtext('description') == known['description']
-    assert described.find('license').get('file') == 'LICENSE'
-    files = [
-        p for name in ('package.xml', 'setup.py', 'setup.cfg') for p in ROOT.glob(f'src/*/{name}')
-    ]
-    for file in files:
-        addresses = re.findall(r'[\w.-]+@[\w.-]+', file.read_text(encoding='utf-8'))
-        assert all(address.endswith('.invalid') for address in addresses), file
-
-
-@pytest.mark.parametrize(('command', 'found'), [('bdist_wheel', False), ('install', True)])
-def test_ros_finds_what_colcon_installs_and_pip_brings_nothing_of_it(command, found, monkeypatch):
-    given = {}
-    monkeypatch.setattr(sys, 'argv', ['setup.py', command])
-    monkeypatch.setattr('setuptools.setup', lambda **arguments: given.update(arguments))
-    runpy.run_path(str(FOLDER / 'setup.py'))
-    assert bool(given['data_files']) == found
-    assert given['long_description'] == README.read_text(encoding='utf-8')
-
-
-def test_the_example_of_the_package_runs(tmp_path):
-    (code,) = re.findall(r'```python\n(.*?)```', README.read_text(encoding='utf-8'), re.DOTALL)
-    command = [sys.executable, '-W', 'error', '-c', code]
-    done = subprocess.run(
-        command, cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(PACKAGE.parent)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert 'EXX' in done.stdout and (tmp_path / 'results/report.html').exists()
-
-
-def test_who_cites_cites_this_version_and_the_paper():
-    cited = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
-    assert cited['cff-version'] == '1.2.0' and cited['version'] == otf_core.__version__
-    (paper,) = cited['references']
-    assert (
-        paper['doi'] == '10.3390/jmmp7020060' and paper['authors'][0]['family-names'] == 'Sanders'
-    )
-    assert otf_core.__version__ in (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8')
 
 
 def test_pages_of_the_public_names_are_made_without_a_warning(tmp_path):

@@ -33,15 +33,6 @@ def test_questions_are_rivals_and_what_was_not_visible(tmp_path):
     assert (hidden.effect, hidden.rival, hidden.cause) == ('tracker_scale', '', None)
 
 
-@pytest.mark.parametrize(
-    ('rivals', 'hidden', 'words'), [((), (), 'left nothing open'), (None, None, 'gap.json')]
-)
-def test_folder_without_a_question_is_refused(tmp_path, rivals, hidden, words):
-    folder = tmp_path if rivals is None else diagnosed(tmp_path, rivals, hidden)
-    with pytest.raises(ConfigError, match=words):
-        open_questions(folder, MACHINE)
-
-
 def test_faint_lag_is_told_from_play_by_a_second_feed():
     setup = Setup.of(MACHINE)
     asked = [OpenQuestion('servo_mismatch', 'backlash', LAG)]
@@ -73,10 +64,3 @@ def test_a_run_that_was_measured_adds_to_what_a_further_one_says():
         for known in ([], [before.observed(setup)])
     )
     assert both > 1.9 * alone > 0.0
-
-
-@pytest.mark.parametrize('lacking', ['path', 'feed', 'tracker_place'])
-def test_a_measured_run_that_cannot_be_read_is_refused(lacking):
-    entry = as_measured(plan_path(MACHINE, PlannerConfig()), (0.0, -0.5, 0.0))
-    with pytest.raises(ConfigError, match=f'd/gap.json: measured: cannot be read .*{lacking}'):
-        MeasuredRun.of({k: v for k, v in entry.items() if k != lacking}, 'd/gap.json')

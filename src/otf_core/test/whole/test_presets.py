@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Classes of trackers and workshops, and what u would be with typical contributions."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +12,8 @@ from otf_core.config import ForecastConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
-from otf_core.model.sections import DECLARABLE, DeclaredUncertainty
+from otf_core.model.presets import TRACKERS, WORKSHOPS, typical_values
+from otf_core.model.sections import DeclaredUncertainty
 from otf_core.planning.forecast import (
     Setup,
     forecast,
@@ -24,8 +22,6 @@ from otf_core.planning.forecast import (
 )
 from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.plan_files import plan_summary
-
-ROOT = Path(__file__).resolve().parents[4]
 
 
 def described(tracker=None, uncertainty=None):
@@ -54,14 +50,6 @@ def test_a_tracker_preset_gives_noise_and_declares_the_tracker(name):
     }
 
 
-def test_tracker_and_workshop_together_declare_everything():
-    for tracker in TRACKERS:
-        for workshop in WORKSHOPS:
-            machine = described({'preset': tracker}, {'preset': workshop})
-            assert set(machine.uncertainty.values) == set(DECLARABLE)
-    assert set(typical_values()) == set(DECLARABLE)
-
-
 def test_given_keys_win_over_presets():
     machine = described(
         {'preset': 'ltd-class', 'u_angle': 7e-6},
@@ -73,24 +61,6 @@ def test_given_keys_win_over_presets():
     assert (values['tracker_scale'], values['air_temperature']) == (0.0, 0.1)
     assert values['tracker_angle'] == TRACKERS['ltd-class'].values['tracker_angle']
     assert values['machine_temperature'] == WORKSHOPS['hall'].values['machine_temperature']
-
-
-def test_the_echo_names_the_presets_and_stands_on_its_own():
-    machine = described({'preset': 'absolute-distance-meter'}, {'preset': 'workshop'})
-    echo = machine.to_dict()
-    assert echo['tracker'] == {
-        'u_range': 1.0e-6,
-        'u_angle': 3.5e-6,
-        'preset': 'absolute-distance-meter',
-    }
-    assert echo['uncertainty']['preset'] == 'workshop'
-    assert set(echo['uncertainty']) == {*DECLARABLE, 'preset'}
-    assert machine_from_dict(echo).to_dict() == echo
-    plain = json.loads(json.dumps(echo))
-    del plain['tracker']['preset'], plain['uncertainty']['preset']
-    again = machine_from_dict(plain)
-    assert dict(again.uncertainty.values) == dict(machine.uncertainty.values)
-    assert again.tracker.u_range == machine.tracker.u_range
 
 
 @pytest.mark.parametrize(
@@ -123,18 +93,6 @@ def test_wrong_presets_name_the_key_and_what_is_known(tracker, uncertainty, word
     assert words in str(caught.value)
 
 
-def test_harder_conditions_are_not_less_uncertain():
-    for presets in (TRACKERS, WORKSHOPS):
-        best, *others = presets.values()
-        for other in others:
-            for key, value in best.values.items():
-                # a distance meter is better in scale than an interferometer
-                assert other.values[key] >= value or key == 'tracker_scale', (other.what, key)
-    for preset in (*TRACKERS.values(), *WORKSHOPS.values()):
-        assert preset.sources
-        assert set(preset.values) <= {*DECLARABLE, *NOISE}
-
-
 # ---------------------------------------------------------------- what u would be
 
 
@@ -159,42 +117,6 @@ def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_the
     assert whole.to_dict()['typical_systematic'] is None
 
 
-def test_undeclared_contributions_are_a_warning(calibrated):
-    first = calibrated.warnings[0]
-    assert first.startswith('machine.yaml declares nothing for tracker scale, air, ')
-    assert (
-        'u includes typical values for them (presets absolute-interferometer, workshop)' in first
-    )
-    found = calibrated.to_dict()
-    assert found['warnings'][0] == found['typical_systematic']['sentence'] == first
-    for motion in found['motions'].values():
-        assert np.all(np.array(motion['u']) >= motion['u_run'])
-    c0y = found['squareness']['C0Y']
-    assert c0y['u'] > c0y['u_run']
-    assert found['typical_systematic']['assumed'] == typical_values()
-    assert found['systematic'] == 'typical'
-
-
-def test_the_headline_is_the_same_whether_typical_values_are_declared_or_assumed(cell, calibrated):
-    whole = with_declared(cell, typical_values()).headline
-    first = calibrated.headline
-    assert (first.systematic, whole.systematic) == ('typical', 'declared')
-    assert len(first.typical_for) == 6 and whole.typical_for == ()
-    for own, other in ((first.expanded, whole.expanded), (first.observed, whole.observed)):
-        assert own == pytest.approx(other, rel=0.2)
-    assert first.error == pytest.approx(whole.error, rel=0.01)
-    assert first.u_of_largest == pytest.approx(whole.u_of_largest, rel=0.2)
-    assert first.k == whole.k == 2.0
-    assert all(first.observed[k] < 0.3 * first.expanded[k] for k in first.expanded)
-    assert 'typical, not declared' in first.expanded_words
-    assert 'as declared' in whole.expanded_words
-
-
-def test_nothing_systematic_is_assumed_where_it_is_declared_to_be_zero(cell):
-    nothing = with_declared(cell, dict.fromkeys(DECLARABLE, 0.0)).headline
-    assert nothing.expanded == pytest.approx(nothing.observed)
-
-
 def test_what_is_declared_in_part_is_missing_in_part(cell):
     some = {
         k: v for k, v in typical_values().items() if k not in ('tracker_angle', 'air_pressure')
@@ -210,17 +132,6 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
         np.testing.assert_allclose(partly.tables.motions[name].u, u, rtol=1e-6, atol=1e-15)
 
 
-def test_zero_declares_that_there_is_nothing(cell, calibrated):
-    nothing = with_declared(cell, dict.fromkeys(DECLARABLE, 0.0))
-    assert nothing.typical is None
-    assert nothing.budget.not_stated == ()
-    np.testing.assert_allclose(
-        nothing.tables.motions['EXX'].u, calibrated.tables.motions['EXX'].u_run, rtol=1e-9
-    )
-    machine = described(uncertainty=dict.fromkeys(DECLARABLE, 0.0))
-    assert set(machine.uncertainty.values.values()) == {0.0}
-
-
 # ---------------------------------------------------------------- before measuring
 
 
@@ -232,22 +143,6 @@ def planned(machine, plan):
     report = PlanReport(plan, 'given', setup, found, (), (), (), (), systematic, (), {}, (), {})
     data = report.document.to_dict()
     return systematic, plan_summary(data), data
-
-
-def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
-    found, text, data = planned(cell.machine, cell.plan)
-    assert found.declared == ()
-    assert len(found.missing) == 6
-    assert found.with_declared == found.noise
-    assert found.with_typical > 3 * found.noise
-    first, second = text.splitlines()[:2]
-    assert first == found.expected.expanded_words
-    assert 'typical, not declared in machine.yaml' in first
-    assert second == found.expected.forecast_words
-    assert found.expected.expanded['mean'] == pytest.approx(2 * found.with_typical)
-    assert found.expected.observed['mean'] == pytest.approx(2 * found.noise)
-    assert data['forecast']['holds'] == 'noise'
-    assert data['systematic']['mean_grid_u_with_typical'] == found.with_typical
 
 
 def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(cell):

@@ -14,20 +14,14 @@ import pytest
 import yaml
 from cli_cells import run
 from core_cells import some_machine
-from html_cells import Page
 
 import otf_core
 from otf_core.bags.bag import BagContent, read_bag, write_bag
-from otf_core.calibration.scalar_words import squareness_words
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
-from otf_core.model.chain import displacement
-from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import moment, origin_of, provenance
-from otf_core.planning.nc.dialect import words
-from otf_core.prediction.calibration_document import load_tables
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'
@@ -104,14 +98,6 @@ def test_date_of_measurement_and_hash_of_the_bag_are_those_of_its_content(cell, 
     assert block['measured']['first'] == '2023-11-14T22:13:20.000000Z'
 
 
-def test_method_and_options_are_stated_apart(cell, tmp_path):
-    assert block_of(cell.tables)['method'] == 'otf'
-    arguments = ('--machine', cell.machine, '--method', 'standstill', '--out', tmp_path / 'out')
-    assert run('calibrate', cell.folder / 'bag', *arguments) in (0, 3, 4)
-    file = tmp_path / 'out' / 'error_tables.json'
-    assert not file.exists() or block_of(file)['method'] == 'standstill'
-
-
 def test_hash_follows_content_and_not_storage(tmp_path):
     samples = Samples(np.arange(5) * 10**9 + 10**18, np.linspace(0, 1, 15).reshape(5, 3))
     path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
@@ -178,61 +164,9 @@ def test_all_packages_and_the_command_have_one_version(capsys):
 # ---------------------------------------------------------------- words and numbers beside
 
 
-def test_page_states_sign_date_and_predicted_volumetric_error(cell):
-    page = Page((cell.tables.parent / 'report.html').read_text(encoding='utf-8')).text
-    assert 'actual minus nominal' in page and '2023-11-14T22:13:20' in page
-    tables = load_tables(cell.tables).tables
-    grid = lattice(tables.machine)
-    size = np.linalg.norm(without_rigid_motion(displacement(tables, grid), grid), axis=1)
-    found = json.loads(cell.tables.read_text())['headline']['error']
-    expected = [size.mean(), np.sort(size)[round(0.95 * 342)], size.max()]
-    assert [found[k] for k in ('mean', 'p95', 'max')] == pytest.approx(expected, rel=0.02)
-    said = re.search(r'as found: mean ([\d.]+)\s*µm, largest ([\d.]+)', page)
-    assert [float(v) for v in said.groups()] == pytest.approx(
-        [1e6 * size.mean(), 1e6 * size.max()], abs=0.5
-    )
-
-
-@pytest.mark.parametrize(
-    ('name', 'one', 'other'), [('C0Y', 'X', 'Y'), ('B0Z', 'X', 'Z'), ('A0Z', 'Y', 'Z')]
-)
-@pytest.mark.parametrize('value', [3e-5, -3e-5])
-def test_squareness_in_words_is_the_angle_that_the_axes_enclose(name, one, other, value):
-    from core_cells import constant_tables
-
-    tables = constant_tables(some_machine(), **{name: value})
-    ends = np.array([np.eye(3)['XYZ'.index(axis)] for axis in (one, other)])
-    moved = ends + displacement(tables, ends) - displacement(tables, np.zeros((1, 3)))
-    cosine = moved[0] @ moved[1] / np.prod(np.linalg.norm(moved, axis=1))
-    more = np.arccos(cosine) - np.pi / 2
-    assert squareness_words(name, value, 2e-7) == (
-        f'angle between +{one} and +{other} is 90 deg {"+" if more > 0 else "-"} 30.00 urad '
-        f'(6.188 arcsec)'
-    )
-
-
-def test_tables_in_csv_have_both_uncertainties_and_tidy_positions(cell):
-    header, *rows = (cell.tables.parent / 'error_tables.csv').read_text().splitlines()
-    assert header == (
-        'motion,axis,position,position_unit,value,unit,u,u_run,identifiable,k,target_offset'
-    )
-    data = json.loads(cell.tables.read_text())
-    for row in (r.split(',') for r in rows):
-        entry = data['squareness' if row[0][0] in 'ABC' else 'motions'][row[0]]
-        if row[9]:
-            assert float(row[9]) == entry['k']
-            assert float(row[6]) >= float(row[7])
-        assert not row[2] or float(row[2]) == round(float(row[2]), 12)
-        assert '-0.0' not in row
-
-
 @pytest.mark.parametrize(
     ('value', 'text'),
     [(-0.1 + 1e-17, '-0.1'), (3 * 0.11, '0.33'), (-0.0, '0.0'), (-1e-14, '0.0'), (0.125, '0.125')],
 )
 def test_positions_are_written_tidy(value, text):
     assert repr(tidy(value)) == text
-
-
-def test_positions_of_a_program_are_never_minus_zero():
-    assert words({'X': -0.0, 'Y': -1e-5, 'Z': -0.0006}) == 'X0.000 Y0.000 Z-0.001'

@@ -1,42 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reversal as part of the solution: recovered, chosen on held-out legs, honest where blind."""
 
-import json
-
 import numpy as np
 import pytest
 from core_cells import (
-    corner_path,
     grid_error,
-    observed,
-    pieces_of,
-    plan_for_path,
     some_machine,
-    transform_pose,
-    white,
-    zero_tables,
 )
 from effect_cells import applied, some_plan
 
 from otf_core.calibration.calibrate import calibrate, calibrate_recordings
-from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
-from otf_core.exports.terms import half_reversal
 from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS
-from otf_core.model.nodes import table_nodes
 from otf_core.pieces.runs import Recording
-from otf_core.prediction.calibration_document import load_tables
-from otf_core.reports.calibration import write_calibration
-from otf_core.reports.calibration_page import calibration_page
-from otf_core.reports.rendering import typeset
 from otf_core.sim.cell import simulate
-from otf_core.solving.normal import normal_equations
-from otf_core.solving.solution import identifiable_blocks
-from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import is_reversal, layout, linear_bases, reversal_names
-from otf_core.solving.whitener import Whitener
 
 CHAIN = 'w-Y-b-X-Z-t'
 BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}
@@ -74,18 +53,6 @@ def chosen(backlash):
 def along_the_axis():
     """Calibration of a cell whose reversal changes along the axes, model chosen."""
     return solved(cell(direction_dependent_tables=TABLES))
-
-
-def test_tables_without_reversal_error_are_exactly_those_of_the_plain_model():
-    plain = cell()
-    auto, none = solved(plain), solved(plain, 'none')
-    assert auto.reversal.model == 'none'
-    assert not auto.reversal.motions
-    np.testing.assert_array_equal(auto.covariance, none.covariance)
-    for name in MOTIONS:
-        np.testing.assert_array_equal(
-            auto.tables.motions[name].value, none.tables.motions[name].value
-        )
 
 
 def test_backlash_is_found_as_constants_within_their_uncertainty(chosen):
@@ -129,96 +96,11 @@ def test_reversal_that_changes_along_the_axis_is_found_within_its_uncertainty(al
         assert np.all(np.abs(table.value - true) < 4 * table.u), name
 
 
-def test_tables_driven_one_way_are_better_with_the_model_than_without():
-    """In every one of four cells, and by a quarter on average."""
-    ratios = []
-    for seed in (31, 32, 33, 34):
-        one_way = cell(passes=1, seed=seed, backlash=BACKLASH)
-        truth = one_way[2].truth
-        errors = {m: grid_error(solved(one_way, m).tables, truth)[1] for m in ('none', 'auto')}
-        ratios.append(errors['auto'] / errors['none'])
-    assert max(ratios) < 1.0
-    assert np.mean(ratios) < 0.8
-
-
-def test_residual_is_that_with_the_reversal_in_it(backlash, chosen):
-    plain = solved(backlash, 'none')
-    assert chosen.fit.residual_rms < 0.7 * plain.fit.residual_rms
-
-
-def test_evidence_tells_gain_scatter_and_what_is_needed(chosen):
-    evidence = chosen.reversal.evidence
-    assert evidence['gain'] > evidence['needed'] * evidence['scatter']
-    pieces = chosen.runs[0].pieces
-    ways = np.hstack([pieces.origin, pieces.direction, pieces.side]).round(6)
-    starts = np.flatnonzero(np.diff(pieces.leg, prepend=-1))
-    # passes whose first or last piece is missing are lines of their own
-    assert len(np.unique(ways[starts], axis=0)) <= evidence['lines'] < len(starts)
-
-
-def test_files_hold_forward_and_backward_with_the_mean_in_the_tables(along_the_axis, tmp_path):
-    write_calibration(along_the_axis, tmp_path)
-    data = json.loads((tmp_path / 'error_tables.json').read_text())
-    assert data['reversal']['model'] == 'tables'
-    for name, entry in data['reversal']['motions'].items():
-        forward, backward = np.array(entry['forward']), np.array(entry['backward'])
-        mean = data['motions'][name]
-        assert entry['position'] == mean['position']
-        assert entry['unit'] == mean['unit']
-        np.testing.assert_allclose(forward - backward, entry['value'], atol=1e-18)
-        np.testing.assert_allclose((forward + backward) / 2, mean['value'], atol=1e-18)
-        assert entry['identifiable'] or not any(entry['value'])
-    page = (tmp_path / 'report.html').read_text(encoding='utf-8')
-    assert 'Reversal model: tables' in page
-    assert 'Forward minus backward' in page
-
-
 def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
     result = solved(cell(servo_mismatch={'T_X': 4e-5, 'T_Y': -2e-5}))
     assert result.reversal.model == 'none'
     late = {one.axis: one.value for one in result.lags}
     assert late['X'] - late.get('Y', 0.0) == pytest.approx(6e-5, abs=5e-6)
-
-
-def test_a_short_path_gives_no_evidence():
-    machine = some_machine(CHAIN, pitch=0.1)
-    shares = [(0, 0, 0), (1, 1, 1), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 0), (0, 0, 0)]
-    plan = plan_for_path(corner_path(machine, *shares), PlannerConfig(end_dwell=1.0))
-    result = solved((machine, plan, simulate(machine, plan, SimulationConfig(rate=60))))
-    assert result.reversal.model == 'none'
-    assert 'too few lines' in result.reversal.evidence['decided_by']
-
-
-def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
-    machine = some_machine('w-b-X-Y-Z-t', pitch=0.1)
-    space = [
-        (0, 0, 0),
-        (1, 1, 1),
-        (1, 1, 0),
-        (0, 0, 1),
-        (1, 0, 1),
-        (0, 1, 0),
-        (0, 1, 1),
-        (1, 0, 0),
-    ]
-
-    def seen(shares):
-        path = corner_path(machine, *shares, *shares[::-1][1:])
-        pose = transform_pose(machine, 3)
-        pieces = pieces_of(machine, path, zero_tables(machine), pose)
-        # the edges between the diagonals show backlash too
-        pieces = pieces.without(np.count_nonzero(np.abs(pieces.direction) > 1e-9, axis=1) < 3)
-        bases = linear_bases(machine, table_nodes(machine, machine.lower, machine.upper))
-        unknowns = layout(bases, 1, reversal_names(machine.motions, 1))
-        system = build_system(observed(machine, pieces, pose), unknowns, nodal_lever=True)
-        normal = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
-        blocks = identifiable_blocks(normal, unknowns, 1e-4)
-        assert all(b[:3] in blocks for b in blocks if is_reversal(b))
-        return {b for b in blocks if is_reversal(b) and b[1] == b[2]}
-
-    half = [(0, 0.5, 0), (1, 1, 1), (0, 0, 0.5), (1, 1, 0), (0.5, 0, 1)]
-    assert seen(space) == {'EXX_0', 'EYY_0'}
-    assert seen([*space, *half]) == {'EXX_0', 'EYY_0', 'EZZ_0'}
 
 
 def test_stops_show_backlash_by_their_direction_of_approach():
@@ -233,21 +115,3 @@ def test_stops_show_backlash_by_their_direction_of_approach():
     for axis in AXES:
         table = result.reversal.motions[f'E{axis}{axis}']
         assert np.all(np.abs(table.value - BACKLASH[f'B_{axis}']) < 4 * table.u)
-
-
-def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chosen, tmp_path):
-    """Rotations that reverse included; positioning alone is less sure."""
-    write_calibration(chosen, tmp_path, report=False)
-    content = load_tables(tmp_path / 'error_tables.json')
-    stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
-    text = calibration_page(chosen.to_dict())
-    for axis in AXES:
-        found = chosen.reversal.backlash[axis]
-        assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6
-        assert found.u <= chosen.reversal.motions[f'E{axis}{axis}'].u.mean() * (1 + 1e-9)
-        assert stored[axis] == {'value': found.value, 'u': found.u}
-        exported = 2.0 * half_reversal(
-            content, axis, content.tables.motions[f'E{axis}{axis}'].position
-        )
-        assert found.value == pytest.approx(exported.mean(), abs=1e-12)
-        assert typeset(f'{axis} {found.words}') in text

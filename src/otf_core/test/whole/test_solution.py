@@ -1,34 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solution: recovers what was put in, in the gauge of the contract; admits what it cannot see."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from core_cells import (
     CONTRACT_CHAINS,
-    corner_path,
-    error_of,
     fit_pieces,
     grid_error,
     pieces_of,
-    plan_for_path,
     position_of,
-    record,
     small_plan,
     some_machine,
     transform_pose,
-    zero_tables,
 )  # fmt: skip
 
-from otf_core.calibration.calibrate import calibrate
-from otf_core.config import PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.machine import Axis
-from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.pieces.pieces import Pieces
+from otf_core.model.motions import MOTIONS
 from otf_core.sim.cell import random_tables
-from otf_core.solving.solution import determined_by_data
 
 POSE_SEED = 3
 
@@ -76,25 +67,6 @@ def test_errors_of_full_rotations_are_recovered_up_to_their_second_order(chain):
         assert mean_length(without_rigid_motion(found - actual, q)) < factor**2 * 2e-10
 
 
-@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
-def test_rotations_that_cannot_be_told_apart_are_carried_by_translations(chain):
-    machine = some_machine(chain, pitch=0.025)
-    truth = random_tables(some_machine(chain, pitch=0.1), 2e-5, np.random.default_rng(3))
-    before, left = grid_error(fitted(machine, small_plan(machine).path, truth).tables, truth)
-    # on the table side the product of a rotation and its own travel bends between nodes: up to
-    # (slope of 100 um/m per 0.1 m) * pitch^2 / 8, some 0.1 um
-    assert left < 0.01 * before
-
-
-@pytest.mark.parametrize('size', [5e-6, 3e-4])
-def test_what_is_not_seen_does_not_depend_on_the_size_of_the_errors(size):
-    """Off the origin a turn of the whole volume is told from tables by large errors alone."""
-    machine = some_machine('w-Z-Y-X-b-t', ((0.5, 0.9), (-0.8, -0.5), (-0.8, -0.5)), pitch=0.1)
-    truth = random_tables(machine, size, np.random.default_rng(4))
-    found = fitted(machine, small_plan(machine).path, truth)
-    assert found.missing == {'EAX', 'EBX', 'ECX', 'EAY'}
-
-
 # ---------------------------------------------------------------- gauge
 
 
@@ -133,90 +105,7 @@ def test_tables_of_two_nodes_are_solved():
     assert grid_error(fit.tables, truth)[1] < 1e-9
 
 
-def test_nodes_lie_where_the_pitch_says():
-    machine = some_machine()
-    tables = fitted(machine, small_plan(machine).path, zero_tables(machine), iterations=1).tables
-    expected = {'X': 0.05 * np.arange(7), 'Y': 0.05 * np.arange(6), 'Z': 0.05 * np.arange(5) - 0.2}
-    for name in MOTIONS:
-        np.testing.assert_allclose(tables.motions[name].position, expected[name[2]], atol=1e-15)
-
-
 # ---------------------------------------------------------------- what the data cannot show
-
-
-def axis_parallel(machine):
-    points = [(0, 0, 0)]
-    for normal in range(3):
-        a, b = [k for k in range(3) if k != normal]
-        for u in (0, 0.5, 1):
-            for v in (0, 0.5, 1):
-                stops = [np.array(points[-1], float)]
-                for axis, value in ((normal, 0), (a, u), (b, v), (normal, 1), (normal, 0)):
-                    stops.append(stops[-1].copy())
-                    stops[-1][axis] = value
-                points += stops[1:]
-    return corner_path(machine, *points)
-
-
-def planar(machine):
-    flat = (
-        (0, 0),
-        (1, 1),
-        (1, 0),
-        (0, 1),
-        (0.5, 0),
-        (0.5, 1),
-        (1, 0.5),
-        (0, 0.5),
-        (0, 0),
-        (0.9, 1),
-    )
-    return corner_path(machine, *((x, y, 0.5) for x, y in flat))
-
-
-def test_axis_parallel_lines_show_positioning_only_where_they_cross():
-    machine = some_machine()
-    fit = fitted(machine, axis_parallel(machine), zero_tables(machine), iterations=1)
-    # X is seen across lines along Y and Z only, at 3 of its 7 positions
-    assert {'EXX', 'EYY', 'EYX', 'EZX', 'EXY', 'EZY'}.isdisjoint(fit.missing)
-    known = determined_by_data(
-        fit.normal, fit.unknowns, fit.solution.accepted, 1e-4, np.eye(fit.unknowns.full)
-    )
-    seen = known[fit.unknowns.blocks['EXX']]
-    assert len(seen) == 7
-    assert seen.sum() == 3
-    assert known[fit.unknowns.blocks['EYX']].all()
-
-
-def test_axis_parallel_lines_leave_no_residual_of_errors_they_see():
-    machine = some_machine()
-    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
-    fit = fitted(machine, axis_parallel(machine), truth)
-    model = (fit.system.design @ fit.solution.value).reshape(2, -1)
-    # the truth is a combination of the columns: whatever the path, it is explained
-    assert np.abs(fit.system.deviation - model).max() < 1e-8
-
-
-def test_planar_path_shows_one_plane_and_says_so():
-    machine = some_machine()
-    plan = plan_for_path(planar(machine), PlannerConfig(end_dwell=0.5, corner_dwell=0.05))
-    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
-    result = calibrate(record(machine, plan).measured(truth), plan.path, machine)
-    # nothing of Z, and no rotation that acts in the plane through z alone
-    assert {'EXZ', 'EYZ', 'EZZ', 'EAZ', 'EBZ', 'ECZ', 'B0Z', 'A0Z'} <= set(result.not_identifiable)
-    assert {'EXX', 'EYX', 'EYY', 'EXY', 'C0Y'}.isdisjoint(result.not_identifiable)
-    assert not result.tables.motions['EZZ'].identifiable
-    # in the plane it is right: error across the path left by noise alone, 1 um a sample
-    q = np.random.default_rng(0).uniform(machine.lower, machine.upper, (200, 3))
-    q[:, 2] = -0.1
-    difference = (error_of(result.tables, q) - error_of(truth, q))[:, :2]
-    columns = np.zeros((len(q), 2, 3))
-    columns[:, 0, 0] = columns[:, 1, 1] = 1
-    columns[:, 0, 2], columns[:, 1, 2] = -q[:, 1], q[:, 0]
-    rigid = np.linalg.lstsq(columns.reshape(-1, 3), difference.reshape(-1), rcond=None)[0]
-    left = difference - (columns @ rigid)
-    # some samples a piece, few lines: a few times the 1 um of single samples
-    assert np.sqrt(np.mean(left**2)) < 3e-6
 
 
 def test_half_the_volume_is_recovered_in_that_half():
@@ -233,95 +122,4 @@ def test_half_the_volume_is_recovered_in_that_half():
     assert grid_error(fit.tables, half)[1] < 1e-9
 
 
-@pytest.mark.parametrize('build', [axis_parallel, planar])
-def test_errors_not_seen_are_zero_and_none_is_wild(build):
-    machine = some_machine()
-    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
-    largest = max(np.abs(m.value).max() for m in truth.motions.values())
-    pose = transform_pose(machine, POSE_SEED)
-    path = build(machine)
-    low, high = path.points.min(axis=0), path.points.max(axis=0)
-    pieces = pieces_of(machine, path, truth, pose, size=0.02)
-    fit = fit_pieces(machine, pieces, pose, ranges=(low, high))
-    for name in MOTIONS:
-        value = fit.tables.motions[name].value
-        # the gauge moves slopes about: some times the truth, not orders of magnitude
-        assert np.abs(value).max() < 5 * largest, name
-        if name in fit.missing:
-            assert not value.any()
-    for name in fit.missing & set(SQUARENESS):
-        assert fit.tables.squareness[name].value == 0.0
-
-
-def test_copies_of_the_data_do_not_change_the_tables():
-    machine = some_machine()
-    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
-    pose = transform_pose(machine, POSE_SEED)
-    pieces = pieces_of(machine, small_plan(machine).path, truth, pose, size=0.03)
-    rng = np.random.default_rng(0)
-    pieces = replace(pieces, xyz=pieces.xyz + 1e-6 * rng.standard_normal(pieces.xyz.shape))
-    arrays = {
-        f.name: np.concatenate([getattr(pieces, f.name)] * 2)
-        for f in fields(Pieces)
-        if isinstance(getattr(pieces, f.name), np.ndarray)
-    }
-    once, twice = (fit_pieces(machine, p, pose) for p in (pieces, replace(pieces, **arrays)))
-    # the conditions that break ties weigh 1e-2 / (0.1 mm)^2, the data 1e6 times more
-    scale = np.abs(once.solution.value).max()
-    np.testing.assert_allclose(once.solution.value, twice.solution.value, atol=1e-5 * scale)
-    seen = np.diag(once.solution.covariance) > 0
-    ratio = np.diag(once.solution.covariance)[seen] / np.diag(twice.solution.covariance)[seen]
-    np.testing.assert_allclose(ratio, 2.0, rtol=1e-3)
-
-
-def test_unknowns_do_not_grow_with_the_samples():
-    machine = some_machine()
-    path = small_plan(machine).path
-    pose = transform_pose(machine, POSE_SEED)
-    sizes = []
-    for size in (0.05, 0.0125):
-        pieces = pieces_of(machine, path, zero_tables(machine), pose, size=size)
-        fit = fit_pieces(machine, pieces, pose, iterations=1)
-        sizes.append((fit.solution.covariance.shape, fit.system.design.nnz / len(pieces)))
-    # four times the pieces: the same unknowns, the same entries a row
-    assert sizes[0][0] == sizes[1][0]
-    assert sizes[0][1] == pytest.approx(sizes[1][1], rel=0.02)
-
-
-def test_rank_is_the_number_of_free_unknowns_of_what_is_seen():
-    machine = some_machine()
-    fit = fitted(machine, small_plan(machine).path, zero_tables(machine), iterations=1)
-    # nodes 7, 6, 5; less 2 a straightness and 1 each other; pose 6, squareness 3
-    free = 6 + 3 + sum((n - 1) + 2 * (n - 2) + 3 * (n - 1) for n in (7, 6, 5))
-    unseen = (6 - 1) + 3 * (5 - 1)  # ECY; EAZ, EBZ, ECZ
-    assert fit.solution.unknowns == free
-    assert fit.solution.rank == free - unseen
-
-
-def test_errors_larger_than_noise_by_far_need_no_more_than_a_few_iterations(calibrated):
-    assert 2 <= calibrated.fit.iterations <= 5
-    assert calibrated.fit.rank == calibrated.fit.unknowns - 17
-
-
 # ---------------------------------------------------------------- disturbed recordings
-
-
-def test_short_bursts_of_displaced_samples_do_not_reach_the_tables(cell):
-    samples = record(cell.machine, cell.plan, 200.0).measured(cell.truth)
-    xyz, rng = samples.xyz.copy(), np.random.default_rng(1)
-    for start in rng.choice(len(xyz) - 20, 5, replace=False):
-        xyz[start : start + 20] += 1e-3 * rng.standard_normal(3)  # 0.1 s, about a millimetre
-    result = calibrate(replace(samples, xyz=xyz), cell.path, cell.machine)
-    before, left = grid_error(result.tables, cell.truth)
-    assert left < 0.02 * before
-
-
-def test_corners_rounded_by_the_control_do_not_reach_the_tables(cell):
-    plan = small_plan(cell.machine, corner_dwell=0.0)
-    recording, width = record(cell.machine, plan, 200.0), 40  # jerk filter of 0.2 s: 3 mm
-    padded = np.pad(recording.q, ((width, width), (0, 0)), 'edge')
-    kernel = np.ones(width) / width
-    smooth = [np.convolve(column, kernel, 'same')[width:-width] for column in padded.T]
-    samples = replace(recording, q=np.stack(smooth, axis=1)).measured(cell.truth)
-    before, left = grid_error(calibrate(samples, plan.path, cell.machine).tables, cell.truth)
-    assert left < 0.02 * before

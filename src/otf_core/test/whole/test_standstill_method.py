@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Standstill method: recognition of stops, their order, and the calibration from them."""
 
-import json
-
 import numpy as np
 import pytest
-import yaml
-from cli_cells import run
 from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
 from scipy.spatial.transform import Rotation
 from standstill_points import edge_points, spread_points, standstill_plan
 
 from otf_core.calibration.calibrate import calibrate_recordings
 from otf_core.config import CalibrationConfig, SimulationConfig
-from otf_core.errors import InputError
-from otf_core.files.writing import write_csv
 from otf_core.model.chain import displacement
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.observation import Samples
@@ -25,7 +19,6 @@ from otf_core.pieces.stops import (
     find_stops,
     match_in_order,
 )
-from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate
 from otf_core.tracking.matching import OFF_PATH
 
@@ -79,20 +72,6 @@ def test_without_noise_the_errors_come_back():
     run = simulate(quiet, plan, SimulationConfig(error_size=2e-5, rate=100.0))
     before, after, _ = left_over(calibrated(machine, run.samples, plan.path), run.truth)
     assert after < 0.003 * before
-
-
-def test_predictions_lie_within_their_stated_uncertainty():
-    machine, ratios = some_machine(), []
-    for seed in range(3):
-        plan, run = run_of(machine, points_of(machine), seed=10 + seed)
-        result = calibrated(machine, run.samples, plan.path)
-        nodes = {name: table.position for name, table in result.tables.motions.items()}
-        q = lattice(machine, 5)
-        u = prediction_uncertainty(machine, nodes, result.covariance_run, q)
-        left = left_over(result, run.truth)[2]
-        ratios.append(np.abs(left)[u > 0] / u[u > 0])
-    assert 0.90 < np.mean(np.concatenate(ratios) < 2.0) <= 1.0
-    assert 0.3 < np.median(np.concatenate(ratios)) < 0.9
 
 
 def stops_only(machine, places, seed=0, rate=200.0, moves=None):
@@ -157,57 +136,3 @@ def test_match_in_order_never_runs_backwards():
     np.testing.assert_array_equal(nominal[found], line[[0, 2, 3, 1, 0]])
     found = match_in_order(np.array([[0.0, 0, 0], [9, 9, 9], [2, 0, 0]]), line, 0.1)
     np.testing.assert_array_equal(found, [0, OFF_PATH, 2])
-
-
-def test_spikes_in_a_stop_do_not_shift_it():
-    machine = some_machine()
-    samples = stops_only(machine, spread_points(machine, 10))
-    clean = find_stops(samples, CONFIG).xyz
-    samples.xyz[60] += 5e-4
-    assert np.abs(find_stops(samples, CONFIG).xyz - clean).max() < 2e-7
-
-
-def test_a_run_without_stops_is_refused(cell):
-    samples = cell.recording.measured(cell.truth)
-    moving = Samples(samples.stamp_ns[3000:9000], samples.xyz[3000:9000])
-    plan, _ = run_of(cell.machine, points_of(cell.machine))
-    with pytest.raises(InputError, match='stop'):
-        align_stops(moving, plan.path, CONFIG)
-
-
-def test_stops_of_another_path_are_refused():
-    machine = some_machine()
-    samples = stops_only(machine, spread_points(machine, 20))
-    other = NominalPath(0.9 * spread_points(machine, 20)[:, [1, 0, 2]])
-    with pytest.raises(InputError, match='no run of stops fits'):
-        align_stops(samples, other, CONFIG)
-
-
-def test_command_calibrates_a_standstill_run(tmp_path):
-    machine = some_machine()
-    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(machine.to_dict()))
-    write_csv(tmp_path / 'points.csv', 'x,y,z', points_of(machine))
-    common = ['--machine', str(tmp_path / 'machine.yaml')]
-    simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
-                 {'corner_dwell': 1}, '--out', str(tmp_path / 'bag')]  # fmt: skip
-    assert run(*simulated) == 0
-    out = ['--method', 'standstill', '--out', tmp_path / 'out']
-    assert run('calibrate', tmp_path / 'bag', *common, *out) == 0
-    data = json.loads((tmp_path / 'out' / 'error_tables.json').read_text())
-    assert data['fit']['pieces'] == 100
-    with np.load(tmp_path / 'out' / 'residuals.npz') as arrays:
-        assert arrays['axes'].shape == (100, 3, 3) and arrays['q'].shape == (100, 3)
-        assert arrays['residual'].shape == (100, 3)
-
-
-def test_edge_points_lie_on_edges_and_spread_points_inside():
-    machine = some_machine()
-    edge, inner = edge_points(machine, 76), spread_points(machine, 150)
-    at_end = np.isclose(edge, machine.lower) | np.isclose(edge, machine.upper)
-    assert edge.shape == (76, 3)
-    assert np.all(at_end.sum(axis=1) >= 2)
-    assert len(np.unique(edge.round(9), axis=0)) == 76
-    assert np.all((inner > machine.lower) & (inner < machine.upper))
-    # evenly: each octant gets about its share of 18.75; at random they would differ by some 12
-    octant = (inner > 0.5 * (machine.lower + machine.upper)) @ [1, 2, 4]
-    assert np.ptp(np.bincount(octant)) <= 8

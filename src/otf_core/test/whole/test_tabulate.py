@@ -6,32 +6,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core_cells import error_of, some_machine
-from nature import Cell, judge
+from core_cells import some_machine
 
-from otf_core.config import CalibrationConfig
-from otf_core.model.evaluation import mean_length, without_rigid_motion
-from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.model.nodes import table_nodes
-from otf_core.pieces.runs import prepare_runs
 from otf_core.sim.cell import random_tables
-from otf_core.solving.joint import solve_jointly, tables_of
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.tabulate import (
     FRACTIONS,
-    MAX_NODES,
     MAX_SHARE_OF_U,
-    by_motion,
-    mean_grid_uncertainty,
     projection,
-    table_rows,
     tabulate,
     unseen_bends,
 )
 from otf_core.solving.unknowns import (
     cubic,
     layout,
-    linear,
     linear_bases,
     reference_position,
     smooth_bases,
@@ -85,15 +75,6 @@ def test_table_is_the_nearest_of_all():
             assert off(best + step * np.eye(8)[node]) > off(best)
 
 
-def test_functions_that_are_tables_already_stay_as_they_are():
-    nodes = np.array([0.0, 0.1, 0.25, 0.4])
-    np.testing.assert_array_equal(
-        projection(ErrorMotion.of('EXX'), linear(nodes), nodes), np.eye(4)
-    )
-    one = np.array([0.2])
-    np.testing.assert_array_equal(projection(ErrorMotion.of('EXX'), cubic(one, 20), one), [[1.0]])
-
-
 def curved(pitch, waves=1.5, size=2e-5):
     """A solution with sines for motions, as if solved for; nodes of ``pitch``."""
     machine = some_machine(pitch=pitch)
@@ -129,23 +110,6 @@ def test_cost_falls_with_the_square_of_the_spacing_and_is_what_is_stated():
         assert stated < costs[2].motions[name] < 1.08 * stated
 
 
-def test_cost_on_the_grid_is_that_of_random_places():
-    """Whatever the spacing; 3000 places against those of the judgement: 3 %, k = 1."""
-    rng = np.random.default_rng(6)
-    for pitch in (0.05, 0.04, 0.0125):
-        machine, done = curved(pitch)
-        found = tabulate(machine, done, 1.0, LIMIT)
-        q = rng.uniform(machine.lower, machine.upper, (3000, 3))
-        fine = error_of(tables_of(machine, done.unknowns, with_covariance(done)), q)
-        left = without_rigid_motion(fine - error_of(found.tables, q), q)
-        assert found.costs[1].grid == pytest.approx(mean_length(left), rel=0.1)
-
-
-def with_covariance(done):
-    size = done.unknowns.full
-    return SimpleNamespace(**vars(done.solution), covariance=np.zeros((size, size)))
-
-
 @pytest.mark.parametrize('u', [2e-6, 6e-7])
 def test_the_coarsest_spacing_that_costs_little_is_taken(u):
     machine, done = curved(0.1)
@@ -164,58 +128,6 @@ def test_the_coarsest_spacing_that_costs_little_is_taken(u):
 def replace_pitch(machine, pitch):
     axes = {a: replace(axis, table_pitch=pitch) for a, axis in machine.axes.items()}
     return replace(machine, axes=axes)
-
-
-def test_wishes_that_cost_nothing_are_granted():
-    found = tabulate(*curved(0.05), 1e-3, LIMIT)
-    assert found.fraction == 1
-    assert set(found.costs) == {1}
-
-
-def test_tables_stay_within_the_most_nodes():
-    machine, done = curved(0.012)
-    found = tabulate(machine, done, 1e-12, LIMIT)
-    count = sum(len(found.tables.motions[m].position) for m in MOTIONS)
-    assert 1 < found.fraction < FRACTIONS[-1]
-    assert 0.5 * MAX_NODES < count <= MAX_NODES
-    fine = tabulate(*curved(0.002), 1e-12, LIMIT)  # asked for; never made coarser
-    assert fine.fraction == 1
-
-
-def test_rows_make_the_tables_in_their_order():
-    machine, done = curved(0.05)
-    found = tabulate(machine, done, 1.0, LIMIT)
-    nodes = {a: found.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
-    rows = table_rows(machine, done.unknowns, nodes)
-    np.testing.assert_array_equal(found.rows, rows)
-    values = found.rows @ done.solution.value
-    split = by_motion(machine, values, nodes)
-    for name in MOTIONS:
-        np.testing.assert_allclose(found.tables.motions[name].value, split[name], atol=1e-18)
-        assert found.tables.motions[name].identifiable
-    squareness = [found.tables.squareness[n].value for n in SQUARENESS]
-    np.testing.assert_array_equal(values[:3], squareness)
-
-
-def test_coarse_wishes_do_not_spoil_the_prediction_of_a_smooth_machine():
-    """One quarter of every range asked for: finer tables are made, as good as the functions."""
-    size = np.array([0.3, 0.25, 0.2])
-    cell = Cell(3, size=tuple(size), pitch=size / 4, path='short', passes=1)
-    config = CalibrationConfig(piece_length=0.012)
-    runs, nodes = prepare_runs([cell.recording(60.0)], config)
-    done = solve_jointly(
-        runs, layout(smooth_bases(cell.machine, nodes)), config, lambda stage, fraction: None
-    )
-    grid_u = mean_grid_uncertainty(cell.machine, done.unknowns, done.solution.covariance)
-    found = tabulate(cell.machine, done, grid_u, config.unidentifiable_above)
-    best = judge(cell, tables_of(cell.machine, done.unknowns, done.solution)).left_um
-    coarse = tabulate(cell.machine, done, 1.0, config.unidentifiable_above)
-    assert {len(n) for n in nodes.values()} == {5}
-    assert (coarse.fraction, coarse.costs) == (1, {1: found.costs[1]})
-    assert found.fraction > 1
-    # independent of the error, a cost of 0.3 u adds 4 %; the draw of one machine as much again
-    assert judge(cell, found.tables).left_um < 1.1 * best
-    assert judge(cell, coarse.tables).left_um > 3.0 * best
 
 
 def bends_of(truth, hidden):

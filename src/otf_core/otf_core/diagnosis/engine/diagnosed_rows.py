@@ -59,8 +59,7 @@ from otf_core.diagnosis.engine.search import (
     spectral_lines,
     tried_effects,
 )
-from otf_core.effects import BelongsTo, Effect
-from otf_core.effects.applied_effect import AppliedEffect
+from otf_core.effects import AppliedEffect, BelongsTo, Effect
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.state import state_of_travel
 from otf_core.errors import InputError

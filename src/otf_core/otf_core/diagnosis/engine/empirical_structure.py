@@ -50,24 +50,21 @@ from otf_core.diagnosis.engine.search import (
 from otf_core.effects import EVERY
 from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.cause_names import name_of
-from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free
-from otf_core.effects.free_form import FreeForm
+from otf_core.effects.free_form import Empirical, FreeForm
 from otf_core.effects.inputs import (
-    SIGNAL,
-    Span,
-    functions_of,
-    input_values,
-    scaled_input,
-    span_of,
-)
-from otf_core.effects.located_inputs import (
     CYCLE,
     MOMENT,
+    SIGNAL,
+    Span,
     cycle_period,
-    found_kind,
+    found_input,
+    functions_of,
     head_of,
+    input_values,
     plain_names,
+    scaled_input,
+    span_of,
     stands_for,
 )
 
@@ -258,9 +255,9 @@ def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
 
 def _order(name: str, most: int) -> int:
     """Highest order of a function of an input."""
-    kind = found_kind(name)
+    found = found_input(name)
     usual = 2 if name.startswith('sense_') else most
-    return (kind.order or most) if kind else ORDERS.get(name, usual)
+    return (found.order or most) if found else ORDERS.get(name, usual)
 
 
 def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str, Span]) -> Array:

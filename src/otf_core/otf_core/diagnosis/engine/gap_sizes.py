@@ -17,7 +17,7 @@ from otf_core.diagnosis.engine.evidence import estimate, estimate_of, products_o
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, displacement_of
 from otf_core.effects import REGISTRY, Effect
-from otf_core.effects.catalogue.tracker_noise import TrackerNoise
+from otf_core.effects.catalogue.tracker import tracker_noise
 from otf_core.noise.departure import Departure, noise_departure, simulated_noise
 from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
@@ -191,7 +191,7 @@ class NoiseFinding:
     @property
     def effect(self) -> Effect:
         """The effect that stands for it."""
-        return REGISTRY[TrackerNoise.name]
+        return tracker_noise
 
 
 def _parameters(seen: Departure) -> dict[str, float]:
@@ -232,7 +232,7 @@ def check_noise(
     for: the simulation has the colour of the run's own standstills, so slow noise makes no gap.
     Tails are of no consequence then.
     """
-    if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
+    if tracker_noise.name in exclude or tracker_noise.name not in REGISTRY:
         return None
     departures: dict[str, tuple[float, float]] = {}
     words: list[str] = []

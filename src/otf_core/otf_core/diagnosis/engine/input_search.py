@@ -28,8 +28,15 @@ from scipy import sparse
 from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis, line_along_axis
-from otf_core.effects.inputs import functions_of
-from otf_core.effects.located_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
+from otf_core.effects.inputs import (
+    CYCLE,
+    DIRECTION,
+    MOMENT,
+    PLACE,
+    TURNS,
+    found_name,
+    functions_of,
+)
 from otf_core.solving.whitener import Whitener
 
 RIDGE = 1e-4

@@ -23,12 +23,10 @@ as are unknowns that a line does not touch.
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +35,7 @@ from scipy import linalg, sparse
 from otf_core.arrays import Array, Index
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.action import Acting
+from otf_core.effects.base import no_terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import ErrorMotion, is_motion
 from otf_core.model.tables import ErrorTables
@@ -66,21 +65,35 @@ from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_bloc
 from otf_core.solving.whitener import Whitener
 
 
-class TimeFunctions(Effect):
-    """Functions of time times a way to act; each run has its own."""
+def no_course(state: State, shape: Shape) -> Array:
+    """No function of time, shape (n, 0)."""
+    return np.zeros((len(state), 0))
 
-    heads: ClassVar[tuple[str, ...]]
-    """Of the names of the coefficients, one for every function."""
-    own_per_run: ClassVar[bool] = True
+
+@dataclass(frozen=True, eq=False)
+class TimeFunctions(Effect):
+    """Functions of time times a way to act; each run has its own.
+
+    Attributes
+    ----------
+    course : callable(state, shape) -> ndarray, shape (n, m)
+        The functions of time.
+    heads : tuple of str
+        Of the names of the coefficients, one for every function.
+    drivers : tuple of Effect
+        Effects that may act so.
+    """
+
+    formula: Callable[[State, Shape], Terms] = no_terms
+    own_per_run: bool = True
+    course: Callable[[State, Shape], Array] = no_course
+    heads: tuple[str, ...] = ()
+    drivers: tuple[Effect, ...] = ()
 
     @property
     def acts(self) -> Acting:
         """What the functions are multiplied with: the first of those in which it may switch."""
         return self.switches[0]
-
-    @abstractmethod
-    def course(self, state: State, shape: Shape) -> Array:
-        """Return the functions of time, shape (n, m)."""
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return every term of the way to act times every function, one after the other."""

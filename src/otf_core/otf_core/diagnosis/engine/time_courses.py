@@ -29,7 +29,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +39,11 @@ from otf_core.diagnosis.engine.effect_products import ProductsBeside, ShapeProdu
 from otf_core.diagnosis.engine.evidence import SPREADS
 from otf_core.diagnosis.engine.residual_rows import Rows, TimeFunctions
 from otf_core.effects.action import Acting, rigid_tracker, vector
-from otf_core.effects.base import Effect, Shape, State
+from otf_core.effects.base import Effect, ShapeParameter
 from otf_core.effects.free import declare_switching
 from otf_core.effects.free_form import FreeForm
-from otf_core.effects.switching import Switching, responses
+from otf_core.effects.inputs import Switching, responses
+from otf_core.effects.terms import Shape, State
 
 MOMENTS = 40
 """Moments of a jump that are tried."""
@@ -53,73 +53,56 @@ SHORTEST_PERIOD = 8.0
 """s; shortest period of a slow wave."""
 
 
-class Jump(TimeFunctions):
-    """Shift of the target or the tracker at a moment."""
-
-    name: ClassVar[str] = 'jump'
-    cause: ClassVar[str] = 'something slipped or was knocked'
-    equation: ClassVar[str] = 'D [t > moment]'
-    typical: ClassVar[str] = 'any'
-    source: ClassVar[str] = 'not of the catalogue'
-    signature: ClassVar[str] = 'everything lies shifted from a moment on'
-    needs: ClassVar[str] = 'lines repeated before and after'
-    shape_names: ClassVar[tuple[str, ...]] = ('moment',)
-    shape_units: ClassVar[tuple[str, ...]] = ('s',)
-    heads: ClassVar[tuple[str, ...]] = ('J',)
-    refine: ClassVar[str] = 'moment'
-    refine_width: ClassVar[float] = 0.02
-    switches: ClassVar[tuple[Acting, ...]] = (vector,)
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Moments spread over the run."""
-        return tuple({'moment': float(t)} for t in np.linspace(0, state.end, MOMENTS + 2)[1:-1])
-
-    def course(self, state: State, shape: Shape) -> Array:
-        """Return zero before the moment and one after it."""
-        return (state.time > shape['moment']).astype(float)[:, None]
+def _moments(state: State) -> Sequence[Shape]:
+    """Moments spread over the run."""
+    return tuple({'moment': float(t)} for t in np.linspace(0, state.end, MOMENTS + 2)[1:-1])
 
 
-class Knock(Jump):
-    """Turn and shift of the tracker, or of what carries it, at a moment."""
-
-    name: ClassVar[str] = 'knock'
-    cause: ClassVar[str] = 'somebody knocked against the tracker or its table'
-    equation: ClassVar[str] = '(D + W x r) [t > moment]'
-    signature: ClassVar[str] = 'everything lies shifted and turned from a moment on'
-    switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
+def _step(state: State, shape: Shape) -> Array:
+    """Zero before the moment and one after it."""
+    return (state.time > shape['moment']).astype(float)[:, None]
 
 
-class SlowWave(TimeFunctions):
-    """Shift that swings slowly in time."""
-
-    name: ClassVar[str] = 'slow_wave'
-    cause: ClassVar[str] = 'something switches or swings with a period'
-    equation: ClassVar[str] = 'S sin(2 pi t / period) + C cos(2 pi t / period)'
-    typical: ClassVar[str] = 'any'
-    source: ClassVar[str] = 'not of the catalogue'
-    signature: ClassVar[str] = 'a shift that comes and goes with a period'
-    needs: ClassVar[str] = 'a run of several periods'
-    shape_names: ClassVar[tuple[str, ...]] = ('period',)
-    shape_units: ClassVar[tuple[str, ...]] = ('s',)
-    heads: ClassVar[tuple[str, ...]] = ('S', 'C')
-    refine: ClassVar[str] = 'period'
-    refine_width: ClassVar[float] = 0.05
-    switches: ClassVar[tuple[Acting, ...]] = (vector,)
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Periods evenly spaced in frequency, half a turn of the run apart."""
-        slowest = 2.0 / max(state.end, SHORTEST_PERIOD)
-        number = np.arange(slowest, 1.0 / SHORTEST_PERIOD, 0.5 / max(state.end, SHORTEST_PERIOD))
-        step = max(1, len(number) // (4 * PERIODS))
-        return tuple({'period': float(1.0 / f)} for f in number[::step])
-
-    def course(self, state: State, shape: Shape) -> Array:
-        """Return sine and cosine."""
-        phase = 2.0 * np.pi * state.time / shape['period']
-        return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+JUMP = TimeFunctions(
+    name='jump',
+    course=_step,
+    heads=('J',),
+    shape=(ShapeParameter('moment', 's', width=0.02),),
+    shapes=_moments,
+    refine='moment',
+    switches=(vector,),
+)
+"""Shift of the target or the tracker at a moment: something slipped or was knocked."""
+KNOCK = replace(JUMP, name='knock', switches=(rigid_tracker,))
+"""Turn and shift of the tracker, or of what carries it, at a moment."""
 
 
-DECOYS: tuple[Effect, ...] = (Jump(), Knock(), SlowWave())
+def _periods(state: State) -> Sequence[Shape]:
+    """Periods evenly spaced in frequency, half a turn of the run apart."""
+    slowest = 2.0 / max(state.end, SHORTEST_PERIOD)
+    number = np.arange(slowest, 1.0 / SHORTEST_PERIOD, 0.5 / max(state.end, SHORTEST_PERIOD))
+    step = max(1, len(number) // (4 * PERIODS))
+    return tuple({'period': float(1.0 / f)} for f in number[::step])
+
+
+def _wave(state: State, shape: Shape) -> Array:
+    """Sine and cosine."""
+    phase = 2.0 * np.pi * state.time / shape['period']
+    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
+
+
+SLOW_WAVE = TimeFunctions(
+    name='slow_wave',
+    course=_wave,
+    heads=('S', 'C'),
+    shape=(ShapeParameter('period', 's', width=0.05),),
+    shapes=_periods,
+    refine='period',
+    switches=(vector,),
+)
+"""Shift that swings slowly in time: something switches or swings with a period."""
+
+DECOYS: tuple[Effect, ...] = (JUMP, KNOCK, SLOW_WAVE)
 DECOY_NAMES = frozenset(d.name for d in DECOYS)
 
 
@@ -131,29 +114,14 @@ FINE_TIMES = 8 * NODES
 """Times at which a course is fitted by them."""
 
 
-class CourseInTime(TimeFunctions):
-    """Piecewise linear function of time times a way to act; never named."""
+def drivers_of(effect: Effect) -> tuple[Effect, ...]:
+    """Effects that may act as a course in time does; none of what is no such course."""
+    return effect.drivers if isinstance(effect, TimeFunctions) else ()
 
-    name: ClassVar[str] = 'course_in_time'
-    cause: ClassVar[str] = 'any'
-    equation: ClassVar[str] = 'sum of c_jk h_k(t) A_j'
-    typical: ClassVar[str] = 'any'
-    source: ClassVar[str] = 'not of the catalogue'
-    signature: ClassVar[str] = 'any course in time'
-    needs: ClassVar[str] = ''
-    heads: ClassVar[tuple[str, ...]] = tuple(f'H{k}' for k in range(NODES))
 
-    def __init__(self, acts: Acting, drivers: Sequence[Effect]) -> None:
-        self._acts, self.drivers = acts, tuple(drivers)
-
-    @property
-    def acts(self) -> Acting:
-        """What the functions are multiplied with."""
-        return self._acts
-
-    def course(self, state: State, shape: Shape) -> Array:
-        """Return one function for every node."""
-        return _hats(state.time, state.end)
+def _hats_of_run(state: State, shape: Shape) -> Array:
+    """One function for every node."""
+    return _hats(state.time, state.end)
 
 
 def _hats(time: Array, end: float) -> Array:
@@ -172,7 +140,13 @@ def courses_tried(rows: Rows, effects: Sequence[Effect]) -> dict[str, list[Shape
     ways = dict.fromkeys(acts for e in effects for acts in e.switches)
     courses = {}
     for acts in ways:
-        course = CourseInTime(acts, [e for e in effects if acts in e.switches])
+        course = TimeFunctions(
+            name='course_in_time',
+            course=_hats_of_run,
+            heads=tuple(f'H{k}' for k in range(NODES)),
+            switches=(acts,),
+            drivers=tuple(e for e in effects if acts in e.switches),
+        )
         (tried,) = tried_shapes(rows, course, [{}])
         courses[f'{course.name} {acts.__name__}'] = [tried.only(())]
     return courses
@@ -203,7 +177,7 @@ class Courses:
 
     @classmethod
     def of(cls, tried: ShapeProducts, end: float, variance: float) -> Courses:
-        """Take the products of a ``CourseInTime``."""
+        """Take the products of a course in time."""
         count, time = len(tried.size) // NODES, np.linspace(0.0, end, FINE_TIMES)
         return cls(
             time,
@@ -316,7 +290,7 @@ KINDS: tuple[_Kind, ...] = (
 def add_switching(beside: ProductsBeside, variance: float) -> ProductsBeside:
     """The same with drifts and jumps of what switches, and waves, at their likeliest moments."""
     groups = {n: list(g) for n, g in beside.candidates.items()}
-    courses = [t for g in groups.values() for t in g if isinstance(t.effect, CourseInTime)]
+    courses = [t for g in groups.values() for t in g if drivers_of(t.effect)]
     if not courses or not _something_in_time(groups, variance):
         return beside
     rows = beside.rows
@@ -362,8 +336,8 @@ class _Way:
         rows: Rows,
         variance: float,
     ) -> _Way:
-        """Take the way of a ``CourseInTime``."""
-        assert isinstance(tried.effect, CourseInTime)
+        """Take the way of a course in time."""
+        assert isinstance(tried.effect, TimeFunctions)
         drivers = tuple(e for e in tried.effect.drivers if e.name in groups)
         return cls(tried.effect.acts, drivers, Courses.of(tried, rows.states[0].end, variance))
 
@@ -381,7 +355,7 @@ class _Way:
         named = [
             e
             for e in self.drivers
-            if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
+            if (e.name in DECOY_NAMES) == jumps and e.name != SLOW_WAVE.name
         ]
         scored = likeliest(self.courses, jumps=jumps, alike=alike) if named else []
         for switching, price in (one[1:] for one in scored if one[0] > least):
@@ -391,7 +365,7 @@ class _Way:
 
     def _formulas(self, rows: Rows, least: float) -> Iterator[tuple[Effect, Shape, float]]:
         """Waves at their likeliest period, drifts from the start with their likeliest lag."""
-        waves = [e for e in self.drivers if isinstance(e, SlowWave)]
+        waves = [e for e in self.drivers if e.name == SLOW_WAVE.name]
         drifts = [e for e in self.drivers if e.name not in DECOY_NAMES]
         score, period = swing(self.courses) if waves else (-np.inf, 0.0)
         for wave in waves if score > least else ():
@@ -404,13 +378,7 @@ class _Way:
 
 def _something_in_time(groups: Mapping[str, Sequence[ShapeProducts]], variance: float) -> bool:
     """Return whether any effect that may switch, or a decoy, has the odds to be named."""
-    drivers = {
-        e.name
-        for g in groups.values()
-        for t in g
-        if isinstance(t.effect, CourseInTime)
-        for e in t.effect.drivers
-    }
+    drivers = {e.name for g in groups.values() for t in g for e in drivers_of(t.effect)}
     own = (t for n in (drivers | DECOY_NAMES) & set(groups) for t in groups[n])
     return any(t.odds(take, variance) > WORTH for t in own for take in t.takes)
 

@@ -103,6 +103,8 @@ class Dialect(ABC):
     ----------
     name : str
         As given on the command line.
+    comment_form, dwell_form, stop_word : str
+        A comment, a standstill in s, and a stop until the operator goes on.
     longest_dwell : float
         s.
     unchecked : str
@@ -111,12 +113,15 @@ class Dialect(ABC):
 
     name: str
     file_name: str
+    comment_form: str = '; {}'
+    dwell_form: str = 'G04 X{:.3f}'
+    stop_word: str = 'M0'
     longest_dwell: float = 9999.0
     unchecked: str = ''
 
-    @abstractmethod
     def comment(self, text: str) -> str:
         """Comment line."""
+        return self.comment_form.format(text)
 
     @abstractmethod
     def begin(self, header: Sequence[str], program: Program) -> list[str]:
@@ -126,13 +131,9 @@ class Dialect(ABC):
     def move(self, move: Move, program: Program) -> list[str]:
         """Straight line in the positions of all axes, machine coordinates unless TCP is on."""
 
-    @abstractmethod
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""
-
-    @abstractmethod
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
+        return [self.dwell_form.format(seconds)]
 
     @abstractmethod
     def end(self, program: Program) -> list[str]:

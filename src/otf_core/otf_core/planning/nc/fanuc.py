@@ -23,6 +23,7 @@ class Fanuc(Dialect):
 
     name = 'fanuc'
     file_name = 'O1001.NC'
+    stop_word = 'M00'
     unchecked = 'G93 WITH G91'
 
     def comment(self, text: str) -> str:
@@ -46,14 +47,6 @@ class Fanuc(Dialect):
         stop = 'G09 ' if move.stop else ''
         point = '' if program.turns else '.'
         return [f'{stop}{mode} G01 {words(own)} {move.speed(program)}{point}']
-
-    def dwell(self, seconds: float) -> list[str]:
-        """Standstill."""
-        return [f'G04 X{seconds:.3f}']
-
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
-        return ['M00']
 
     def end(self, program: Program) -> list[str]:
         """End of the program."""

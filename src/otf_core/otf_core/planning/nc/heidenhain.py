@@ -23,12 +23,9 @@ class Heidenhain(Dialect):
 
     name = 'heidenhain'
     file_name = 'OTFPATH.H'
+    stop_word = 'STOP M0'
     longest_dwell = 3600.0
     unchecked = 'I WITH M91, AND F OF BLOCKS THAT MOVE LINEAR AND ROTARY AXES'
-
-    def comment(self, text: str) -> str:
-        """Comment line."""
-        return f'; {text}'
 
     def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
@@ -52,10 +49,6 @@ class Heidenhain(Dialect):
     def dwell(self, seconds: float) -> list[str]:
         """Standstill."""
         return ['CYCL DEF 9.0 DWELL TIME', f'CYCL DEF 9.1 DWELL {seconds:.3f}']
-
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
-        return ['STOP M0']
 
     def end(self, program: Program) -> list[str]:
         """End of the program; ``finished`` gives END the name of BEGIN."""

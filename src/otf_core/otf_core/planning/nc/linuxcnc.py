@@ -19,11 +19,8 @@ class LinuxCnc(Dialect):
 
     name = 'linuxcnc'
     file_name = 'otf_path.ngc'
+    comment_form, dwell_form = '({})', 'G4 P{:.3f}'
     unchecked = 'WHICH M CODES SWITCH THE KINEMATICS'
-
-    def comment(self, text: str) -> str:
-        """Comment line."""
-        return f'({text})'
 
     def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
@@ -42,14 +39,6 @@ class LinuxCnc(Dialect):
         """Straight line in absolute angles; stops by G61.1."""
         mode, frame = 'G61.1' if move.stop else 'G61', '' if program.tcp else 'G53 '
         return [f'{mode} {frame}G1 {words(move.to)} {move.speed(program)}']
-
-    def dwell(self, seconds: float) -> list[str]:
-        """Standstill."""
-        return [f'G4 P{seconds:.3f}']
-
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
-        return ['M0']
 
     def end(self, program: Program) -> list[str]:
         """End of the program."""

@@ -81,7 +81,7 @@ def _whole(
     if program.turns and dialect.unchecked:
         notes = [*notes, f'not confirmed by a manual: {dialect.unchecked}']
     whole = dialect.begin([line for text in notes for line in comment_lines(text)], program)
-    whole += [*approach, *dialect.say(f'{put}, lock the beam, record'), *dialect.wait()]
+    whole += [*approach, *dialect.say(f'{put}, lock the beam, record'), dialect.stop_word]
     return '\n'.join(dialect.finished([*whole, *lines, *dialect.end(program)])) + '\n'
 
 

@@ -20,11 +20,8 @@ class Sinumerik(Dialect):
 
     name = 'sinumerik'
     file_name = 'OTF_PATH.MPF'
+    dwell_form = 'G4 F{:.3f}'
     unchecked = 'TRAFOOF'
-
-    def comment(self, text: str) -> str:
-        """Comment line."""
-        return f'; {text}'
 
     def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
@@ -39,14 +36,6 @@ class Sinumerik(Dialect):
         by = [f'{a}=IC({round(v, 3) + 0.0:.3f})' for a, v in move.turned.items()]
         mode = [*(['G9'] if move.stop else []), *([] if program.tcp else ['SUPA']), 'G1']
         return [' '.join([*mode, words(move.absolute), *by, move.speed(program)])]
-
-    def dwell(self, seconds: float) -> list[str]:
-        """Standstill."""
-        return [f'G4 F{seconds:.3f}']
-
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
-        return ['M0']
 
     def end(self, program: Program) -> list[str]:
         """End of the program."""

@@ -22,11 +22,8 @@ class TwinCat(Dialect):
 
     name = 'twincat'
     file_name = 'otf_path.nc'
+    stop_word = 'M00'
     unchecked = 'G91 OF MODULO AXES BEYOND ONE TURN'
-
-    def comment(self, text: str) -> str:
-        """Comment line."""
-        return f'; {text}'
 
     def begin(self, header: Sequence[str], program: Program) -> list[str]:
         """Header comments and modal settings."""
@@ -43,14 +40,6 @@ class TwinCat(Dialect):
         stop = 'G60 ' if move.stop else ''
         speed = f'F{move.seconds:.3f}' if program.turns else f'F{move.feed}'
         return [f'{stop}{mode} G01 {words(own)} {speed}']
-
-    def dwell(self, seconds: float) -> list[str]:
-        """Standstill."""
-        return [f'G04 X{seconds:.3f}']
-
-    def wait(self) -> list[str]:
-        """Program stop until the operator goes on."""
-        return ['M00']
 
     def end(self, program: Program) -> list[str]:
         """End of the program."""
