@@ -92,9 +92,6 @@ def shape_words(cause: Mapping[str, Any]) -> str:
     return f'chosen: {", ".join(chosen)}' if chosen else ''
 
 
-# The page and the text of a gap.json.
-
-
 def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
     """Rank, name, axes, parameters with U, gap, confidence."""
     about = CAUSES.get(cause['effect'], '')
