@@ -279,4 +279,3 @@ class WritingConfig(Parameters):
     """What is written of a calibration beside error_tables.json and error_tables.csv."""
 
     report: bool = parameter(True, 'write report.html')
-    residuals_csv: bool = parameter(False, 'also write the residuals as residuals.csv')

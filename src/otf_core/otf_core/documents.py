@@ -150,6 +150,11 @@ class ResultDocument(Document):
     file: ClassVar[str] = ''
     """Name of its file in the folder of results."""
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the stated fields as plain data, the schema first."""
+        data = super().to_dict()
+        return {n: data.pop(n) for n in ('schema',) if n in data} | data
+
     @property
     def exit_code(self) -> int:
         """Exit code of the verb."""

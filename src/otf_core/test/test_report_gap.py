@@ -23,7 +23,6 @@ from otf_core.model.sections import Circumstances
 from otf_core.reports.diagnosis import (
     confidence_words,
     gap_pages,
-    next_measurements,
 )
 from otf_core.reports.diagnosis import format_diagnosis as text_of
 from otf_core.reports.rendering import typeset
@@ -242,7 +241,7 @@ def test_long_lists_of_parameters_are_cut(view):
 
 
 def test_next_measurements_tell_rivals_apart_first(view):
-    lines = next_measurements(document(diagnosis(view, 'partly_explained', found=causes())))
+    lines = list(diagnosis(view, 'partly_explained', found=causes()).document.measure_next)
     assert 'to distinguish cyclic error from vibration' in lines[0]
     assert any('second feed' in line for line in lines)
     assert any(line.startswith('A calibrated length') for line in lines)
@@ -253,7 +252,7 @@ def test_wishes_that_begin_alike_share_a_line(view):
         ('table_tilt', 'a second tracker place, or a level'),
         ('other', 'a second tracker place'),
     )
-    lines = next_measurements(document(diagnosis(view, not_visible=hidden)))
+    lines = list(diagnosis(view, not_visible=hidden).document.measure_next)
     assert lines == ['A second tracker place (or a level): to see table tilt and other.']
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.budget.lines import GRID, LISTED_CORRELATION, correlations, whole_dof
+from otf_core.calibration.scalar_words import location_words, squareness_words
 from otf_core.calibration.views import result_views, run_view
 from otf_core.model.expanded import COVERAGE_PROBABILITY
 from otf_core.model.machine import SPINDLE, Machine
@@ -19,6 +20,7 @@ from otf_core.model.presets import TYPICAL
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import ErrorTables, ScalarError, with_uncertainty
 from otf_core.noise.noise_model import noise_to_fields
+from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.calibration_document import (
     BudgetBlock,
     BudgetEntry,
@@ -66,8 +68,8 @@ def document_of(result: CalibrationResult) -> CalibrationDocument:
     return CalibrationDocument(
         machine=machine,
         motions={n: replace(v, **more[n]) for n, v in named_tables(tables).items()},
-        squareness={n: _scalar(v, n in hidden, more[n]) for n, v in tables.squareness.items()},
-        location={n: _scalar(v, n in hidden, more[n]) for n, v in tables.location.items()},
+        squareness={n: _scalar(n, v, result, more[n]) for n, v in tables.squareness.items()},
+        location={n: _scalar(n, v, result, more[n]) for n, v in tables.location.items()},
         systematic=result.headline.systematic,
         targets=result.targets,
         alignment=result.T_machine_tracker,
@@ -121,11 +123,32 @@ def _beside(result: CalibrationResult) -> dict[str, dict[str, Any]]:
     return beside
 
 
-def _scalar(own: ScalarError, hidden: bool, more: Mapping[str, Any]) -> ScalarError:
-    seen = float(not hidden)
-    return replace(
-        own, u=seen * own.u, u_run=seen * (own.u_run or 0.0), identifiable=not hidden, **more
+def _scalar(
+    name: str, own: ScalarError, result: CalibrationResult, more: Mapping[str, Any]
+) -> ScalarError:
+    """A squareness or location error with its sentence."""
+    hidden, machine, bound = (
+        name in result.not_identifiable,
+        result.tables.machine,
+        result.offset_bound,
     )
+    seen = float(not hidden)
+    u, u_run = seen * own.u, seen * (own.u_run or 0.0)
+    wide = (more.get('k') or 0.0) * u
+    if hidden:
+        need = f'; needs {more["needs"]}' if more['needs'] else ''
+        words = f'{name}: not identifiable in these data{need}.'
+    elif name in machine.location:
+        words = location_words(machine, name, own.value, wide)
+    else:
+        inside = bound.contains.get(name)
+        holds = (
+            f', at target offset {offset_words(bound.offset)}, contains {", ".join(inside)}'
+            if inside
+            else ''
+        )
+        words = f'{name}: {squareness_words(name, own.value, wide)}{holds}.'
+    return replace(own, u=u, u_run=u_run, identifiable=not hidden, words=words, **more)
 
 
 def _budget(result: CalibrationResult) -> BudgetBlock:

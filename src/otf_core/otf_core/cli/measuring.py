@@ -86,8 +86,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
 
     def write(folder: Path) -> list[Path]:
-        return write_calibration(result, folder, residuals_csv=writing.residuals_csv,
-                                 report=writing.report, missing=out.missing)  # fmt: skip
+        return write_calibration(result, folder, report=writing.report, missing=out.missing)
 
     return finish(arguments, out, result.document, write)
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from otf_core.calibration.document import driven_run
@@ -12,8 +13,9 @@ from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.place.views import gap_views
 from otf_core.diagnosis.result import AnyCause, Diagnosis, Gap, NamedCause
-from otf_core.documents import Document, ResultDocument, stated
+from otf_core.documents import Document, ResultDocument, optional, stated
 from otf_core.effects import EVERY, BelongsTo
+from otf_core.files.message_text import join_names
 from otf_core.model.machine import Machine
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.pieces.finding import GATE, Finding
@@ -78,9 +80,9 @@ class GapDocument(ResultDocument):
     calibration_runs: tuple[Mapping[str, Any], ...] = stated('as runs of error_tables.json')
     views: Mapping[str, Any] = stated('residuals by time, place, travel, beam, frequency (um)')
     run_id: str = stated('hash of samples, paths, machine and configuration')
-    any_cause: AnyCause | None = stated(
-        'whether anything is missing, before any name is given', default=None, sparse=True
-    )
+    search: tuple[str, ...] = stated('what was looked for, where no cause is named', default=())
+    measure_next: tuple[str, ...] = stated('what to measure next, most useful first', default=())
+    any_cause: AnyCause | None = optional('whether anything is missing, before any name is given')
     schema: str = stated('otf-gap/1', default='otf-gap/1')
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
 
@@ -94,7 +96,7 @@ def document_of(diagnosis: Diagnosis) -> GapDocument:
     """Return what a diagnosis states."""
     shown, plain, where = diagnosis.shown, diagnosis.calibration.plain, diagnosis.where
     held = (_held_words(diagnosis, cause) for cause in diagnosis.causes)
-    return GapDocument(
+    document = GapDocument(
         runs=diagnosis.runs,
         measured=tuple(map(measured_run, shown.views)),
         verdict=diagnosis.verdict,
@@ -122,6 +124,8 @@ def document_of(diagnosis: Diagnosis) -> GapDocument:
             coverage=f'{STANDARD}; intervals: 95 %',
         ),
     )  # fmt: skip
+    search, wishes = describe_search(document), next_measurements(document)
+    return replace(document, search=tuple(search), measure_next=tuple(wishes))
 
 
 def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
@@ -132,3 +136,79 @@ def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
     held = in_reversal_tables(diagnosis.reversal, cause.axes)
     name = cause.effect.replace('_', ' ')
     return f'The reversal tables of the calibration contain {name} as well{held}.' if held else ''
+
+
+def _name(effect: str) -> str:
+    return effect.replace('_', ' ')
+
+
+def _needed_for(effect: str) -> str:
+    known = EVERY.get(effect)
+    return known.words.shown_by if known else ''
+
+
+def next_measurements(document: GapDocument) -> list[str]:
+    """What to measure next, plain text, most useful first."""
+    wishes: list[tuple[str, str]] = []
+    for cause in document.causes:
+        rivals = cause.indistinguishable_from
+        if rivals:
+            others = ' or '.join(r.replace('_', ' ') for r in rivals)
+            reason = f'to distinguish {_name(cause.effect)} from {others}'
+            wishes += [
+                (n, reason) for n in dict.fromkeys(map(_needed_for, (cause.effect, *rivals))) if n
+            ]
+    if document.verdict in ('unknown', 'partly_explained'):
+        wishes.append(
+            (
+                'the same path once more, also backwards and at a second feed, and from a second '
+                'tracker place',
+                'to see whether the unexplained part depends on time, travel or tracker',
+            )
+        )
+    hidden = {_name(one.effect): one.needs for one in document.not_visible}
+    wishes += [(need, name) for name, need in hidden.items()]
+    return _merged_wishes(wishes, set(hidden))
+
+
+def _merged_wishes(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
+    """One line for wishes that begin alike: what is wanted, details, what for."""
+    grouped: dict[str, tuple[list[str], list[str]]] = {}
+    for wish, reason in wishes:
+        head, *rest = re.split(r'[,;:] ', wish, maxsplit=1)
+        details, reasons = grouped.setdefault(head, ([], []))
+        details += [r for r in rest if r not in details]
+        reasons.append(reason)
+    lines = []
+    for head, (details, reasons) in grouped.items():
+        own = [r for r in reasons if r not in hidden]
+        unseen = [r for r in reasons if r in hidden]
+        if unseen:
+            own.append('to see ' + join_names(unseen))
+        detail = f' ({"; ".join(details)})' if details else ''
+        lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
+    return lines
+
+
+def describe_search(document: GapDocument) -> list[str]:
+    """What was looked for and how small an effect would have been seen; nothing of a cause."""
+    if document.causes:
+        return []
+    hidden = [one.effect for one in document.not_visible]
+    seen = {
+        effect: size for effect, size in document.smallest_found_um.items() if effect not in hidden
+    }
+    if not seen:
+        return []
+    order = sorted(seen, key=seen.__getitem__)
+    least, most = order[0], order[-1]
+    sizes = [f'{seen[name]:.2f} um ({_name(name)})' for name in (least, most)]
+    words = [
+        f'Considered: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
+        f'detected from a root mean square displacement of'
+        f' {sizes[0]} to {sizes[1]} on.'
+    ]
+    if hidden:
+        names = join_names(map(_name, hidden))
+        words.append(f'Not visible in these data, whatever their size: {names}.')
+    return words

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 LONGEST_QUOTATION = 60
 """Characters of a name or key from a file that a message repeats."""
@@ -40,3 +41,9 @@ def without_middle(text: str, length: int) -> str:
 def with_micro_sign(text: str) -> str:
     """Replace the units um and urad by µm and µrad, but not in identifiers such as mean_um."""
     return _MICRO_UNIT.sub('\N{MICRO SIGN}\\1', text)
+
+
+def join_names(names: Iterable[str]) -> str:
+    """Names with commas and a last 'and'."""
+    texts = list(names)
+    return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)

@@ -81,6 +81,7 @@ class ScalarError(Document):
     k: float | None = stated('coverage factor for 95 %', default=None)
     dof: float | None = stated('degrees of freedom; null: infinite', default=None)
     needs: str | None = stated('what would show it', default=None, sparse=True)
+    words: str | None = stated('the same in words', default=None, sparse=True)
 
     def with_defaults(self) -> ScalarError:
         """The same, with u for u_run where a file states none."""

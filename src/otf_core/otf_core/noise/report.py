@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -115,6 +115,7 @@ class NoiseReport(ResultDocument):
     variogram: VariogramCurve = stated('of the standstills')
     spectrum: SpectrumCurve = stated('of the standstills')
     warnings: tuple[str, ...] = stated('what the user should read')
+    events: tuple[str, ...] = stated('lost samples, steps, drift and peaks in words')
     schema: str = stated('otf-noise/1', default='otf-noise/1')
     provenance: Mapping[str, Any] = stated('when, from what, by what', factory=dict)
     noise: NoiseModel | None = None
@@ -190,6 +191,33 @@ def _warnings(
     return tuple(warnings)
 
 
+def _events(
+    lost: LostSamples, steps: Sequence[Step], drift: Drift | None, peaks: Sequence[Peak]
+) -> Iterator[str]:
+    """Lost samples, steps, drift and peaks in words."""
+
+    def sized(values: Array) -> str:
+        a, b, c = 1e6 * values
+        return f'{a:+.2f} um, {b:+.2f} urad, {c:+.2f} urad'
+
+    yield (
+        f'{lost.samples} samples lost in {lost.gaps} gaps, longest {lost.longest:.2f} s'
+        if lost.samples
+        else 'no samples lost'
+    )
+    if steps:
+        largest = max(steps, key=lambda s: float(np.max(np.abs(s.size))))
+        yield (f'{len(steps)} steps within standstills, the largest at {largest.time:.1f} s: '
+               f'{sized(largest.size)}')  # fmt: skip
+    if drift is not None:
+        yield f'drift in {drift.duration:.1f} s: {sized(drift.change)}'
+    for p in peaks:
+        unit = 'um' if p.of == QUANTITIES[0] else 'urad'
+        yield f'peak of the {p.of} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} {unit} rms'
+    if not peaks:
+        yield 'no peaks in the spectrum'
+
+
 def noise_report(
     samples: Samples, standstill_speed: float, parts: int = 1, origin: Origin | None = None
 ) -> NoiseReport:
@@ -242,6 +270,8 @@ def noise_report(
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     lost = lost_samples(samples, parts)
     curve, fields = variogram(windows), noise_to_fields(measured.noise)
+    steps, peaks = find_steps(samples, runs), find_peaks(seen, shape)
+    drift = find_drift(samples, trim_to_rest(samples, runs))
     return NoiseReport(
         **fields | {'tails': dict(zip(QUANTITIES, measured.tails, strict=True))},
         standstills=len(runs),
@@ -254,10 +284,11 @@ def noise_report(
         duration=duration,
         rate=1.0 / step,
         distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
-        peaks=find_peaks(seen, shape),
+        peaks=peaks,
         lost=lost,
-        steps=find_steps(samples, runs),
-        drift=find_drift(samples, trim_to_rest(samples, runs)),
+        steps=steps,
+        drift=drift,
+        events=tuple(_events(lost, steps, drift, peaks)),
         variogram=VariogramCurve(_rounded(curve.lag * step), _rounded(curve.value)),
         spectrum=SpectrumCurve(_rounded(seen.frequency), _rounded(seen.density)),
         warnings=_warnings(measured, windows, duration, lost, len(samples)),

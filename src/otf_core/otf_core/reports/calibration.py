@@ -12,31 +12,33 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from otf_core.calibration.calibration_result import COLUMNS, CalibrationResult, table_cells
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.calibration.calibration_result import (
+    COLUMNS,
+    CalibrationResult,
+    RunResult,
+    table_cells,
+)
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import (
     ensure_folder,
+    whole_file,
     write_if_possible,
     write_text,
 )
 from otf_core.prediction.calibration_document import CalibrationDocument
 from otf_core.reports.calibration_page import calibration_page, certificate_page
-from otf_core.reports.residual_files import (
-    RESIDUALS_FILE,
-    RESIDUALS_TEXT,
-    residual_arrays,
-    write_residuals,
-    write_residuals_text,
-)
 from otf_core.threads import limit_to_one_thread
 
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
-CERTIFICATE_FILE = 'certificate.html'
+CERTIFICATE_FILE, RESIDUALS_FILE = 'certificate.html', 'residuals.npz'
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
 
@@ -55,13 +57,46 @@ def _rows_csv(document: CalibrationDocument) -> str:
     return '\n'.join([','.join(('motion', *COLUMNS[1:])), *rows]) + '\n'
 
 
+def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]:
+    """Return the residuals of all runs under the names of ``residuals.npz``, a row a path piece.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``run``, ``part``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``,
+        (n, k), m and rad; ``axes``, shape (n, c, 3), unit vectors in the frame of the tracker's
+        link; ``deviation``, ``residual``, shape (n, c), m.
+    """
+    pieces = [run.pieces for run in runs]
+    counts = {
+        'run': np.repeat(np.arange(len(runs)), [len(p) for p in pieces]),
+        'part': np.concatenate([run.part for run in runs]),
+        'leg': np.concatenate([p.leg for p in pieces]),
+        'count': np.concatenate([p.count for p in pieces]),
+    }
+    return {
+        **{name: np.asarray(values, np.int32) for name, values in counts.items()},
+        'time': np.concatenate([p.time for p in pieces]),
+        'speed': np.concatenate([run.speed for run in runs]),
+        'q': np.concatenate([run.q for run in runs]),
+        'axes': np.concatenate([np.stack(tuple(run.axes), axis=1) for run in runs]),
+        'deviation': np.concatenate([run.deviation.T for run in runs]),
+        'residual': np.concatenate([run.residual.T for run in runs]),
+    }
+
+
+def write_residuals(arrays: Mapping[str, NDArray[np.generic]], folder: Path) -> None:
+    """Write residuals.npz."""
+    with whole_file(folder / RESIDUALS_FILE) as partial, partial.open('wb') as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
 @limit_to_one_thread
 def write_calibration(
     result: CalibrationResult,
     folder: str | Path,
     *,
     residuals: bool = True,
-    residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = True,
     missing: dict[str, str] | None = None,
@@ -74,8 +109,6 @@ def write_calibration(
         Made if missing; files of the same names are replaced.
     residuals : bool
         Write residuals.npz.
-    residuals_csv : bool
-        Write the residuals as text too.
     report : bool
         Write report.html.
     certificate : bool
@@ -106,10 +139,6 @@ def write_calibration(
         )
     if residuals:
         wanted[RESIDUALS_FILE] = lambda: write_residuals(residual_arrays(result.runs), folder)
-    if residuals_csv:
-        wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(
-            residual_arrays(result.runs), folder, result.tables.machine.axis_names
-        )
     written = [name for name, write in wanted.items() if write_if_possible(missing, name, write)]
     files = [folder / TABLES_FILE, *(folder / name for name in written)]
     files += _write_effects(result, folder)

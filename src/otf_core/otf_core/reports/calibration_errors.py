@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,18 +15,15 @@ from otf_core.arrays import Array, Index
 from otf_core.files.writing import tidy
 from otf_core.model.chain import nominal_position
 from otf_core.model.expanded import (
-    COVERAGE_FACTOR,
     figure,
     micro_unit,
     micro_with_expanded,
     significant,
-    with_expanded,
 )
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import TABLE, Machine
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
-from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.calibration_document import (
     FAIL,
     LIMIT_MEANING,
@@ -52,7 +48,7 @@ from otf_core.reports.charts import (
     svg,
     words,
 )
-from otf_core.reports.rendering import State, dof_words, micro
+from otf_core.reports.rendering import State, micro
 from otf_core.reports.scene import (
     Dots,
     Item,
@@ -76,11 +72,6 @@ CIRCLE, MAGNIFIED, CENTRE = 70.0, 35.0, 120.0
 """px; radius of the circle of a radial motion, of the largest motion on it, and its centre."""
 LIMIT_HEIGHT_RATIO = 4.0
 """Height of a limit, in that of what is drawn, up to which it is drawn."""
-ANGLES = {'C0Y': ('+X', '+Y', 1.0), 'B0Z': ('+X', '+Z', -1.0), 'A0Z': ('+Y', '+Z', 1.0)}
-"""Directions between which a squareness error changes the angle, and the sign of the change."""
-ARCSEC = math.pi / 648000
-FEW_DATA_BELOW = 100
-"""Samples around a node below which they are called few."""
 
 
 @dataclass(frozen=True)
@@ -343,20 +334,6 @@ def largest_motions(content: Content) -> Iterator[str]:
                f'{content.position(name, k)} (U, 95 %).')  # fmt: skip
 
 
-def motion_row(content: Content, name: str) -> tuple[str, ...]:
-    """Name, role, unit, nodes, smallest, largest, span, mean u, largest U, k and dof."""
-    own, wide = content.entries[name], content.wide[name]
-    value, k = np.array(own['value']), own['k']
-    start = (name, role(ErrorMotion.of(name)), micro_unit(own['unit']), str(len(value)))
-    if name in content.hidden:
-        return (*start, 'not known', *[''] * 6)
-    most = 1e6 * float(wide.max())
-    sizes = (value.min(), value.max(), np.ptp(value), wide.mean() / max(k or 0.0, 1.0))
-    dof = '' if k is None else dof_words(own['dof'])
-    return (*start, *(figure(1e6 * float(v), most) for v in sizes), significant(most),
-            f'{k or 0:.2f}', dof)  # fmt: skip
-
-
 def motion_chart(content: Content, motion: ErrorMotion) -> str:
     """One motion over its axis: mean of both directions of travel, U, limit, each direction."""
     name, own = str(motion), content.entries[str(motion)]
@@ -398,6 +375,12 @@ def motion_chart(content: Content, motion: ErrorMotion) -> str:
     return panel.draw(marks, f'{name} over {motion.axis}, with uncertainty', heading)
 
 
+def alone_chart(content: Content) -> str:
+    """What the largest errors make alone."""
+    rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in content.alone[:12]]
+    return bars(rows, 'contribution of each motion')
+
+
 def radial_motion(content: Content, axis: str) -> str:
     """Radial motion of a rotary axis in the direction to the angle itself, about a circle."""
     along = int(np.argmax(np.abs(np.array(content.machine.axes[axis].direction))))
@@ -425,99 +408,6 @@ def scalar_words(content: Content, name: str) -> str:
         return f'{name} not known'
     value, wide = content.entries[name]['value'], float(content.wide[name][0])
     return f'{name} {micro_with_expanded(value, wide, unit_of(name))}'
-
-
-def squareness_words(name: str, value: float, wide: float) -> str:
-    """State a squareness error and its U, rad, as an angle, to the last stated digit of U.
-
-    C0Y > 0 tilts +Y to -X, B0Z > 0 tilts +Z to +X, A0Z > 0 tilts +Z to -Y.
-    """
-    one, other, sign = ANGLES[name]
-    change = sign * value
-    return (
-        f'angle between {one} and {other} is 90 deg {"-" if change < 0 else "+"} '
-        f'{figure(1e6 * abs(change), 1e6 * wide)} urad '
-        f'({figure(abs(change) / ARCSEC, wide / ARCSEC)} arcsec)'
-    )
-
-
-def squareness_row(content: Content, name: str) -> dict[str, Any]:
-    """A squareness error as an angle in words, in both habits of sign, and where it holds."""
-    own, need = content.entries[name], content.entries[name].get('needs')
-    if name in content.hidden:
-        missing = f'not identifiable in these data{f"; needs {need}" if need else ""}'
-        return {'words': missing, 'cells': ('not known', '', '', '', '')}
-    value, wide = own['value'], float(content.wide[name][0])
-    change = ANGLES[name][2] * value
-    inside = content.doc['target_offset_bound']
-    rotations, holds = inside['contains'].get(name), ''
-    if rotations:
-        offset = offset_words(np.array(inside['offset']))
-        holds = f'at target offset {offset}, contains {", ".join(rotations)}'
-    statement = squareness_words(name, value, wide) + (f', {holds}' if holds else '')
-    cells = [figure(1e6 * v, 1e6 * wide) for v in (value, change)]
-    cells += [
-        significant(1e6 * wide),
-        significant(1e6 * own['u']),
-        holds or 'at any target offset',
-    ]
-    return {'words': statement, 'cells': cells}
-
-
-def location_words(content: Content, name: str) -> str:
-    """State which way the line of an axis lies, in both habits of sign."""
-    own, axis, unit = content.entries[name], name[2], unit_of(name)
-    if not own['identifiable']:
-        need = own.get('needs')
-        return f'{name}: not identifiable in these data{f"; needs {need}" if need else ""}.'
-    value, wide = own['value'], float(content.wide[name][0])
-    found, size = (micro_with_expanded(v, wide, unit) for v in (value, abs(value)))
-    if unit == 'm':
-        side = f'{"+" if value >= 0 else "-"}{name[0]}'
-        return (
-            f'{name} = {found}: the average line of {axis} lies {size} towards {side} of its '
-            f'nominal place. A control that stores the centre of {axis} is to add '
-            f'{with_expanded(1e3 * value, 1e3 * wide)} mm to its {name[0]}; a table of '
-            f'corrections holds the opposite sign.'
-        )
-    turn = np.eye(3)['ABC'.index(name[0])] * np.sign(value or 1.0)
-    direction = np.array(content.machine.axes[axis].direction)
-    end, side = (
-        f'{"+" if vector[k] >= 0 else "-"}{XYZ[k]}'
-        for vector in (direction, np.cross(turn, direction))
-        for k in [int(np.argmax(np.abs(vector)))]
-    )
-    return (
-        f'{name} = {found} ({abs(value) / ARCSEC:.2f} arcsec): the average line of {axis} leans '
-        f'{size} from {end} towards {side}; the correction has the opposite sign.'
-    )
-
-
-def target_row(content: Content, name: str) -> tuple[str, ...]:
-    """Name, link, place with U and distance from the nominal place of a reflector, mm."""
-    own = content.doc['targets'][name]
-    cells = [with_expanded(1e3 * p, COVERAGE_FACTOR * 1e3 * v)
-             for p, v in zip(own['place'], own['u'], strict=True)]  # fmt: skip
-    moved = np.linalg.norm(np.array(own['place']) - content.machine.targets[name].place)
-    return (name, own['link'], *cells, f'{1e3 * moved:.3f}')
-
-
-def node_rows(content: Content, name: str) -> Iterator[tuple[str, ...]]:
-    """Every node of a table: position, value, u, U, k, dof, samples, flag."""
-    own, k = content.entries[name], content.entries[name]['k']
-    coverage = (f'{k:.2f}', dof_words(own['dof'])) if k is not None else ('-', '-')
-    counts = content.doc['coverage'][name[2]]['samples_at_nodes']
-    seen = own.get('node_identifiable') or [True] * len(counts)
-    factor, _ = content.machine.axes[name[2]].shown
-    for x, v, u, count, here in zip(own['position'], own['value'], own['u'], counts, seen,
-                                    strict=True):  # fmt: skip
-        flag = 'few data' if count < FEW_DATA_BELOW else 'ok'
-        if name in content.hidden:
-            flag = 'unobservable'
-        elif not here:
-            flag = 'not determined, continued'
-        yield (f'{tidy(factor * x):.6g}', micro(v, 3), micro(u, 3), micro((k or 0.0) * u, 3),
-               *coverage, str(int(count)), flag)  # fmt: skip
 
 
 # The volume by direction and over the rotary axes; forward and backward.
@@ -570,46 +460,3 @@ def turns_chart(turns: Mapping[str, Any]) -> dict[str, Any]:
     ]
     drawn = panel.draw(marks, f'mean error over {names[0]} and {names[1]}')
     return shown | {'chart': drawn, 'key': heat_key(step, float(sizes.max()), 'µm')}
-
-
-def lag_words(doc: Mapping[str, Any]) -> Iterator[str]:
-    """Axes that are late, a sentence each."""
-    for axis, lag in doc['reversal']['lags'].items():
-        yield (f'{axis} is {"late" if lag["value"] > 0.0 else "early"} against the axes that it '
-               f'is driven with: ({1e6 * abs(lag["value"]):.0f} +/- '
-               f'{1e6 * COVERAGE_FACTOR * lag["u"]:.0f}) us.')  # fmt: skip
-
-
-def why_reversal(evidence: Mapping[str, Any]) -> Iterator[str]:
-    """Why this model of reversal was chosen: sentences."""
-    if 'lines' not in evidence or 'needed' not in evidence:
-        if decided := evidence.get('decided_by'):
-            yield f'Decided by {decided}.'
-        return
-    yield (
-        f'Gain of all that was chosen, or of the best that was not, over no reversal on '
-        f'{evidence["lines"]} held-out lines {evidence["gain"]:.1f} +/- '
-        f'{evidence["scatter"]:.1f}; {evidence["needed"]:g} times the scatter is needed.'
-    )
-
-
-def iso_row(content: Content, axis: str) -> tuple[str, ...]:
-    """Figures of the positioning of an axis in the manner of ISO 230-2: E, M, B, mean, u."""
-    name = f'E{axis}{axis}'
-    own, mean = content.doc['reversal']['motions'].get(name), content.entries[name]
-    start = (axis, micro_unit(mean['unit']))
-    if own is None or not own['identifiable'] or name in content.hidden:
-        return (*start, 'not known', '', '', '', '')
-    value = np.array(own['value'])
-    at = int(np.argmax(np.abs(value)))
-    sizes = (np.ptp([own['forward'], own['backward']]), np.ptp(mean['value']), abs(value[at]),
-             value.mean(), own['u'][at])  # fmt: skip
-    return (*start, *(micro(float(v)) for v in sizes))
-
-
-def reversal_row(name: str, own: Mapping[str, Any]) -> tuple[str, ...]:
-    """Smallest and largest reversal value and mean u of a motion."""
-    if not own['identifiable']:
-        return (name, 'not known', '', '')
-    return (name, *(micro(float(v)) for v in (min(own['value']), max(own['value']),
-                                              np.mean(own['u']))))  # fmt: skip

@@ -22,7 +22,7 @@ from otf_core.budget.budget import (
 )
 from otf_core.budget.lines import GRID
 from otf_core.config import CalibrationConfig
-from otf_core.files.writing import tidy
+from otf_core.files.message_text import join_names
 from otf_core.model.expanded import (
     micro_unit,
     quantity,
@@ -36,11 +36,9 @@ from otf_core.model.sections import (
     NUMBERS,
     TEXTS,
 )
-from otf_core.prediction.absorbed import offset_words
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.calibration_errors import (
     Content,
-    bound_sentence,
     trackers,
 )
 from otf_core.reports.charts import (
@@ -56,7 +54,7 @@ from otf_core.reports.charts import (
     svg,
     words,
 )
-from otf_core.reports.rendering import dof_words, join_names, micro, place
+from otf_core.reports.rendering import dof_words, micro
 from otf_core.reports.scene import (
     Dots,
     Item,
@@ -120,13 +118,6 @@ def _stated_source(content: Content, name: str, part: float) -> tuple[str, str]:
     return stated, f'{1e6 * part / (factor * value):.3g} per {unit}'
 
 
-def quantity_row(name: str, own: Mapping[str, Any], sources: Sequence[str]) -> tuple[str, ...]:
-    """Unit, U, u, k, dof and parts of a quantity of the budget."""
-    return ('volume' if name == GRID else name, micro_unit(own['unit']),
-            micro(own['k'] * own['u'], 3), micro(own['u'], 3), f'{own["k"]:.2f}',
-            dof_words(own['dof']), *(micro(own['sources'][n], 3) for n in sources))  # fmt: skip
-
-
 def budget_charts(doc: Mapping[str, Any]) -> list[str]:
     """Every quantity as a bar: the share of a colour in it is its share of the variance."""
     rows: dict[str, list[Bar]] = {'m': [], 'rad': []}
@@ -144,32 +135,6 @@ def _correlation(covariance: Array) -> Array:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)
     return np.asarray(covariance / np.outer(unit, unit))
-
-
-def worst_combination(content: Content) -> tuple[float, list[str]]:
-    """Share of the variance of the combination known worst, and its largest members in words."""
-    covariance = content.covariance
-    vector = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if not vector.any():
-        return 0.0, []
-    for _ in range(60):  # power method
-        vector = covariance @ vector
-        vector = vector / np.linalg.norm(vector)
-    share = float(vector @ covariance @ vector / np.trace(covariance))
-    parts = {n: float(np.sum(vector[p] ** 2)) for n, p in table_places(content.tables).items()}
-    members = sorted(parts.items(), key=lambda pair: -pair[1])[:4]
-    return share, [f'{n} ({100 * size:.0f} %)' for n, size in members if size > 0.02]
-
-
-def condition_number(covariance: Array) -> float:
-    """Largest over smallest standard uncertainty of what the covariance holds, um and urad."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    own = size > 1e-6 * size.max(initial=0.0)
-    if not own.any():
-        return 1.0
-    values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
-    positive = values[values > 1e-12 * values[-1]]
-    return float(np.sqrt(positive[-1] / positive[0]))
 
 
 def correlation_chart(content: Content) -> str:
@@ -216,54 +181,6 @@ def stated_tables(machine: Machine) -> dict[str, Any]:
     return {'tables': tables, 'missing': [said for said, value in wished if value is None]}
 
 
-def run_tables(doc: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """How every run was driven, and from where it was seen."""
-    tables = []
-    for number, run in enumerate(doc['runs'], start=1):
-        slow, feed, fast = (6e4 * v for v in run['feed'])
-        noise = run['noise']
-        rows = [
-            ('duration', f'{run["duration"]:.1f} s'),
-            ('samples', f'{run["samples"]}, {run["rate"]:.1f} Hz'),
-            ('feed', '' if run['standstill'] else f'{feed:.0f} mm/min, 90 % of the path between '
-             f'{slow:.0f} and {fast:.0f}'),
-            ('path driven', f'{100 * run["coverage"]:.1f} %'),
-            ('tracker at', place(run['alignment']['translation'])),
-            ('target offset', place(run['target_offset'])),
-            ('noise of single samples, from the residuals (k = 1)',
-             f'range {micro(noise["u_range"])} um; horizontal angle '
-             f'{micro(noise["u_angle"][0])} urad; vertical angle {micro(noise["u_angle"][1])} '
-             f'urad'),
-        ]  # fmt: skip
-        if len(run['parts']) > 1:
-            rows += [(f'part {n}', f'{p["target"]}, {p["corners"]} corners, '
-                      f'{100 * p["driven"]:.1f} % driven')
-                     for n, p in enumerate(run['parts'], start=1)]  # fmt: skip
-        title = f'Run {number} {run["name"]}'.strip()
-        tables.append({'title': title, 'facts': [row for row in rows if row[1]]})
-    return tables
-
-
-def reference_words(content: Content) -> str:
-    """Which point the values are those of, for one target offset or several."""
-    doc = content.doc
-    offsets = list(dict.fromkeys(offset_words(np.array(r['target_offset'])) for r in doc['runs']))
-    where = (f'the target was at the offset {offsets[0]} from it' if len(offsets) == 1
-             else f'the targets were at the offsets {join_names(offsets)} from it')  # fmt: skip
-    turns = '; motions of a rotary axis act about its centre, as machine.yaml states it'
-    bound = bound_sentence(doc)
-    holds = (
-        f'{bound[:1].upper()}{bound[1:]}; all other values apply to any target offset'
-        if bound
-        else 'All values that were determined apply to any target offset'
-    )
-    return (
-        f'The reference point of straightness, positioning and squareness, about which rotations '
-        f'act, is the machine zero carried along by the axes{turns if doc["location"] else ""}; '
-        f'{where} (all axes at zero). {holds}.'
-    )
-
-
 def track_chart(content: Content, run: Mapping[str, Any]) -> tuple[str, str]:
     """Track of a run in space, coloured by the residual, and the key of its colours."""
     low, high = content.box
@@ -295,15 +212,6 @@ def leg_charts(run: Mapping[str, Any]) -> list[str]:
         what = f'{kind} compensation'
         charts.append(panel.draw([panel.dots(time, rms, kind)], f'residual {what}', what))
     return charts
-
-
-def coverage_row(content: Content, axis: str) -> tuple[str, ...]:
-    """Travel of an axis, the part that its tables cover, and its share."""
-    own, (low, high) = content.machine.axes[axis], content.doc['coverage'][axis]['tables']
-    factor, unit = own.shown
-    ranges = (f'{tidy(round(factor * a, 1)):g} to {tidy(round(factor * b, 1)):g}'
-              for a, b in ((own.min, own.max), (low, high)))  # fmt: skip
-    return (f'{axis} ({unit})', *ranges, f'{100.0 * (high - low) / (own.max - own.min):.0f}')
 
 
 def coverage_chart(content: Content, axis: str) -> str:

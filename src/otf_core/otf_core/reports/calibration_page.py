@@ -15,8 +15,8 @@ from otf_core.model.expanded import (
     significant,
 )
 from otf_core.model.frames import XYZ
-from otf_core.model.machine import SPINDLE, TOOL
-from otf_core.model.motions import DIRECTIONS, ErrorMotion
+from otf_core.model.machine import TOOL
+from otf_core.model.motions import ErrorMotion
 from otf_core.model.sections import (
     CERTIFICATE,
     INSTRUMENT,
@@ -26,65 +26,10 @@ from otf_core.model.sections import (
     VOLUMETRIC,
 )
 from otf_core.prediction.calibration_document import FAIL, PASS
-from otf_core.reports.calibration_errors import (
-    BOUND,
-    DRAWN_RUNS,
-    MOODS,
-    Content,
-    bound_sentence,
-    component_charts,
-    error_bars,
-    iso_row,
-    lag_words,
-    largest_motions,
-    limit_key,
-    limit_lines,
-    limit_of,
-    limit_row,
-    location_words,
-    motion_chart,
-    motion_row,
-    needs,
-    node_rows,
-    radial_motion,
-    reversal_row,
-    role,
-    scalar_words,
-    squareness_row,
-    starred,
-    target_row,
-    turns_chart,
-    volume_charts,
-    warnings,
-    why_reversal,
-)
-from otf_core.reports.calibration_measurement import (
-    budget_charts,
-    chance_of_fit,
-    condition_number,
-    correlation_chart,
-    coverage_chart,
-    coverage_row,
-    drift_charts,
-    drift_row,
-    drifting,
-    leg_charts,
-    noise_times,
-    quantity_row,
-    reference_words,
-    repeat_command,
-    run_tables,
-    source_rows,
-    stated_tables,
-    track_chart,
-    used_sources,
-    worst_combination,
-)
-from otf_core.reports.charts import (
-    Bar,
-    bars,
-)
-from otf_core.reports.rendering import State, micro, place, render
+from otf_core.reports import calibration_errors as errors
+from otf_core.reports import calibration_measurement as measurement
+from otf_core.reports.calibration_errors import Content
+from otf_core.reports.rendering import State, place, render
 
 BY_HAND = ('number', 'customer', 'laboratory', 'operator', 'place')
 """What a certificate leaves room for where machine.yaml does not state it."""
@@ -93,7 +38,9 @@ BY_HAND = ('number', 'customer', 'laboratory', 'operator', 'place')
 def calibration_page(doc: Mapping[str, Any]) -> str:
     """Return the report of an error_tables.json."""
     content = Content(doc)
-    return render('calibration.html.j2', **_shared(content), **_whole(content))
+    return render(
+        'calibration.html.j2', errors=errors, measurement=measurement, **_shared(content)
+    )
 
 
 def certificate_page(doc: Mapping[str, Any]) -> str:
@@ -114,12 +61,12 @@ def calibration_summary(doc: Mapping[str, Any]) -> str:
     """Return the lines of a terminal; the page holds all the rest."""
     content = Content(doc)
     scalars = {
-        'squareness': [scalar_words(content, n) for n in doc['squareness']],
-        'location': [scalar_words(content, n) for n in doc['location']],
+        'squareness': [errors.scalar_words(content, n) for n in doc['squareness']],
+        'location': [errors.scalar_words(content, n) for n in doc['location']],
     }
     return render('calibration.txt.j2', d=doc, c=content, scalars=scalars,
-                  warnings=warnings(doc), limits=limit_lines(content),
-                  needs=needs(content)).rstrip()  # fmt: skip
+                  warnings=errors.warnings(doc), limits=errors.limit_lines(content),
+                  needs=errors.needs(content)).rstrip()  # fmt: skip
 
 
 def _shared(content: Content) -> dict[str, Any]:
@@ -132,7 +79,8 @@ def _shared(content: Content) -> dict[str, Any]:
     first, last = dates.get('first'), dates.get('last')
     measured = f'{first[:19]}Z to {last[:19]}Z' if first and last else ''
     when = measured or f'written {doc["provenance"]["written"]}'
-    arrows, spheres, key = volume_charts(content)
+    arrows, spheres, key = errors.volume_charts(content)
+    bound = errors.bound_sentence(doc)
     return {
         'd': doc,
         'c': content,
@@ -143,7 +91,9 @@ def _shared(content: Content) -> dict[str, Any]:
         'about': f'{machine.name}, run {doc["run_id"]}, {when}',
         'volume': (arrows, spheres),
         'volume_key': key,
-        'offset_bound': f'{BOUND} {bound}.' if (bound := bound_sentence(doc)) else '',
+        'offset_bound': f'{errors.BOUND} {bound}.'
+        if (bound := errors.bound_sentence(doc))
+        else '',
     }
 
 
@@ -157,63 +107,6 @@ def verdict_badges(verdicts: Mapping[str, Any]) -> tuple[State, State]:
         return measured, State('machine: no limits stated')
     mood = {PASS: 'good', FAIL: 'bad'}.get(machine['state'], 'open')
     return measured, State(machine['sentence'].partition(' (')[0], mood)
-
-
-def _whole(content: Content) -> dict[str, Any]:
-    """Charts and tables of the report."""
-    doc = content.doc
-    share, members = worst_combination(content)
-    return {
-        'error_bars': error_bars(content),
-        'error_key': limit_key(content),
-        'needs': needs(content),
-        'warnings': warnings(doc),
-        'largest': list(largest_motions(content)),
-        'motion_rows': [motion_row(content, m) for m in map(str, content.machine.motions)],
-        'motion_charts': {a: [motion_chart(content, ErrorMotion(d, a)) for d in DIRECTIONS]
-                          for a in content.machine.axes},
-        'radial': {a: radial_motion(content, a) for a, own in content.machine.axes.items()
-                   if own.rotary and len(content.entries[f'E{a}{a}']['position']) > 1},
-        'squareness': {n: squareness_row(content, n) for n in doc['squareness']},
-        'location': [location_words(content, n) for n in doc['location']],
-        'exact_targets': [n for n in doc['targets'] if content.machine.targets[n].link == SPINDLE
-                          and content.machine.targets[n].u == 0.0],
-        'target_rows': [target_row(content, n) for n in doc['targets']],
-        'limit_rows': [limit_row(one) for one in content.limits.values()],
-        'component_charts': component_charts(content),
-        'alone_chart': bars(
-            [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in content.alone[:12]],
-            'contribution of each motion'),
-        'turns': turns_chart(doc['turns']) if doc['turns'] else None,
-        'late': list(lag_words(doc)),
-        'why_reversal': list(why_reversal(doc['reversal']['evidence'])),
-        'iso_rows': [iso_row(content, a) for a in content.machine.axes],
-        'reversal_rows': [reversal_row(n, own) for n, own in doc['reversal']['motions'].items()],
-        'source_rows': list(source_rows(content)),
-        'quantity_head': (sources := used_sources(doc)),
-        'quantity_rows': [quantity_row(n, own, sources) for n, own in
-                          doc['budget']['u_rms'].items()],
-        'budget_charts': budget_charts(doc),
-        'source_keys': [(f's{k}', n) for k, n in enumerate(sources)],
-        'worst_share': share, 'worst_members': members,
-        'correlation_chart': correlation_chart(content),
-        'stated': stated_tables(content.machine),
-        'run_tables': run_tables(doc),
-        'reference': reference_words(content),
-        'tracks': [track_chart(content, run) for run in doc['runs'][:DRAWN_RUNS]],
-        'leg_charts': [leg_charts(run) for run in doc['runs'][:DRAWN_RUNS]],
-        'coverage_rows': [coverage_row(content, a) for a in content.machine.axes],
-        'coverage_charts': [coverage_chart(content, a) for a in content.machine.axes],
-        'drift_rows': [drift_row(n, run) for n, run in enumerate(doc['runs'], start=1)],
-        'drifting': list(drifting(doc['runs'])),
-        'drift_charts': drift_charts(doc['runs'][0]),
-        'condition': condition_number(content.covariance),
-        'chance': chance_of_fit(doc),
-        'noise_times': noise_times(doc['runs']),
-        'node_tables': {m: list(node_rows(content, m)) for m in map(str, content.machine.motions)},
-        'repeat': repeat_command(doc),
-        'settings': doc['config'],
-    }  # fmt: skip
 
 
 # The certificate.
@@ -254,17 +147,17 @@ def _certified(content: Content) -> dict[str, Any]:
 def _volume_limit_rows(content: Content) -> Iterator[tuple[Any, ...]]:
     for name in (VOLUMETRIC, UNCERTAINTY):
         if name in content.limits:
-            what, value, wide, limit, unit, state = limit_row(content.limits[name])
+            what, value, wide, limit, unit, state = errors.limit_row(content.limits[name])
             yield ('volume', what, value, wide, unit, limit, state)
 
 
 def certified_row(content: Content, name: str) -> tuple[Any, ...]:
     """Error, what it is, value, U, unit, limit and state."""
-    own, limit = content.doc['sizes'][name], limit_of(content, name)
+    own, limit = content.doc['sizes'][name], errors.limit_of(content, name)
     state = content.limits.get(name, {}).get('state')
     end = (
         '' if limit is None else f'{1e6 * limit:g}',
-        State(state, MOODS[state]) if state else '',
+        State(state, errors.MOODS[state]) if state else '',
     )
     if name in content.machine.scalars:
         between = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}.get(name)
@@ -277,9 +170,9 @@ def certified_row(content: Content, name: str) -> tuple[Any, ...]:
         )
     else:
         motion = ErrorMotion.of(name)
-        what, value = f'{role(motion)} of {motion.axis}, span', own['size']
+        what, value = f'{errors.role(motion)} of {motion.axis}, span', own['size']
     if own['size'] is None:
         return (name, what, 'not known', '', '', *end)
     wide = 1e6 * own['k'] * own['u']
-    return (starred(content, name), what, figure(1e6 * value, wide), significant(wide),
+    return (errors.starred(content, name), what, figure(1e6 * value, wide), significant(wide),
             micro_unit(own['unit']), *end)  # fmt: skip

@@ -35,9 +35,6 @@ HEAD = ('Error', 'Unit', 'Largest |b - a|', 'at', 'a', 'b', 'U of a', 'U of b', 
         'E_n up to 1')  # fmt: skip
 
 
-# The page and the text of a comparison.json.
-
-
 def _errors(doc: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Entries of all errors, motions first."""
     return {**doc['motions'], **doc['squareness'], **doc['location']}

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,20 +18,10 @@ from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, quantity
 from otf_core.model.machine import machine_from_dict
+from otf_core.reports import gap_charts as charts
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.calibration_measurement import run_tables, stated_tables
-from otf_core.reports.gap_charts import (
-    DRAWN_RUNS,
-    curve_chart,
-    gap_chart,
-    group_chart,
-    separating_charts,
-    spectrum_chart,
-    state_labels,
-    time_charts,
-    volume_charts,
-)
-from otf_core.reports.rendering import State, join_names, render
+from otf_core.reports.calibration_measurement import stated_tables
+from otf_core.reports.rendering import State, render
 from otf_core.threads import limit_to_one_thread
 
 REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
@@ -44,6 +33,7 @@ CONFIDENCE_WORDS = (
     (0.5, 'more likely than not'),
     (0.0, 'doubtful'),
 )
+CAUSES = {name: effect.words.cause for name, effect in EVERY.items()}
 SHOWN_PARAMETERS, DRAWN_CURVES = 8, 6
 """Of longer lists the most significant parameters are shown, and the largest curves."""
 VERDICTS = {
@@ -57,18 +47,6 @@ VERDICTS = {
 def effect_name(effect: str) -> str:
     """Name of an effect in words."""
     return effect.replace('_', ' ')
-
-
-def effect_cause(effect: str) -> str:
-    """What causes an effect; empty for a name that is not in the catalogue."""
-    known = EVERY.get(effect)
-    return known.words.cause if known else ''
-
-
-def effect_meaning(effect: str) -> tuple[str, str]:
-    """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
-    known = EVERY.get(effect)
-    return (known.words.displacement, known.words.parameters) if known else ('', '')
 
 
 def confidence_words(confidence: float) -> str:
@@ -114,86 +92,9 @@ def shape_words(cause: Mapping[str, Any]) -> str:
     return f'chosen: {", ".join(chosen)}' if chosen else ''
 
 
-def _needed_for(effect: str) -> str:
-    known = EVERY.get(effect)
-    return known.words.shown_by if known else ''
-
-
-def next_measurements(doc: Mapping[str, Any]) -> list[str]:
-    """What to measure next, plain text, most useful first."""
-    wishes: list[tuple[str, str]] = []
-    for cause in doc['causes']:
-        rivals = cause['indistinguishable_from']
-        if rivals:
-            others = ' or '.join(r.replace('_', ' ') for r in rivals)
-            reason = f'to distinguish {effect_name(cause["effect"])} from {others}'
-            wishes += [
-                (n, reason)
-                for n in dict.fromkeys(map(_needed_for, (cause['effect'], *rivals)))
-                if n
-            ]
-    if doc['verdict'] in ('unknown', 'partly_explained'):
-        wishes.append(
-            (
-                'the same path once more, also backwards and at a second feed, and from a second '
-                'tracker place',
-                'to see whether the unexplained part depends on time, travel or tracker',
-            )
-        )
-    hidden = {effect_name(one['effect']): one['needs'] for one in doc['not_visible']}
-    wishes += [(need, name) for name, need in hidden.items()]
-    return _merged_wishes(wishes, set(hidden))
-
-
-def _merged_wishes(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
-    """One line for wishes that begin alike: what is wanted, details, what for."""
-    grouped: dict[str, tuple[list[str], list[str]]] = {}
-    for wish, reason in wishes:
-        head, *rest = re.split(r'[,;:] ', wish, maxsplit=1)
-        details, reasons = grouped.setdefault(head, ([], []))
-        details += [r for r in rest if r not in details]
-        reasons.append(reason)
-    lines = []
-    for head, (details, reasons) in grouped.items():
-        own = [r for r in reasons if r not in hidden]
-        unseen = [r for r in reasons if r in hidden]
-        if unseen:
-            own.append('to see ' + join_names(unseen))
-        detail = f' ({"; ".join(details)})' if details else ''
-        lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
-    return lines
-
-
-def describe_search(doc: Mapping[str, Any]) -> list[str]:
-    """What was looked for and how small an effect would have been seen; nothing of a cause."""
-    if doc['causes']:
-        return []
-    hidden = [one['effect'] for one in doc['not_visible']]
-    seen = {
-        effect: size for effect, size in doc['smallest_found_um'].items() if effect not in hidden
-    }
-    if not seen:
-        return []
-    order = sorted(seen, key=seen.__getitem__)
-    least, most = order[0], order[-1]
-    sizes = [f'{seen[name]:.2f} um ({effect_name(name)})' for name in (least, most)]
-    words = [
-        f'Considered: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
-        f'detected from a root mean square displacement of'
-        f' {sizes[0]} to {sizes[1]} on.'
-    ]
-    if hidden:
-        names = join_names(map(effect_name, hidden))
-        words.append(f'Not visible in these data, whatever their size: {names}.')
-    return words
-
-
-# The page and the text of a gap.json.
-
-
 def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
     """Rank, name, axes, parameters with U, gap, confidence."""
-    about = effect_cause(cause['effect'])
+    about = CAUSES.get(cause['effect'], '')
     rivals = ' or '.join(effect_name(r) for r in cause['indistinguishable_from'])
     named = [effect_name(cause['effect']), *([about] if about else [])]
     sure = [confidence_words(cause['confidence'])]
@@ -202,38 +103,27 @@ def cause_row(rank: int, cause: Mapping[str, Any]) -> tuple[Any, ...]:
     if rivals:
         named.append(f'In these data indistinguishable from {rivals}')
         sure.append('that it is one of these')
-    names, more, weak = shown_parameters(cause)
+    parameters, others = parameter_words(cause)
     parameters = [
-        f'{n} {_quantity(cause, n)}'.replace('+/-', '±').replace(' ', '\u00a0') for n in names
+        p.replace(' =', '').replace('+/-', '±').replace(' ', '\u00a0') for p in parameters
     ]
     return (
         str(rank), named, ', '.join(cause['axes']) or '–',
-        ['', *parameters, *left_out_words(more, weak), *filter(None, [shape_words(cause)])],
+        ['', *parameters, *others],
         [f'{cause["before_um"]:.2f} → {cause["after_um"]:.2f}',
          f'shrinks by {cause["shrink_percent"]:.0f} %'],
         sure if rivals else sure[0],
     )  # fmt: skip
 
 
-def _quantity(cause: Mapping[str, Any], name: str) -> str:
-    return quantity(cause['parameters'][name], cause['u'][name], cause['units'].get(name, ''))
-
-
-def cause_lines(cause: Mapping[str, Any]) -> Iterator[str]:
-    """A cause for a terminal."""
-    axes = f' ({", ".join(cause["axes"])})' if cause['axes'] else ''
-    yield (
-        f'cause {cause["effect"]}{axes}: gap {cause["before_um"]:.2f} um -> '
-        f'{cause["after_um"]:.2f} um, confidence {100 * cause["confidence"]:.0f} %'
-    )
+def parameter_words(cause: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """Parameters worth showing with U, and what is said of the others."""
     names, more, weak = shown_parameters(cause)
-    yield from (f'    {name} = {_quantity(cause, name)} (k = 2)' for name in names)
-    rest = (shape_words(cause), *left_out_words(more, weak))
-    yield from (f'    {said}' for said in rest if said)
-    if cause['departs']:
-        yield f'    departs from the formula: {cause["departs"]}'
-    if cause['indistinguishable_from']:
-        yield f'    indistinguishable from {", ".join(cause["indistinguishable_from"])}'
+    units = cause['units']
+    shown = [
+        f'{n} = {quantity(cause["parameters"][n], cause["u"][n], units.get(n, ""))}' for n in names
+    ]
+    return shown, [*left_out_words(more, weak), *filter(None, [shape_words(cause)])]
 
 
 def _size_tile(cause: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -248,8 +138,7 @@ def _size_tile(cause: Mapping[str, Any]) -> tuple[str, str, str]:
 def _content(doc: Mapping[str, Any]) -> dict[str, Any]:
     return {
         'd': doc,
-        'search': describe_search(doc),
-        'causes': [line for cause in doc['causes'] for line in cause_lines(cause)],
+        'parameters': [parameter_words(cause) for cause in doc['causes']],
     }
 
 
@@ -260,39 +149,21 @@ def gap_pages(doc: Mapping[str, Any]) -> dict[str, str]:
     unnamed = doc['unnamed']
     if unnamed is not None:
         curves.append(('Cause without a name', '', unnamed['curves']))
-    views, provenance = doc['views'], doc['provenance']
-    measured = provenance.get('measured') or {}
+    measured = doc['provenance'].get('measured') or {}
     when = [m[:19] for m in (measured.get('first'), measured.get('last')) if m]
-    groups = {
-        name: group_chart(doc, name, title)
-        for name, title in (
-            ('line_and_feed', 'residual by line and feed'),
-            ('sense', 'residual by sense'),
-            ('part', 'residual by part'),
-            ('distance', 'residual by length of the beam'),
-            ('angles', 'residual by azimuth and elevation of the beam'),
-        )
-        if name in views['groups']
-    }
     page = render(
         'diagnosis.html.j2',
+        charts=charts,
         badges=[VERDICTS[doc['verdict']]],
         sized=[_size_tile(c) for c in doc['causes'][:2] if c['sizes']],
         measured=' to '.join(f'{m}Z' for m in when),
-        where=separating_charts(doc), labels=state_labels(doc), gap_chart=gap_chart(doc),
         rows=[cause_row(k, c) for k, c in enumerate(doc['causes'], start=1)],
-        meanings=[(effect_name(e), *effect_meaning(e)) for e in
-                  dict.fromkeys(c['effect'] for c in doc['causes']) if any(effect_meaning(e))],
-        curves=[(name, said, [curve_chart(c) for c in own[:DRAWN_CURVES]])
+        meanings=[(effect_name(e), EVERY[e].words.displacement, EVERY[e].words.parameters) for e in
+                  dict.fromkeys(c['effect'] for c in doc['causes']) if e in EVERY],
+        curves=[(name, said, [charts.curve_chart(c) for c in own[:DRAWN_CURVES]])
                 for name, said, own in curves],
-        hidden=[([effect_name(one['effect']), effect_cause(one['effect'])], one['needs'])
-                for one in doc['not_visible']],
-        measure=next_measurements(doc) or ['Nothing more is needed for this question.'],
-        time_charts=[(leg['run'], time_charts(doc, leg)) for leg in views['legs'][:DRAWN_RUNS]],
-        volume=volume_charts(doc), groups=groups,
-        spectra=[spectrum_chart(band) for band in views['bands']],
+        causes_of=CAUSES,
         stated=stated_tables(machine_from_dict(doc['machine'])),
-        run_tables=run_tables({'runs': doc['calibration_runs']}),
         **_content(doc),
     )  # fmt: skip
     return {REPORT_FILE: page}

@@ -12,13 +12,16 @@ import numpy as np
 from otf_core.model.expanded import figure, micro_unit, significant, with_expanded
 from otf_core.model.motions import SQUARENESS, unit_of
 from otf_core.prediction.absorbed import offset_words
-from otf_core.prediction.calibration_document import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
+from otf_core.prediction.calibration_document import (
+    LIMIT_NOT_PROVEN,
+    MEASUREMENT_FAILED,
+    STATE_WORDS,
+)
+from otf_core.reports.calibration_errors import MOODS
 from otf_core.reports.rendering import State, render
 
 PAGE = 'fleet.html'
 Row = list[str | State]
-STATES = {'pass': 'kept', 'fail': 'broken'}
-MOODS = {'pass': 'good', 'fail': 'bad', 'not proven': 'open', 'not known': 'open'}
 
 TABLE_COLUMNS = (
     'run', 'machine', 'measurement', 'limits', 'error, mean (um)', 'error, largest (um)',
@@ -46,7 +49,7 @@ def _calibrated(name: str, own: Mapping[str, Any], remark: str) -> Row:
         name,
         own['machine'],
         State('good', 'good') if own['good'] else State('not good', 'bad'),
-        State(STATES.get(state, state), MOODS.get(state, '')),
+        State(STATE_WORDS.get(state, state), MOODS.get(state, '')),
         figure(1e6 * error['mean'], 1e6 * wide['mean']),
         with_expanded(1e6 * error['max'], 1e6 * k * own['u_of_largest']),
         significant(1e6 * wide['max']),

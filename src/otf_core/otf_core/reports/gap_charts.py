@@ -12,6 +12,7 @@ from otf_core.diagnosis.cause_parameters import SCALES, at_words
 from otf_core.diagnosis.place.placement import TIME, VOLUME
 from otf_core.diagnosis.place.views import separating_plane
 from otf_core.effects.inputs import label_of
+from otf_core.files.message_text import join_names
 from otf_core.model.frames import XYZ
 from otf_core.reports.charts import (
     LETTER,
@@ -25,7 +26,6 @@ from otf_core.reports.charts import (
     scale_around,
     words,
 )
-from otf_core.reports.rendering import join_names
 
 KINDS = ('before', 'after')
 DRAWN_RUNS = 3

@@ -26,9 +26,6 @@ def _moment(at: datetime) -> str:
     return at.strftime('%Y-%m-%d %H:%M' if (at.hour, at.minute) != (0, 0) else '%Y-%m-%d')
 
 
-# The page and the text of a history.json.
-
-
 def _times(doc: Mapping[str, Any], kind: str) -> list[datetime]:
     return [datetime.fromisoformat(one['at']) for one in doc[kind]]
 

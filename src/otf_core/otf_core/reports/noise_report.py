@@ -71,32 +71,6 @@ def draw_spectrum(doc: Mapping[str, Any], k: int) -> str:
     return panel.draw(marks, f'spectrum of the {QUANTITIES[k]}')
 
 
-def _events(doc: Mapping[str, Any]) -> Iterator[str]:
-    """Lost samples, steps, drift and peaks in words."""
-
-    def sized(values: Any) -> str:
-        a, b, c = (1e6 * v for v in values)
-        return f'{a:+.2f} um, {b:+.2f} urad, {c:+.2f} urad'
-
-    lost, steps, drift = doc['lost'], doc['steps'], doc['drift']
-    yield (
-        f'{lost["samples"]} samples lost in {lost["gaps"]} gaps, longest {lost["longest"]:.2f} s'
-        if lost['samples']
-        else 'no samples lost'
-    )
-    if steps:
-        largest = max(steps, key=lambda s: float(np.max(np.abs(s['size']))))
-        yield (f'{len(steps)} steps within standstills, the largest at {largest["time"]:.1f} s: '
-               f'{sized(largest["size"])}')  # fmt: skip
-    if drift is not None:
-        yield f'drift in {drift["duration"]:.1f} s: {sized(drift["change"])}'
-    for p in doc['peaks']:
-        unit = 'um' if p['of'] == QUANTITIES[0] else 'urad'
-        yield f'peak of the {p["of"]} at {p["frequency"]:.1f} Hz: {1e6 * p["rms"]:.3f} {unit} rms'
-    if not doc['peaks']:
-        yield 'no peaks in the spectrum'
-
-
 def _content(doc: Mapping[str, Any]) -> dict[str, Any]:
     levels = list(_levels(doc))
     u = doc['uncertainty']['correlation_time']
@@ -105,7 +79,7 @@ def _content(doc: Mapping[str, Any]) -> dict[str, Any]:
         f'correlation time of the slow part {time:.2f} s (+/- {math.nan if u is None else u:.2f})'
     )  # fmt: skip
     return {
-        'd': doc, 'levels': levels, 'events': list(_events(doc)), 'colour': colour,
+        'd': doc, 'levels': levels, 'colour': colour,
         'totals': [_shown(v['total'], v['u_total'], v['unit']) for v in levels],
         'whites': [_shown(v['white'], v['u_white'], v['unit']) for v in levels],
     }  # fmt: skip

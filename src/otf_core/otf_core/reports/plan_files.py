@@ -54,9 +54,6 @@ def driven_ranges(
     ]
 
 
-# The page and the text of a plan.json.
-
-
 def path_chart(doc: Mapping[str, Any]) -> str:
     """Tracks of the reflectors, tracker and its beams to the corners of the volume."""
     machine, at = machine_from_dict(doc['machine']), np.array(doc['assumed']['tracker_place'])

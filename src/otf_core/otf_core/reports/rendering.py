@@ -19,11 +19,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import BytecodeCache, Environment, FileSystemLoader, StrictUndefined
 from jinja2.bccache import Bucket
 from markupsafe import Markup
 
-from otf_core.files.message_text import shortened, with_micro_sign
+from otf_core.files.message_text import join_names, shortened, with_micro_sign
 from otf_core.files.writing import tidy
 from otf_core.model.expanded import (
     figure,
@@ -34,6 +35,7 @@ from otf_core.model.expanded import (
     significant,
     with_expanded,
 )
+from otf_core.prediction.absorbed import offset_words
 
 TEMPLATES = Path(__file__).with_name('templates')
 SPACE = '\u00a0'
@@ -78,12 +80,6 @@ def millimetres(value: float) -> str:
 def place(point: Iterable[float]) -> str:
     """A point, m, in words, in mm."""
     return ', '.join(f'{a} {millimetres(v)}' for a, v in zip('XYZ', point, strict=True)) + ' mm'
-
-
-def join_names(names: Iterable[str]) -> str:
-    """Names with commas and a last 'and'."""
-    texts = list(names)
-    return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def sentence(words: str) -> str:
@@ -166,22 +162,17 @@ def environment(page: bool = True) -> Environment:
         extensions=['jinja2.ext.do'],
         bytecode_cache=CompiledTemplates(),
     )
+    plain = (
+        *(figure, micro, micro_figure, micro_significant, micro_unit, micro_with_expanded),
+        *(place, running_head, sentence, shortened, tidy, significant, with_expanded),
+    )
+    made.filters |= {one.__name__: one for one in plain}
     made.filters |= {
         'anchors': _anchors,
+        'capital': lambda words: words[:1].upper() + words[1:],
         'dof': dof_words,
-        'figure': figure,
-        'micro': micro,
-        'micro_figure': micro_figure,
-        'micro_significant': micro_significant,
-        'micro_unit': micro_unit,
-        'micro_with_expanded': micro_with_expanded,
         'names': join_names,
-        'place': place,
-        'running_head': running_head,
-        'sentence': sentence,
-        'shortened': shortened,
-        'significant': significant,
-        'with_expanded': with_expanded,
+        'offset': lambda offset: offset_words(np.array(offset)),
     }
     made.globals |= {'State': State, 'nan': math.nan}
     if page:
