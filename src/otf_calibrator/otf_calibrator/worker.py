@@ -44,8 +44,12 @@ from otf_core.model.path import NominalPath
 from otf_core.model.sections import SignalSpec
 from otf_core.model.signals import Signal
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import REPORT_FILE, write_calibration, write_later
-from otf_core.reports.residual_files import RESIDUALS_FILE
+from otf_core.reports.calibration import (
+    REPORT_FILE,
+    RESIDUALS_FILE,
+    write_calibration,
+    write_later,
+)
 from otf_core.tracking.alignment import FollowedTrack
 from otf_core.tracking.path_watch import PartsDriven
 
