@@ -259,7 +259,7 @@ KINDS = (
     ('separator', 'tab, `;`, `\\|`, `,` or white space: the one with which most lines of the whole '
      'file have the same number of columns',
      ('commas', 'tabs', 'strokes', 'spaces', 'date and time between spaces')),
-    ('quotes', 'as in RFC 4180', ('quotes',)),
+    ('quotes; encoding', 'as in RFC 4180; UTF-8, UTF-16, Windows-1252', ('quotes',)),
     ('decimal comma', 'read, also in quotes; points and commas mixed in one table are refused',
      ('decimal commas', 'decimal commas between spaces', 'quoted decimal commas',
       'points and commas mixed', 'decimal commas between commas')),
@@ -275,12 +275,10 @@ KINDS = (
      ('separator at the end of lines', 'separator at the end of the head',
       'units in a line of their own', 'groups above the names', 'head too long',
       'head too short')),
-    ('`n/a`, `---`, `#N/A`, `#DIV/0!`, `***`, empty', 'the line is left out and counted; more than '
+    ('`n/a`, `---`, `#N/A`, `#DIV/0!`, `***`, empty; a field too few or too many', 'the line is left out and counted; more than '
      '10 % of such lines are refused; in points, paths, lattices and readings a single one is refused',
      ('#DIV/0!', '*** first', '#WERT!', '---', 'empty', 'n/a in the time', 'a word',
-      'half of the lines', 'empty rows of a spreadsheet')),
-    ('a field too few or too many, another separator', 'likewise',
-     ('a field too few', 'another separator')),
+      'half of the lines', 'empty rows of a spreadsheet', 'a field too few', 'another separator')),
     ('several points in a header', 'the measured one if words identify it, in English or German (for '
      'paths and points the nominal one); otherwise refused, with a `--columns` for each',
      ('English', 'English, in brackets', 'English, one word', 'German, measured',
@@ -293,7 +291,9 @@ KINDS = (
     ('times', 'see below; what can be read in two ways is refused with the option that settles it',
      ('time in another form', 'time of another form', 'unit of time not stated',
       'six digits of a spreadsheet')),
-    ('units', 'm, dm, cm, mm, µm (um), inch, in brackets, after `_`, `in` or `/`, below the header',
+    ('units', 'm, dm, cm, mm, µm (um), inch, in brackets, after `_`, `in` or `/`, below the header. '
+     'If samples state none, it is inferred: mm where coordinates exceed 60; points and paths are '
+     'then in m',
      ('micrometres', 'inches', 'inches in brackets', 'units after a word',
       'spaces, unit once', 'spaces, units apart')),
     ('polar coordinates', 'Hz (clockwise from above) or azimuth (counter-clockwise); V, zenith angle '
@@ -305,6 +305,6 @@ KINDS = (
      'the line `AXES = CARTESIAN: ...`; cylindrical and spherical coordinates are refused',
      ('SpatialAnalyzer, names', 'SpatialAnalyzer, numbers', 'SpatialAnalyzer, group, number',
       'SpatialAnalyzer, spaces', 'SpatialAnalyzer, stamps', 'spherical')),
-    ('TUM, `x y z t`, number of points first', 'read', ('TUM', 'x y z t', 'number of points first')),
+    ('TUM, `x y z t`, `ros2 topic echo --csv`, number of points first', 'read', ('TUM', 'x y z t', 'number of points first')),
 )  # fmt: skip
 """Kind, what is done with it, and the texts above that show it."""

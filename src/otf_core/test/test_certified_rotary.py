@@ -50,7 +50,7 @@ def stops(machine, name):
         direction=zero, origin=zero, part=number, leg=np.arange(count),
         stretch=np.arange(count), side=np.zeros_like(q), rate=np.zeros_like(q),
         speed=np.zeros(count), count=np.full(count, dense.SAMPLES), time=np.arange(count) * 2.0,
-        duration=np.ones(count), standstill=True,
+        duration=np.ones(count), method='standstill',
     )  # fmt: skip
     targets, noise = tuple(p.target for p in parts), NoiseModel.from_spec(machine.tracker)
     run = Observed(
