@@ -77,8 +77,7 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
 def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--method', choices=(*METHODS, POINTS), default=OTF,
-        help=f'on the fly, from stops at corners, or from a table of nominal and measured '
-        f'positions in place of BAG (default {OTF})',
+        help=f'from stops at corners; from pairs of points in place of bags (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',

@@ -16,7 +16,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.documents import Document, ResultDocument, stated
-from otf_core.errors import ConfigError, InputError
+from otf_core.errors import ConfigError, InputError, ShapeError
 from otf_core.files.message_text import shortened
 from otf_core.files.strict_yaml import read_json
 from otf_core.files.text_table import LENGTHS, TextTable, fault_words, known_lengths
@@ -85,7 +85,7 @@ class PlanFile(ResultDocument):
             try:
                 drive = AxisPath(self.axes, own.positions, own.target)
                 read.append(Part(drive, own.feed, own.dwell, own.words))
-            except InputError as error:
+            except (InputError, ShapeError) as error:
                 raise InputError(f'parts: {k}: {error}') from None
         return Plan(tuple(read))
 
@@ -119,11 +119,14 @@ def read_plan(path: str | Path) -> tuple[PlanFile, Plan]:
         raise ConfigError(f"{where}: not a plan; expected the schema '{SCHEMA}' of otf plan")
     try:
         file = PlanFile.from_dict(data, where)
-        if not file.parts:
-            raise InputError(f'{where}: parts: none')
-        return file, file.plan
     except InputError as error:
         raise ConfigError(str(error)) from None
+    try:
+        if not file.parts:
+            raise InputError('parts: none')
+        return file, file.plan
+    except InputError as error:
+        raise ConfigError(f'{where}: {error}') from None
 
 
 def read_points(name: str | Path) -> tuple[Array, str]:

@@ -47,6 +47,16 @@ def read_point_pairs(path: str | Path, machine: Machine | str | Path) -> list[Po
         If the file cannot be read, or machine.yaml is wrong.
     InputError
         If it holds no pairs of this machine; says what is missing.
+
+    Examples
+    --------
+    >>> x, y, z = np.random.default_rng(1).uniform(-0.1, 0.1, (3, 50)).round(3)
+    >>> names = ['x', 'y', 'z', 'x_measured', 'y_measured', 'z_measured']
+    >>> rows = np.stack([x, y, z, x + 2e-5 * x, y, z], axis=1)
+    >>> np.savetxt('pairs.csv', rows, delimiter=',', header=','.join(names), comments='')
+    >>> pairs = otf_core.read_point_pairs('pairs.csv', machine)
+    >>> [len(run.measured) for run in pairs]
+    [50]
     """
     machine = machine if isinstance(machine, Machine) else load_machine(machine)
     table = read_text_table(path, lambda names: bool(_pairs_of(names)[1]))

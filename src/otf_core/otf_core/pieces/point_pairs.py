@@ -69,6 +69,12 @@ class PointPairs:
     ------
     InputError
         If there are too few, or positions or targets are not of the machine.
+
+    Examples
+    --------
+    >>> q = np.random.default_rng(1).uniform(-0.1, 0.1, (50, 3))
+    >>> otf_core.PointPairs(machine, q, q + 1e-5, ('tool',) * 50).q.shape
+    (50, 3)
     """
 
     machine: Machine

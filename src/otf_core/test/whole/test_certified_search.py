@@ -167,7 +167,7 @@ def rows(found):
 
 def test_gap_of_a_whole_diagnosis_is_what_tables_leave(found):
     assert found.solved.choice.model == 'none'
-    gap = diagnose([recording('samples.csv')], lambda *_: recording('twin.csv'), (), CONFIG).gap
+    gap = diagnose([recording('samples.csv')], (), CONFIG).gap
     wanted = dense.residual_um(RUN, found.roughness, 'samples.csv', found.noise, found.start)
     assert gap.measured_um == pytest.approx(wanted, rel=1e-6)
     square = gap.measured_um**2 - gap.simulated_um**2

@@ -32,8 +32,8 @@ def plan_of(positions, feed, dwell):
     ('content', 'options', 'words'),
     [
         ('{"a": 1}', (), "plan: not a plan; expected the schema 'otf-plan/2'"),
-        ('{"schema": "otf-plan/2"}', (), 'plan: axes, parts: expected lists'),
-        (plan_of([[0, 0, 0], [0.1, 0, 0]], [], [1, 1]), (), 'plan: parts: 1: feed: expected 1'),
+        ('{"schema": "otf-plan/2"}', (), 'plan: axes: missing'),
+        (plan_of([[0, 0, 0], [0.1, 0, 0]], [], [1, 1]), (), 'plan: parts: 1: feed: '),
         (plan_of([[0, 0, 0], [0.1, 0, 0]], [0], [1, 1]), (), 'feed: leg 0: must be above 0'),
         (plan_of([[0, 0, 0], [9, 0, 0]], [1], [1, 1]), (), 'leaves the range of axis X'),
         (plan_of([[0, 0, 0], [0.1, 0, 0]], [1], [1, 1]), ('--feed', '3000'), 'feed: '),
