@@ -50,7 +50,7 @@ def read_point_pairs(path: str | Path, machine: Machine | str | Path) -> list[Po
 
     Examples
     --------
-    >>> x, y, z = np.random.default_rng(1).uniform(-0.1, 0.1, (3, 50)).round(3)
+    >>> x, y, z = np.random.default_rng(1).uniform(-0.1, 0.0, (3, 50)).round(3)
     >>> names = ['x', 'y', 'z', 'x_measured', 'y_measured', 'z_measured']
     >>> rows = np.stack([x, y, z, x + 2e-5 * x, y, z], axis=1)
     >>> np.savetxt('pairs.csv', rows, delimiter=',', header=','.join(names), comments='')

@@ -72,7 +72,7 @@ class PointPairs:
 
     Examples
     --------
-    >>> q = np.random.default_rng(1).uniform(-0.1, 0.1, (50, 3))
+    >>> q = np.random.default_rng(1).uniform(-0.1, 0.0, (50, 3))
     >>> otf_core.PointPairs(machine, q, q + 1e-5, ('tool',) * 50).q.shape
     (50, 3)
     """
