@@ -39,14 +39,18 @@ def run_here(monkeypatch, capfd):
         Takes the name of the node and its parameters; returns exit code and all that it says.
     """
     from otf_bringup.processes import as_yaml
+    from otf_ros import app
 
     def run(name, **parameters):
         words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={as_yaml(v)}')]
-        main = import_module(f'otf_{name}.node').main
+        kind = {'path_planner': 'PathPlanner', 'tracker_driver': 'TrackerDriver'}.get(
+            name, name.title()
+        )
+        node = getattr(import_module(f'otf_{name}.node'), kind)
         capfd.readouterr()
         with monkeypatch.context() as patch:
             patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF')
-            code = main(['--ros-args', *words])
+            code = app.run(node, ['--ros-args', *words])
         return code, ''.join(capfd.readouterr())
 
     return run

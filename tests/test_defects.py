@@ -3,6 +3,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 import rclpy.clock
@@ -92,7 +93,7 @@ def test_result_that_cannot_be_published_is_a_failure_that_is_said(session, monk
     heard = []
     outcomes = publish.OutcomePublisher.__new__(publish.OutcomePublisher)
     outcomes._log, outcomes._session, outcomes._state = Silent(), session, Silent()
-    outcomes._clock, outcomes._unpublished = rclpy.clock.Clock(), None
+    outcomes._node, outcomes._unpublished = SimpleNamespace(get_clock=rclpy.clock.Clock), None
     outcomes._tell = lambda message: heard.append(('told', (message.message,)))
     monkeypatch.setattr(outcomes, '_publish', fails)
     session.start('requested')

@@ -11,7 +11,6 @@ ROS = {'rclpy', 'otf_msgs', 'otf_ros', 'geometry_msgs', 'nav_msgs', 'std_msgs', 
        'visualization_msgs'}  # fmt: skip
 SIMULATING = {
     'backends/simulated.py',  # the simulated cell
-    'otf_calibrator/child.py',  # hands the twin to diagnoses, and where effects are taken off
     'otf_bringup/demo.py',  # draws the true errors of the simulated cell
 }
 NODES = sorted(f for f in SOURCE.glob('*/*/*node.py') if f.parent.name != 'test')

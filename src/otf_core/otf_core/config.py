@@ -16,9 +16,9 @@ from typing import Any
 from otf_core.errors import ConfigError
 
 OTF, STANDSTILL = METHODS = ('otf', 'standstill')
+"""Of calibration: on the fly, or from the stops at the corner points."""
 POINTS = 'points'
 """Method of pairs of nominal and measured positions, which are no recording."""
-"""Of calibration: on the fly, or from the stops at the corner points."""
 AUTO, NONE = 'auto', 'none'
 """Effects to take off a calibration: those that a diagnosis finds; none."""
 

@@ -168,3 +168,29 @@ def test_from_a_table_to_a_report_by_the_command(tmp_path) -> None:
     assert (tmp_path / 'out' / 'report.html').exists()
     assert cli.main([*command, '--path', str(path), '--out', str(tmp_path / 'no')]) == 2
     assert cli.main([*command, '--effects', 'auto', '--out', str(tmp_path / 'no')]) == 2
+
+
+@pytest.mark.parametrize('size', [2e-4, 5e-3, 0.05])
+def test_one_gross_error_costs_one_pair(size) -> None:
+    x, y = np.random.default_rng(5).uniform(-0.29, 0.29, (2, 210))
+    u, v = where_it_went(x, y, 6)
+    u[17] += size
+    measured = np.stack([u, v, np.full(210, np.nan)], axis=1)
+    pairs = otf_core.PointPairs(plotter(), np.stack([x, y], axis=1), measured, ('tool',) * 210)
+    result = otf_core.calibrate([pairs], method='points')
+    assert 1 <= result.fit.outliers <= 3
+    assert result.fit.residual_rms < 2.0 * np.sqrt(2) * NOISE
+
+
+def test_words_in_place_of_a_measured_number_are_counted(tmp_path) -> None:
+    x, y = np.random.default_rng(5).uniform(-0.29, 0.29, (2, 60))
+    u, v = where_it_went(x, y, 6)
+    path = write(tmp_path / 'p.csv', 'x,y,x_measured,y_measured', x, y, u, v)
+    lines = path.read_text().splitlines()
+    lines[7] = lines[7].rpartition(',')[0] + ',oops'
+    path.write_text('\n'.join(lines))
+    (run,) = otf_core.read_point_pairs(path, plotter())
+    assert len(run.q) == 59 and run.left_out[0].first_line == 8
+    path.write_text('\n'.join([lines[0], *(t.rpartition(',')[0] + ',oops' for t in lines[1:])]))
+    with pytest.raises(InputError):
+        otf_core.read_point_pairs(path, plotter())

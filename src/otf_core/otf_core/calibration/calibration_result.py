@@ -370,7 +370,7 @@ class CalibrationResult:
 
     @property
     def method(self) -> str:
-        """'otf', or 'standstill': only the stops at the corners."""
+        """'otf', 'standstill': only the stops at the corners, or 'points': pairs of points."""
         return self.runs[0].pieces.method
 
     @property

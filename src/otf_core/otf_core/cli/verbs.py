@@ -17,7 +17,7 @@ VERBS = {
     'compare': 'Compare error tables or direct measurements, motion by motion.',
     'report': 'Write the page of a result file, as the verb that wrote the file does.',
     'export': 'Write error tables in the format of a control or another program.',
-    'import': 'Determine error tables from a lattice of volumetric errors in CSV.',
+    'import': 'Read error tables of another system: lattice, Etalon exchange format, ISG CSV.',
     'fleet': 'Process many recordings, here or on other hosts; a bad bag affects no other.',
     'history': 'Evaluate the drift of machines over their calibrations, and when to recalibrate.',
     'noise': 'Determine the tracker noise from the standstills of a bag.',

@@ -28,6 +28,8 @@ from otf_core.model.tables import ErrorTables, MotionTable, ScalarError
 
 ERROR, CORRECTION = SIGNS = ('error', 'correction')
 BLOCK = re.compile(r'\[\s*(\w+)\s*\]$')
+OWN_SIGN = 'sign: values are {}s'
+"""In the comments of files that otf wrote."""
 CENTRE = re.compile(r'P([XYZ])([ABC])$')
 """Constants of ISG CSV that repeat where an axis turns."""
 SAME_CENTRE = 1e-6
@@ -84,9 +86,18 @@ def read_iso_tables(
     lines = list(_lines(path))
     etalon = any(BLOCK.match(line) for _, line in lines)
     held = _etalon(path, lines) if etalon else _isg(path, lines)
+    own = next((s for s in SIGNS if OWN_SIGN.format(s) in '\n'.join(read_lines(path))), None)
+    if sign and own and sign != own:
+        raise ConfigError(f'{path}: --sign {sign}: the file states that its values are {own}s')
+    sign = sign or own
     factor = -1.0 if sign == CORRECTION else 1.0
     known = {*machine.scalars, *map(str, machine.motions)}
     for name in (*held.scalars, *held.motions):
+        if (name in held.motions) != is_motion(name):
+            raise ConfigError(
+                f'{path}: {name}: an error motion is a table over its axis, a squareness or '
+                f'location error one number'
+            )
         if centre := CENTRE.match(name):
             _check_centre(path, machine, centre[2], centre[1], held.scalars[name])
         elif name not in known:
@@ -175,7 +186,10 @@ def _etalon(path: str | Path, lines: list[tuple[int, str]]) -> IsoTables:
         elif inside:
             rows.append(_numbers(path, number, text))
         elif key == 'VALUE' and name:
-            (scalars[name],) = _numbers(path, number, given)[:1]
+            values = _numbers(path, number, given)
+            if len(values) > 1:
+                raise ConfigError(f'{here}: expected one number, got {shortened(given, 60)!r}')
+            scalars[name] = values[0]
         elif key == 'Gridpoints' and given == '{' and name:
             rows, inside = [], True
         else:
@@ -209,6 +223,11 @@ def _isg(path: str | Path, lines: list[tuple[int, str]]) -> IsoTables:
             scalars |= dict(zip(names, rows[0], strict=True))
         elif len(arguments) == 1 and names[0] == arguments[0]:
             for k, name in enumerate(names[1:], start=1):
+                if name in motions or name[-1] != names[0]:
+                    raise ConfigError(
+                        f'{path}: line {number}: {name} over {names[0]}: error motions are tables '
+                        f'over their own axis, each one once'
+                    )
                 motions[name] = _table(path, name, [[row[0], row[k]] for row in rows])
         else:
             raise ConfigError(

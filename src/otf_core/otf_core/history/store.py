@@ -144,7 +144,12 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
     if moment is None:
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
     when = read_moment(moment, '--at' if at else str(tables))
-    own = _digests(content)
+    # a run that does not say when it was measured is dated by its calibration
+    own = (
+        _digests(content)
+        if at or (content.provenance.get('measured') or {}).get('last')
+        else set()
+    )
     for path in sorted(folder.glob('*.json')) if own else ():
         entry = _read_entry(path)
         same = entry['kind'] == RUN and _digests(_tables_of(entry, path)) == own
@@ -159,7 +164,8 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
 def _digests(content: CalibrationDocument) -> set[str]:
     """SHA-256 of the recordings of a calibration; empty where it does not state them."""
     runs = content.provenance.get('runs')
-    return {str(run.get('sha256')) for run in runs} if isinstance(runs, list) else set()
+    own = [run.get('sha256') for run in runs] if isinstance(runs, list) else []
+    return {str(digest) for digest in own if digest}
 
 
 def add_event(folder: Path, words: str, at: str, machine: str = '') -> tuple[str, bool]:

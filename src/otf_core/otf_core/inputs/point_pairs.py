@@ -81,6 +81,9 @@ def read_point_pairs(path: str | Path, machine: Machine | str | Path) -> list[Po
         xyz[:, AXES.index(axis)] = unit * column.values
     xyz[~np.isfinite(xyz)] = np.nan
     bad = {row: why for one in given.values() for row, why in one.faults.items()}
+    for heading, column in zip(measured.values(), numbers[len(nominal) :], strict=True):
+        texts = table.columns[heading.place]  # an empty field was not measured
+        bad |= {row: why for row, why in column.faults.items() if texts[row].strip()}
     bad |= {int(k): 'nothing was measured' for k in np.flatnonzero(np.isnan(xyz).all(axis=1))}
     faults = dict(table.faults) | {table.lines[row]: why for row, why in bad.items()}
     refuse_many(table, faults, len(table.lines) - len(bad))
@@ -139,14 +142,20 @@ def _unit_of_length(
         raise InputError(f'{table.where}: lengths are in {given}; expected {known_lengths()}')
     if stated:
         return LENGTHS[stated.pop() or ''], ''
-    largest = max(float(np.nanmax(np.abs(n.values), initial=0.0)) for n in numbers)
+    lengths = [n.values for h, n in zip(headings, numbers, strict=True) if not _is_rotary(h)]
+    largest = float(np.nanmax(np.abs(lengths), initial=0.0))
     unit = 'mm' if largest > TRACKER_RANGE else 'm'
     return LENGTHS[unit], f'{table.where}: lengths in {unit} (not stated, by their size)'
 
 
+def _is_rotary(column: Column) -> bool:
+    """Whether a heading is the letter of a rotary axis."""
+    return split_heading(column.name)[0].strip().upper() in ROTARY
+
+
 def _factor(column: Column, unit: float) -> float:
     """Factor to m, or to rad where a heading is the letter of a rotary axis."""
-    if split_heading(column.name)[0].strip().upper() not in ROTARY:
+    if not _is_rotary(column):
         return unit
     if (column.unit or 'rad') not in ANGLES:
         raise InputError(f'{column.name}: {column.unit!r} is no unit of angle')

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otf_core.arrays import Array, Index
+from otf_core.arrays import Array, Flags, Index
 from otf_core.config import POINTS
 from otf_core.errors import InputError
 from otf_core.files.text_table import SkippedLines
@@ -28,7 +28,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.noise.noise_model import NoiseComponent, NoiseModel
-from otf_core.pieces.pieces import Pieces
+from otf_core.pieces.pieces import MIN_OUTLIER, Pieces
 from otf_core.pieces.runs import Run, check_same_machine, common_nodes, errors_of
 from otf_core.tracking.alignment import Alignment, Part
 
@@ -42,6 +42,8 @@ FEWEST_REPEATS = 10
 """Degrees of freedom from which on repeated points state the noise."""
 SAME_POSITION = 1e-6
 """m and rad; nominal positions that differ by less are one that was measured repeatedly."""
+GROSS = 10.0
+"""Deviation, in medians of all, beyond which a pair is a gross error and left out at once."""
 TOE = 1e-6
 """Size of a triad beside that of all points: it decides turns that points on a line leave free."""
 
@@ -126,6 +128,21 @@ def pose_of_pairs(measured: Array, nominal: Array) -> RigidTransform:
     return pose
 
 
+def find_gross_errors(measured: Array, nominal: Array) -> tuple[RigidTransform, Flags]:
+    """Pose of pairs (n, 3), m, and which of them (n,) are far from it: typing errors, swapped points.
+
+    What is far is left out of the pose, again and again: one gross error would bend all others.
+    """
+    far = np.zeros(len(measured), dtype=bool)
+    for _ in range(20):
+        pose = pose_of_pairs(measured[~far], nominal[~far])
+        away = np.sqrt(np.nansum((measured - pose.back(nominal)) ** 2, axis=1))
+        before, far = far, away > GROSS * float(np.median(away)) + MIN_OUTLIER
+        if np.array_equal(far, before):
+            break
+    return pose, far
+
+
 def repeated_noise(rest: Array, position: Index) -> float | None:
     """Standard deviation of a measured component, m, from points that were measured repeatedly.
 
@@ -159,12 +176,12 @@ def reduce_pairs(pairs: PointPairs) -> Run:
     nominal = np.empty((n, 3))
     for k, path in enumerate(pairs.paths):
         nominal[part == k] = Sight.of_target(machine, path.target).nominal(path.positions)
-    pose, there = pose_of_pairs(pairs.measured, nominal), np.isfinite(pairs.measured)
-    expected = pose.back(nominal)
-    filled = np.where(there, pairs.measured, expected)
+    pose, far = find_gross_errors(pairs.measured, nominal)
+    expected, there = pose.back(nominal), np.isfinite(pairs.measured) & ~far[:, None]
+    kept, filled = int(np.sum(~far)), np.where(there, pairs.measured, expected)
     positions = np.column_stack([part, np.rint(q / SAME_POSITION)])
     position = np.unique(positions, axis=0, return_inverse=True)[1].ravel()
-    repeated = repeated_noise(pairs.measured - expected, position)
+    repeated = repeated_noise(np.where(there, pairs.measured - expected, np.nan), position)
     level, none = repeated or machine.tracker.u_range, NoiseComponent(0.0, 0.0)
     point, component = np.nonzero(there)
     count, still = len(point), np.zeros((len(point), q.shape[1]))
@@ -185,7 +202,8 @@ def reduce_pairs(pairs: PointPairs) -> Run:
         count=np.ones(count, dtype=np.int64),
         time=np.asarray(APART * point, dtype=np.float64),
         duration=np.zeros(count),
-        used=n,
+        used=kept,
+        outliers=n - kept,
         end=APART * n,
         method=POINTS,
         stamps=(0, n - 1),
