@@ -86,10 +86,10 @@ def read_iso_tables(
     lines = list(_lines(path))
     etalon = any(BLOCK.match(line) for _, line in lines)
     held = _etalon(path, lines) if etalon else _isg(path, lines)
-    own = next((s for s in SIGNS if OWN_SIGN.format(s) in '\n'.join(read_lines(path))), None)
-    if sign and own and sign != own:
-        raise ConfigError(f'{path}: --sign {sign}: the file states that its values are {own}s')
-    sign = sign or own
+    stated = next((s for s in SIGNS if OWN_SIGN.format(s) in '\n'.join(read_lines(path))), None)
+    if sign and stated and sign != stated:
+        raise ConfigError(f'{path}: --sign {sign}: the file states that its values are {stated}s')
+    sign = sign or stated
     factor = -1.0 if sign == CORRECTION else 1.0
     known = {*machine.scalars, *map(str, machine.motions)}
     for name in (*held.scalars, *held.motions):

@@ -145,11 +145,8 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
         raise ConfigError(f'{tables}: does not state when it was measured; give --at DATE')
     when = read_moment(moment, '--at' if at else str(tables))
     # a run that does not say when it was measured is dated by its calibration
-    own = (
-        _digests(content)
-        if at or (content.provenance.get('measured') or {}).get('last')
-        else set()
-    )
+    measured = content.provenance.get('measured') or {}
+    own = _digests(content) if at or measured.get('last') else set()
     for path in sorted(folder.glob('*.json')) if own else ():
         entry = _read_entry(path)
         same = entry['kind'] == RUN and _digests(_tables_of(entry, path)) == own

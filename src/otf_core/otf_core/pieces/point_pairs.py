@@ -129,7 +129,7 @@ def pose_of_pairs(measured: Array, nominal: Array) -> RigidTransform:
 
 
 def find_gross_errors(measured: Array, nominal: Array) -> tuple[RigidTransform, Flags]:
-    """Pose of pairs (n, 3), m, and which of them (n,) are far from it: typing errors, swapped points.
+    """Pose of pairs (n, 3), m, and which of them (n,) are far: typed or swapped wrongly.
 
     What is far is left out of the pose, again and again: one gross error would bend all others.
     """
