@@ -10,7 +10,7 @@ lines, outside the value of the last one.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,7 +52,7 @@ class IsoTables:
 
 def holds_iso_tables(path: str | Path) -> bool:
     """Return whether a text is in one of both formats, by its first lines."""
-    first = [line for _, line in _lines(path)][:1]
+    first = [line for _, line in _lines(read_lines(path))][:1]
     words = first[0].split() if first else []
     return bool(words) and (
         BLOCK.match(first[0]) is not None
@@ -83,10 +83,11 @@ def read_iso_tables(
     ConfigError
         Names the line that is no part of such a file, or the error that is none of the machine.
     """
-    lines = list(_lines(path))
+    text = read_lines(path)
+    lines = list(_lines(text))
     etalon = any(BLOCK.match(line) for _, line in lines)
     held = _etalon(path, lines) if etalon else _isg(path, lines)
-    stated = next((s for s in SIGNS if OWN_SIGN.format(s) in '\n'.join(read_lines(path))), None)
+    stated = next((s for s in SIGNS if OWN_SIGN.format(s) in '\n'.join(text)), None)
     if sign and stated and sign != stated:
         raise ConfigError(f'{path}: --sign {sign}: the file states that its values are {stated}s')
     sign = sign or stated
@@ -141,9 +142,9 @@ def read_iso_tables(
     return ErrorTables(machine, motions, square, location), tuple(words)
 
 
-def _lines(path: str | Path) -> Iterator[tuple[int, str]]:
+def _lines(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
     """Numbers and texts of the lines that are no comments; a line ``#`` begins a block."""
-    for number, line in enumerate(read_lines(path), start=1):
+    for number, line in enumerate(lines, start=1):
         text = line.partition('//')[0].strip()
         if text:
             yield number, text

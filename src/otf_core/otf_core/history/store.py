@@ -146,10 +146,10 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
     when = read_moment(moment, '--at' if at else str(tables))
     # a run that does not say when it was measured is dated by its calibration
     measured = content.provenance.get('measured') or {}
-    own = _digests(content) if at or measured.get('last') else set()
+    own = _digests(content.provenance) if at or measured.get('last') else set()
     for path in sorted(folder.glob('*.json')) if own else ():
         entry = _read_entry(path)
-        same = entry['kind'] == RUN and _digests(_tables_of(entry, path)) == own
+        same = entry['kind'] == RUN and _digests(entry['tables'].get('provenance') or {}) == own
         if same and read_moment(str(entry['at']), str(path)) != when:
             raise ConfigError(
                 f'{tables}: the same recordings (SHA-256) are in the store as of {entry["at"]}; '
@@ -158,9 +158,9 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
     return _add(folder, {'kind': RUN, 'at': moment, 'tables': read_json(tables)})
 
 
-def _digests(content: CalibrationDocument) -> set[str]:
+def _digests(provenance: Mapping[str, Any]) -> set[str]:
     """SHA-256 of the recordings of a calibration; empty where it does not state them."""
-    runs = content.provenance.get('runs')
+    runs = provenance.get('runs')
     own = [run.get('sha256') for run in runs] if isinstance(runs, list) else []
     return {str(digest) for digest in own if digest}
 

@@ -389,27 +389,34 @@ def _refuse_other_axes(table: TextTable) -> None:
 
 def _with_units_below(columns_read: Columns, units: Sequence[str]) -> Columns:
     """Take units from a line of their own under the names: 's;mm;mm;mm'."""
-    columns = (*columns_read.point, *columns_read.time)
     if not units or any(c.unit for c in columns_read.point):
         return columns_read
-    given = [
+    given = units_below((*columns_read.point, *columns_read.time), units)
+    return replace(columns_read, point=(given[0], given[1], given[2]), time=tuple(given[3:]))
+
+
+def units_below(columns: Sequence[Column], units: Sequence[str]) -> list[Column]:
+    """Columns with the units of a line of their own, where their names state none."""
+    return [
         replace(c, unit=units[c.place].lower())
         if c.unit is None and c.place < len(units) and is_unit(units[c.place])
         else c
         for c in columns
     ]
-    return replace(columns_read, point=(given[0], given[1], given[2]), time=tuple(given[3:]))
+
+
+def unit_of_head(table: TextTable) -> str | None:
+    """Unit of length that a line before the data states: 'AXES = CARTESIAN: X Y Z (mm)'."""
+    stated = (m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line)))
+    return next((unit for unit in stated if unit in LENGTHS or unit in OTHERS), None)
 
 
 def _with_unit_of_head(columns_read: Columns, table: TextTable) -> Columns:
     """Take the unit of the point from a line such as 'AXES = CARTESIAN: X Y Z (mm)'."""
-    stated = [
-        m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line)) and is_unit(m[1])
-    ]
-    stated = [unit for unit in stated if unit in LENGTHS or unit in OTHERS]
-    if columns_read.polar or not stated or any(c.unit for c in columns_read.point):
+    stated = unit_of_head(table)
+    if columns_read.polar or stated is None or any(c.unit for c in columns_read.point):
         return columns_read
-    x, y, z = (Column(c.place, stated[0], c.name) for c in columns_read.point)
+    x, y, z = (Column(c.place, stated, c.name) for c in columns_read.point)
     return replace(columns_read, point=(x, y, z))
 
 

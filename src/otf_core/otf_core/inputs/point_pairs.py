@@ -29,8 +29,8 @@ from otf_core.files.text_table import (
     reason_counts,
     split_heading,
 )
-from otf_core.inputs.columns import AXES_WITH_UNIT, Column, coordinate_of
-from otf_core.inputs.text_points import TRACKER_RANGE, refuse_many
+from otf_core.inputs.columns import Column, coordinate_of, unit_of_head, units_below
+from otf_core.inputs.text_points import length_unit, refuse_many
 from otf_core.model.machine import TOOL, Machine, load_machine
 from otf_core.model.motions import AXES, ROTARY
 from otf_core.pieces.point_pairs import PointPairs
@@ -70,7 +70,7 @@ def read_point_pairs(path: str | Path, machine: Machine | str | Path) -> list[Po
             f'{path}: has no column of nominal {", ".join(wanted)}; {machine.name} has the chain '
             f'{machine.chain}'
         )
-    headings = [*nominal.values(), *measured.values()]
+    headings = units_below([*nominal.values(), *measured.values()], table.units)
     numbers, _ = number_columns(
         table.where, table.lines, [(h.name, table.columns[h.place]) for h in headings]
     )
@@ -88,7 +88,8 @@ def read_point_pairs(path: str | Path, machine: Machine | str | Path) -> list[Po
     faults = dict(table.faults) | {table.lines[row]: why for row, why in bad.items()}
     refuse_many(table, faults, len(table.lines) - len(bad))
     rows = np.delete(np.arange(len(table.lines)), sorted(bad))
-    values = {a: c.values[rows] * _factor(nominal[a], unit) for a, c in given.items()}
+    factors = {a: _factor(h, unit) for a, h in zip(nominal, headings, strict=False)}
+    values = {a: c.values[rows] * factors[a] for a, c in given.items()}
     for axis in values.keys() - {*machine.axis_names}:
         if np.ptp(values[axis]) > 0.0:
             raise InputError(
@@ -135,17 +136,15 @@ def _unit_of_length(
     table: TextTable, headings: Sequence[Column], numbers: Sequence[NumberColumn]
 ) -> tuple[float, str]:
     """Unit of the lengths, m, and in words how it was found where nothing states it."""
-    stated = {h.unit for h in headings} - {None, *ANGLES}
-    stated |= {m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line))}
-    if len(stated) > 1 or not stated <= {*LENGTHS}:
+    lengths = [k for k, heading in enumerate(headings) if not _is_rotary(heading)]
+    stated = {headings[k].unit for k in lengths} - {None} or {unit_of_head(table)}
+    if len(stated) > 1:
         given = ' and '.join(sorted(map(repr, stated)))
         raise InputError(f'{table.where}: lengths are in {given}; expected {known_lengths()}')
-    if stated:
-        return LENGTHS[stated.pop() or ''], ''
-    lengths = [n.values for h, n in zip(headings, numbers, strict=True) if not _is_rotary(h)]
-    largest = float(np.nanmax(np.abs(lengths), initial=0.0))
-    unit = 'mm' if largest > TRACKER_RANGE else 'm'
-    return LENGTHS[unit], f'{table.where}: lengths in {unit} (not stated, by their size)'
+    one = stated.pop()
+    values = np.array([numbers[k].values for k in lengths])
+    unit, words = length_unit(table.where, one, values)
+    return LENGTHS[unit], '' if one else f'{table.where}: lengths in {words}'
 
 
 def _is_rotary(column: Column) -> bool:

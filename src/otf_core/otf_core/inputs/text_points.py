@@ -196,11 +196,11 @@ def _points(chosen: _Chosen, columns: Columns) -> tuple[Array, str, float]:
     units = {c.unit for c in columns.point}
     if len(units) > 1:
         raise InputError(f'{chosen.where}: x, y, z are in different units: {units}')
-    unit, words = _length(chosen.where, units.pop(), values)
+    unit, words = length_unit(chosen.where, units.pop(), values)
     return values * LENGTHS[unit], words, LENGTHS[unit]
 
 
-def _length(where: str, stated: str | None, values: Array) -> tuple[str, str]:
+def length_unit(where: str, stated: str | None, values: Array) -> tuple[str, str]:
     """Unit of lengths, and the same in words; by their size if none is stated."""
     if stated is not None and stated not in LENGTHS:
         raise InputError(
@@ -226,7 +226,7 @@ def _from_polar(where: str, values: Array, columns: Columns) -> tuple[Array, str
                 f'{where}: {column.name}: {what}; write deg, gon or rad into the header, as in '
                 f'{column.name.split()[0]} [gon]'
             )
-    unit, words = _length(where, along.unit, values[:, 2])
+    unit, words = length_unit(where, along.unit, values[:, 2])
     direction = values[:, 0] * ANGLES[across.unit or '']
     vertical = values[:, 1] * ANGLES[up.unit or '']
     sense, kind = columns.polar.split()
