@@ -194,3 +194,19 @@ def test_words_in_place_of_a_measured_number_are_counted(tmp_path) -> None:
     path.write_text('\n'.join([lines[0], *(t.rpartition(',')[0] + ',oops' for t in lines[1:])]))
     with pytest.raises(InputError):
         otf_core.read_point_pairs(path, plotter())
+
+
+HEADS = (
+    'X,Y,X_measured,Y_measured\nmm,mm,mm,mm',
+    'X [mm],Y,X_measured [mm],Y_measured',
+    'AXES = CARTESIAN: X, Y, Z (mm)\nX,Y,X_measured,Y_measured',
+)
+
+
+@pytest.mark.parametrize('head', HEADS)
+def test_units_stand_where_those_of_samples_may_stand(tmp_path, head) -> None:
+    x, y = np.random.default_rng(5).uniform(-0.02, 0.02, (2, 50))  # below 60 mm: no guess
+    path = write(tmp_path / 'p.csv', head, *(1e3 * np.stack([x, y, x, y])))
+    (run,) = otf_core.read_point_pairs(path, plotter())
+    assert np.allclose(run.q, np.stack([x, y], axis=1), atol=1e-9)
+    assert not run.remarks

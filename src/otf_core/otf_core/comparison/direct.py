@@ -17,7 +17,7 @@ CSV layout, one row a reading::
 positions of rotary axes are angles, in a file of their own. Columns of errors the instrument lacks
 may be left out. Comment lines state where it was done: ``point A`` the positions of the linear
 axes, m, and ``target_offset`` the measured point, m, as in machine.yaml; left out, mid-range and
-the machine's, which is said. ``u_length_scale`` is the standard uncertainty of the instrument's
+the machine's, with a remark. ``u_length_scale`` is the standard uncertainty of the instrument's
 length unit, m/m; 0 if left out.
 """
 

@@ -3,7 +3,7 @@
 
 An effect is linear in its coefficients; what it is not linear in (a period, a time constant) is
 its shape. ``terms`` is the one formula: the simulator sums its columns, the fit and the diagnosis
-use them as columns of the system of equations, the report quotes them. What is said of it stands
+use them as columns of the system of equations, the report quotes them. Its description stands
 in words.yaml under its name.
 """
 
@@ -42,7 +42,7 @@ Part = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Words:
-    """What is said of an effect: an entry of words.yaml."""
+    """Description of an effect: an entry of words.yaml."""
 
     cause: str
     displacement: str
@@ -346,7 +346,7 @@ class Effect:
 
     @property
     def words(self) -> Words:
-        """What is said of it, for effects of the catalogue."""
+        """Its description, for effects of the catalogue."""
         return words_of_effects()[self.name]
 
     @property

@@ -3,7 +3,7 @@
 
 e_a is the unit vector of axis a, d the travel direction, u positions scaled to [-1, 1] over the
 axis range, J_m the displacement per unit of motion m. Every formula is the displacement of the
-measured point; what is said of it stands in words.yaml.
+measured point; its description stands in words.yaml.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 """Effects that only machines with rotary axes have.
 
 J_m is the displacement of the target per unit of motion m, J_a that per rad of the angular
-positioning of axis a, in the frame of the link that carries the tracker. What is said of an effect
-stands in words.yaml.
+positioning of axis a, in the frame of the link that carries the tracker. Descriptions of effects
+stand in words.yaml.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """Effects of the target and of the tracker.
 
 r is the beam from the tracker to the target, R, H, V its length, azimuth and zenith angle, e_R,
-e_H, e_V unit vectors in the direction of their increase. What is said of an effect stands in
+e_H, e_V unit vectors in the direction of their increase. The description of an effect stands in
 words.yaml.
 """
 
